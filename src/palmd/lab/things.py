@@ -17,6 +17,7 @@ from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import plan
 from palmd.lab.runs import with_failures
+from palmd.lab.scoring import FAR
 from palmd.lab.table import aligned
 from palmd.observer import Simulated
 from palmd.quantities import ESTIMATE, SHAPE, UNEXPLAINED
@@ -30,6 +31,16 @@ LUMP = "lump"  # a smooth one, as other studies have
 KINDS: tuple[str, ...] = (*THINGS, LUMP)
 OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
 MUCH = 0.01  # of the ticks
+HEAD = (
+    "runs",
+    "valid",
+    "wrong, of all ticks",
+    "worst run",
+    "beyond 3 sd",
+    "largest error (mm)",
+    "refusals",
+    "contacts lost",
+)
 _STREAM = 18  # keeps the bodies' random numbers apart from those of the motion
 _MARGIN_S = 2.0  # by which the moves last longer than the run
 
@@ -48,8 +59,9 @@ class ThingTask:
 class ThingRow:
     """A run in numbers; NaN for what there is not.
 
-    valid, wrong: shares of all ticks from the first move on; wrong: valid, and a radius off by more than 0.3 mm. most:
-    the largest such error (m). e_h: of the last valid outline where it was touched (m). refusals: of the smoother.
+    valid, wrong, far: shares of all ticks from the first move on; wrong: valid, and a radius off by more than 0.3 mm;
+    far: by more than three of its one-sigmas. most: the largest such error (m). e_h: of the last valid outline where it
+    was touched (m). refusals: of the smoother.
     losses: of a contact, falls: off the palms, objects: how many were begun.
     """
 
@@ -64,6 +76,7 @@ class ThingRow:
     losses: int = 0
     falls: int = 0
     objects: int = 0
+    far: float = math.nan
 
 
 def body_of(task: ThingTask) -> Body:
@@ -93,15 +106,17 @@ def run(task: ThingTask) -> ThingRow:
     smoothing = Simulated(rig_description(config))
     wireless = Wireless(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
     wireless.start()
-    scorer, ticks, valid, wrong, most, refusals = Scorer(wireless.t), 0, 0, 0, 0.0, 0
+    scorer, ticks, valid, wrong, far, most, refusals = Scorer(wireless.t), 0, 0, 0, 0, 0.0, 0
     before = wireless.world.status()["contact_losses"]
     for instant in wireless.run(task.seconds):
         estimate = instant.messages[ESTIMATE.name]
         ticks += 1
         refusals += UNEXPLAINED.name in instant.messages
         if scorer.take(instant.t, estimate):
-            error = max(abs(estimate[f"{name}_m"] - instant.truth[f"{name}_m"]) for name in RADII)
+            misses = {name: abs(estimate[name] - instant.truth[name]) for name in (f"{radius}_m" for radius in RADII)}
+            error = max(misses.values())
             valid += 1
+            far += any(miss > FAR * estimate["sd"][name] for name, miss in misses.items())
             wrong += error > WRONG_M
             most = max(most, error)
         if SHAPE.name in instant.messages:
@@ -119,13 +134,13 @@ def run(task: ThingTask) -> ThingRow:
         losses=int(status["contact_losses"] - before),
         falls=int(status["falls"]),
         objects=int(scorer.estimate["object"]),
+        far=far / ticks,
     )
 
 
 def table(rows: Sequence[ThingRow]) -> str:
     """A line for each kind, and one for all that are no smooth lump."""
-    head = ("runs", "valid", "wrong, of all ticks", "worst run", "largest error (mm)", "refusals", "contacts lost")
-    lines: list[tuple[str, Sequence[str]]] = [("", head)]
+    lines: list[tuple[str, Sequence[str]]] = [("", HEAD)]
     groups = [(kind, [row for row in rows if row.kind == kind and not row.error]) for kind in KINDS]
     groups.append(("all things", [row for row in rows if row.kind != LUMP and not row.error]))
     lines += [(name, _cells(mine)) for name, mine in groups if mine]
@@ -139,6 +154,7 @@ def _cells(rows: Sequence[ThingRow]) -> Sequence[str]:
         f"{np.mean([row.valid for row in rows]):.0%}",
         f"{np.mean([row.wrong for row in rows]):.1%}",
         f"{max(row.wrong for row in rows):.1%}",
+        f"{np.mean([row.far for row in rows]):.1%}",
         f"{1e3 * max(most):.2f}" if most else "–",
         str(sum(row.refusals for row in rows)),
         str(sum(row.losses for row in rows)),

@@ -68,6 +68,13 @@ class Lying:
         sign = 1.0 if palm else -1.0
         return -(self._lever(self.slope, palm) + sign * self.h[palm]) @ shape_of
 
+    def kept_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+        """dQ/dφ2 (m/rad) at the same φ1 and ψ, surfaces standing off from the hinge like that (m)."""
+        turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
+        moved = turned / np.sin(self.palms[:, OPENING, None]) + palm * self.h[1]
+        opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
+        return opened
+
     def contact(self, palm: int) -> FloatArray:
         """Rows that map the coefficients to s of a palm; (3.13), (3.14)."""
         sign = 1.0 if palm else -1.0
@@ -77,6 +84,27 @@ class Lying:
         """ds/dψ (m/rad)."""
         sign = 1.0 if palm else -1.0
         return -(self._lever(self.slope, palm) - sign * self.bend[palm]) @ shape_of
+
+    def contact_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+        """ds/dφ2 (m/rad) at the same φ1 and ψ, as `kept_opened`."""
+        turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
+        moved = turned / np.sin(self.palms[:, OPENING, None]) - palm * self.bend[1]
+        opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
+        return opened
+
+    def standing_off(self, palm: int) -> FloatArray:
+        """Rows (n, 2) that map the palms' standoffs (m) to what they add to Q and to s of a palm."""
+        opening = self.palms[:, OPENING]
+        own, other = np.cos(opening) / np.sin(opening), 1.0 / np.sin(opening)
+        return np.stack([other, own] if palm else [own, other], axis=1)
+
+    def _closing(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+        """What a larger φ2 takes from (own cos φ2 + other)/sin φ2, own and other distance of the hinge lines."""
+        one, two = (rows @ shape_of + off for rows, off in zip(self.h, standoffs.tolist(), strict=True))
+        own, other = (two, one) if palm else (one, two)
+        opening = self.palms[:, OPENING]
+        closing: FloatArray = (own + other * np.cos(opening)) / np.sin(opening) ** 2
+        return closing
 
     def _lever(self, rows: tuple[FloatArray, FloatArray], palm: int) -> FloatArray:
         opening = self.palms[:, OPENING, None]

@@ -26,6 +26,7 @@ from palmd.events import (
     Unexplained,
 )
 from palmd.model.outputs import NAMED, rig_inputs
+from palmd.model.smoothing import R
 from palmd.observer.answer import answer, no_answer, outline_answer, outlook
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.filters.base import LONGEST_STEP_S, Filters
@@ -41,7 +42,8 @@ from palmd.observer.track import Track
 from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import FORCES, OPENING, PALMS, RADII
+from palmd.system.mechanism import FORCES, PALMS, RADII
+from palmd.system.rig_constants import prior_sds
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
@@ -79,6 +81,7 @@ class BankObserver:
         self._hypotheses = hypotheses or ReturningObject(rig, filters)
         self._fusion = Fusion(rig, self._hypotheses.banks)
         self._observability = Observability(rig_inputs(rig), rig.reading_variances)
+        self._exact = not prior_sds(rig)[: R.FRICTION].any()  # as the seeker has it
         self.reset()
 
     def reset(self) -> None:
@@ -167,8 +170,7 @@ class BankObserver:
             elif fusion.palms_known(t):
                 fusion.add(event)
                 if isinstance(event, PadSample) and self._link is not None and not self._rig.curved:
-                    opening = float(fusion.palms.at(t)[OPENING])
-                    session.track.riding.read(event, opening, float(self._rig.reading_variances[event.pad - 1]))
+                    session.track.riding.read(event, fusion.palms.motion(t))
         if session.track is None:
             session.try_to_begin(t)
 
@@ -300,21 +302,17 @@ class BankObserver:
         return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
 
     def _may_ride(self, track: Track) -> bool:
-        """Whether it may only turn with a palm, as what lies on a flat side does, for all that is known.
+        """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
 
-        A bank takes that for a smooth object, however far off, and so may a smoother whose outline is not sharp yet.
-        What has been felt to have a corner no smooth outline is of, whoever tells it.
+        A bank takes that for a smooth object, however far off, and so may a smoother. Where constants of the rig are
+        open a second blind search has agreed: of a disc it may all the same. What has been felt to have a corner no
+        smooth outline is of, whoever tells it.
         """
-        if track.riding.cornered or not self._rolls_or_rides():
-            return track.riding.cornered
-        return track.riding.likely if track.smoothed else not track.riding.excluded
-
-    def _rolls_or_rides(self) -> bool:
-        """Whether what leads began blind on flat palms, and the smoother at its side has told no sharp outline yet."""
-        fusion = self._fusion
-        if self._link is None or self._rig.curved or fusion.allows_for_rig:
+        if self._link is None or self._rig.curved:
             return False
-        return bool(fusion.forgetting.prior_age_s[fusion.bank.best()] == 0.0)
+        riding = track.riding
+        twice_found = self._fusion.allows_for_rig and not self._exact
+        return riding.cornered or (riding.disc if twice_found else not riding.excluded)
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

@@ -1,8 +1,9 @@
 """Least squares of an object that sticks to one palm and slips along the other, on a record of readings. Pure.
 
-Unknown are the constants: coefficients of h, ln ρ, ln m, μ and, where the stuck palm changes, by how much the object
-turned in that moment. Between two changes ψ is what keeps Q1 or Q2 (`model.rolling`), so it needs no nodes
-and no process noise; its derivatives follow from the implicit function theorem.
+Unknown are the constants: coefficients of h, ln ρ, ln m, μ, those of the rig (`model.smoothing.R`) and, where the stuck
+palm changes, by how much the object turned in that moment. Between two changes ψ is what keeps Q1 or Q2
+(`model.rolling`), so it needs no nodes and no process noise; its derivatives follow from the implicit function theorem.
+What bows and lags move is taken to first order, and a bow's part in how the object rolls is left out.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
-from palmd.model.smoothing import ORDER, C
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
 from palmd.observer.factor import Prior
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import Record
@@ -25,7 +26,9 @@ from palmd.observer.stuck_palms import STANDING, Palms, likeliest
 from palmd.system.mechanism import JOINTS, OPENING, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
-LN_RHO, LN_MASS, MU, TURNS = range(SHAPE.stop, SHAPE.stop + 4)
+LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
+RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
+TURNS = RIG.stop
 FRICTION, FRICTION_SD = 0.25, 0.15
 TURN_SD, MUCH = 5e-3, 2.0  # rad, while both contacts slip; sigmas
 BLIND_S = 0.015  # before and after a change, in which forces tell of blows
@@ -35,6 +38,8 @@ ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
 MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
 CHANGE_COST = 12.0
 _STEP = 1e-6
+_STANDOFFS = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
+_TILT, _TURN, _ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,21 +85,21 @@ class DryModel:
     """The least-squares problem of one record and one sequence of stuck palms."""
 
     def __init__(self, record: Record, path: PalmPath, prior: Prior, phases: Sequence[Rolling]):
+        """`prior` is of the constants of `model.smoothing`."""
         self.record, self.prior, self.phases = record, prior, phases
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
         self._t, index = np.unique(np.concatenate([record.t, contact_t, force_t]), return_inverse=True)
         self._nodes, self._contacts, self._forces = np.split(index, np.cumsum([len(record.t), len(contact_t)]))
-        self._palms = path.at(self._t)
+        self._reported = path.at(self._t)
         starts = np.array([phase.start for phase in phases])
         self._edges = path.at(np.append(starts, self._t[-1]))
         cuts = np.append(np.searchsorted(self._t, starts), len(self._t))
         cuts[0] = 0
         self._spans = [slice(*each) for each in pairwise(cuts.tolist())]
         self._stuck = np.repeat([phase.palm for phase in phases], np.diff(cuts))
-        self._palms_signs = np.where(self._stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(self._palms[:, 3])
         apart = np.abs(force_t[:, None] - starts[None, 1:]).min(axis=1, initial=math.inf)
-        moving = np.abs(self._palms[self._forces, 3]) > STANDING
+        moving = np.abs(self._reported[self._forces, 3]) > STANDING
         self._weight = (moving & (apart > BLIND_S)) * record.force_weight
         self.size = TURNS + len(phases) - 1
 
@@ -134,7 +139,7 @@ class DryModel:
             forces = self._normal_forces(z, psi, self._motion(z, psi), stuck)
             predicted = np.where(record.force_pad == 1, *(each[self._forces] for each in forces)) * math.exp(z[LN_MASS])
             nis = (record.force_value - predicted) ** 2 / record.force_variance
-            moving = np.abs(self._palms[self._forces, 3]) > STANDING
+            moving = np.abs(self._reported[self._forces, 3]) > STANDING
             np.add.at(costs[palm], record.force_step, np.minimum(nis, GATE) * moving * record.force_weight)
         return phases_of(likeliest(costs, CHANGE_COST), record.t)
 
@@ -170,9 +175,9 @@ class DryModel:
         psi, slope = self._followed(z)
         forces, strain = self._force_terms(z, psi, slope), self._prior_terms(z).cost
         motion = self._motion(z, psi)
-        palms, ratio = self._palms, z[MU] * self._palms_signs
-        pressed = self._normal_forces(z, psi, motion, self._stuck)
-        asked = np.abs(friction_asked(self._stuck, ratio, palms, motion[:2], pressed))[self._forces]
+        pressed, ratio = self._normal_forces(z, psi, motion, self._stuck), self._ratio(z, self._stuck)
+        asked = friction_asked(self._stuck, ratio, _palms(self._reported, z), motion[:2], pressed)
+        asked = np.abs(asked)[self._forces]
         asked = np.append(asked[self._weight > 0.0], 0.0)
         return DryFit(
             z, self._normal(terms)[0], psi[self._nodes], terms.cost, terms.chi2, forces.chi2,
@@ -181,59 +186,99 @@ class DryModel:
 
     def _followed(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ψ at all times, and its derivatives by z."""
-        shape_of = z[SHAPE]
+        shape_of, standoffs = z[SHAPE], z[_STANDOFFS]
         psi, slope = np.empty(len(self._t)), np.zeros((len(self._t), self.size))
         at, moved = 0.0, np.zeros(self.size)
+        reported, edges = _palms(self._reported, z), _palms(self._edges, z)
         for number, (phase, span) in enumerate(zip(self.phases, self._spans, strict=True)):
             if number:
                 turn = TURNS + number - 1
                 at, moved = at + z[turn], moved.copy()
                 moved[turn] += 1.0
-            first = Lying.at(self._edges[number : number + 1], np.array([at]), ORDER)
-            rows = first.kept(phase.palm)
-            kept = first.kept_slope(phase.palm, shape_of)[0] * moved
-            kept[SHAPE] += rows[0]
-            palms = np.vstack([self._palms[span], self._edges[number + 1 : number + 2]])
-            where, lying = _kept(palms, at, float(rows[0] @ shape_of), phase.palm, shape_of)
-            by = np.repeat(kept[None], len(where), axis=0)
-            by[:, SHAPE] -= lying.kept(phase.palm)
+            first = Lying.at(edges[number : number + 1], np.array([at]), ORDER)
+            kept = _q_by(first, phase.palm, shape_of, standoffs, self.size)[0]
+            value = float(_q(first, phase.palm, shape_of, standoffs)[0])
+            kept += first.kept_slope(phase.palm, shape_of)[0] * moved
+            palms = np.vstack([reported[span], edges[number + 1 : number + 2]])
+            where, lying = _kept(palms, at, value, phase.palm, shape_of, standoffs)
+            by = kept - _q_by(lying, phase.palm, shape_of, standoffs, self.size)
             by /= lying.kept_slope(phase.palm, shape_of)[:, None]
             psi[span], slope[span], at, moved = where[:-1], by[:-1], float(where[-1]), by[-1]
         return psi, slope
 
     def _contact_terms(self, z: FloatArray, psi: FloatArray, slope: FloatArray) -> _Terms:
-        record, shape_of, at = self.record, z[SHAPE], self._contacts
-        lying = Lying.at(self._palms[at], psi[at], ORDER)
-        first = record.contact_pad == 1
-        rows = np.where(first[:, None], lying.contact(0), lying.contact(1))
-        turned = np.where(first, *(lying.contact_slope(palm, shape_of) for palm in (0, 1)))
-        jacobian = turned[:, None] * slope[at]
-        jacobian[:, SHAPE] += rows
+        record, at = self.record, self._contacts
+        palms, first = _palms(self._reported[at], z), record.contact_pad == 1
+        spin = np.gradient(psi, self._t)[at]
+        lying = Lying.at(palms, psi[at], ORDER)
+        each = [self._contact(lying, palm, z, spin) for palm in (0, 1)]
+        value, turned = (np.where(first, one, two) for one, two in zip(*(pair[:2] for pair in each), strict=True))
+        jacobian = turned[:, None] * slope[at] + np.where(first[:, None], *(pair[2] for pair in each))
         sd = np.sqrt(record.contact_variance)
-        return _gated((record.contact_value - rows @ shape_of) / sd, jacobian / sd[:, None], record.contact_weight)
+        return _gated((record.contact_value - value) / sd, jacobian / sd[:, None], record.contact_weight)
+
+    def _contact(
+        self, lying: Lying, palm: int, z: FloatArray, spin: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What a pad reads at all contacts' times, its derivative by ψ there, and those by z with ψ as it is.
+
+        ψ turns by `spin` (rad/s). Linear in what the rig's constants move.
+        """
+        shape_of, standoffs, rig = z[SHAPE], z[_STANDOFFS], z[RIG]
+        s, raised = _s(lying, palm, shape_of, standoffs), lying.standing_off(palm)
+        turned, opened = lying.contact_slope(palm, shape_of), lying.contact_opened(palm, shape_of, standoffs)
+        rates = lying.palms[:, len(JOINTS) : 2 * len(JOINTS)]
+        late = turned * (rates[:, 0] - spin) - opened * rates[:, OPENING]
+        off = [(R.ZERO + palm, np.ones(len(s))), (R.SCALE + palm, s), (R.LAG + palm, late)]
+        off.append((R.FORCE + palm, self.record.contact_force))
+        for bow, leans in ((0, -turned - opened), (1, -opened)):
+            along = _s(lying, bow, shape_of, standoffs) / float(self.record.pad_lengths[bow])
+            slope = 4.0 * (1.0 - 2.0 * along) / float(self.record.pad_lengths[bow])
+            off.append((R.SAGITTA + bow, slope * leans + 4.0 * along**2 * raised[:, bow]))
+        rows = np.zeros((len(s), self.size))
+        rows[:, SHAPE], rows[:, _STANDOFFS] = lying.contact(palm), raised
+        rows[:, _TILT], rows[:, _TURN] = -turned, opened
+        for which, by in off:
+            rows[:, RIG.start + which] = by
+            s = s + rig[which] * by
+        return s, turned, rows
 
     def _force_terms(self, z: FloatArray, psi: FloatArray, slope: FloatArray) -> _Terms:
         record, at, mass = self.record, self._forces, math.exp(z[LN_MASS])
         pull_x, pull_y, alpha = (each[at] for each in self._motion(z, psi))
-        palms, stuck, first = self._palms[at], self._stuck[at], record.force_pad == 1
+        palms, stuck, first = _palms(self._reported[at], z), self._stuck[at], record.force_pad == 1
+        signs = _signs(palms, stuck)
         lying = Lying.at(palms, psi[at], ORDER)
-        felt: list[Any] = [*(rows @ z[SHAPE] for rows in (*lying.h, *lying.slope)), z[MU], z[LN_RHO]]
+        felt: list[Any] = [
+            *(rows @ z[SHAPE] for rows in (*lying.h, *lying.slope)),
+            z[MU],
+            z[LN_RHO],
+            0.0,
+            0.0,
+            z[_ASYMMETRY],
+        ]
 
         def told(values: list[Any]) -> FloatArray:
-            *lying_so, mu, ln_rho = values
-            ratio, spun = mu * self._palms_signs[at], math.exp(2.0 * ln_rho) * alpha
+            *lying_so, mu, ln_rho, tilt, turn, asymmetry = values
+            ratio, spun = mu * (1.0 + asymmetry * np.where(stuck, 1.0, -1.0)) * signs, math.exp(2.0 * ln_rho) * alpha
             h, slopes = (lying_so[0], lying_so[1]), (lying_so[2], lying_so[3])
-            forces = normal_forces(stuck, ratio, palms, h, slopes, (pull_x, pull_y), spun)
+            moved = palms + np.array([tilt, turn, 0.0, 0.0, 0.0, 0.0])
+            forces = normal_forces(stuck, ratio, moved, h, slopes, (pull_x, pull_y), spun)
             return mass * np.where(first, *forces)
 
         value = told(felt)
         gains = [(told([*felt[:i], felt[i] + _STEP, *felt[i + 1 :]]) - value) / _STEP for i in range(len(felt))]
-        turned, jacobian = np.zeros(len(at)), np.zeros((len(at), self.size))
-        for gain, rows, then in zip(gains, (*lying.h, *lying.slope), (*lying.slope, *lying.bend), strict=False):
-            turned -= gain * (then @ z[SHAPE])
+        jacobian = np.zeros((len(at), self.size))
+        turned = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
+        lies = zip(gains, (*lying.h, *lying.slope), (*lying.slope, *lying.bend), strict=False)
+        for i, (gain, rows, then) in enumerate(lies):
+            turned[i % 2] += gain * (then @ z[SHAPE])
             jacobian[:, SHAPE] += gain[:, None] * rows
-        jacobian += turned[:, None] * slope[at]
+        both = turned[0] + turned[1]
+        jacobian[:, _TILT], jacobian[:, _TURN] = gains[6] + both, gains[7] + turned[1]
+        jacobian -= both[:, None] * slope[at]
         jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = gains[4], gains[5], value
+        jacobian[:, _ASYMMETRY] = gains[8]
         sd = np.sqrt(record.force_variance)
         return _gated((record.force_value - value) / sd, jacobian / sd[:, None], self._weight)
 
@@ -243,13 +288,14 @@ class DryModel:
         residual = np.concatenate([
             (prior.mean[C.SHAPE :] - z[SHAPE]) / prior.sd[C.SHAPE :],
             [(prior.mean[C.LN_RHO] + math.log(z[0]) - z[LN_RHO]) / rho_sd if z[0] > 0.0 else math.inf],
-            [(FRICTION - z[MU]) / FRICTION_SD], -z[TURNS:] / TURN_SD,
+            [(FRICTION - z[MU]) / FRICTION_SD], -z[RIG] / prior.sd[C.RIG : C.SHAPE], -z[TURNS:] / TURN_SD,
         ])  # fmt: skip
         jacobian = np.zeros((len(residual), self.size))
         jacobian[SHAPE, SHAPE] = np.diag(1.0 / prior.sd[C.SHAPE :])
         jacobian[SHAPE.stop, [LN_RHO, 0]] = 1.0 / rho_sd, -1.0 / (z[0] * rho_sd)
         jacobian[SHAPE.stop + 1, MU] = 1.0 / FRICTION_SD
-        jacobian[SHAPE.stop + 2 :, TURNS:] = np.eye(self.size - TURNS) / TURN_SD
+        sd = np.concatenate([prior.sd[C.RIG : C.SHAPE], np.full(self.size - TURNS, TURN_SD)])
+        jacobian[SHAPE.stop + 2 :, RIG.start :] = np.diag(1.0 / sd)
         return _Terms(residual, jacobian, float(residual @ residual), 0.0, 0.0)
 
     # -- motion -------------------------------------------------------------------------------------------
@@ -257,7 +303,8 @@ class DryModel:
     def _motion(self, z: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """At all times: acceleration of the COM less gravity, along X and Y (m/s²), and α0 (rad/s²)."""
         record, at = self.record, self._nodes
-        palms, h = self._palms[at], [rows @ z[SHAPE] for rows in Lying.at(self._palms[at], psi[at], ORDER).h]
+        palms = _palms(self._reported[at], z)
+        h = [rows @ z[SHAPE] + off for rows, off in zip(Lying.at(palms, psi[at], ORDER).h, z[_STANDOFFS], strict=True)]
         one, two = directions(palms[:, : len(JOINTS)].T)
         opening = np.sin(palms[:, OPENING])
         gravity, arm = record.rig[:2]
@@ -273,11 +320,46 @@ class DryModel:
     def _normal_forces(
         self, z: FloatArray, psi: FloatArray, motion: tuple[FloatArray, FloatArray, FloatArray], stuck: Palms
     ) -> tuple[FloatArray, FloatArray]:
-        lying = Lying.at(self._palms, psi, ORDER)
+        palms = _palms(self._reported, z)
+        lying = Lying.at(palms, psi, ORDER)
         h, slope = ((rows[0] @ z[SHAPE], rows[1] @ z[SHAPE]) for rows in (lying.h, lying.slope))
-        ratio = z[MU] * np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(self._palms[:, 3])
         spun = math.exp(2.0 * z[LN_RHO]) * motion[2]
-        return normal_forces(stuck, ratio, self._palms, h, slope, motion[:2], spun)
+        return normal_forces(stuck, self._ratio(z, stuck), palms, h, slope, motion[:2], spun)
+
+    def _ratio(self, z: FloatArray, stuck: Palms) -> FloatArray:
+        """Of friction to normal force where it slips, against t."""
+        ratio: FloatArray = z[MU] * (1.0 + z[_ASYMMETRY] * np.where(stuck, 1.0, -1.0)) * _signs(self._reported, stuck)
+        return ratio
+
+
+def _palms(reported: FloatArray, z: FloatArray) -> FloatArray:
+    """The palms' motion, their angles off as z says."""
+    moved = reported.copy()
+    moved[:, :2] += z[[_TILT, _TURN]]
+    return moved
+
+
+def _signs(palms: FloatArray, stuck: Palms) -> FloatArray:
+    signs: FloatArray = np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(palms[:, 3])
+    return signs
+
+
+def _s(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+    return lying.contact(palm) @ shape_of + lying.standing_off(palm) @ standoffs
+
+
+def _q(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
+    """Q1 or Q2."""
+    return lying.kept(palm) @ shape_of + lying.standing_off(palm) @ standoffs
+
+
+def _q_by(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray, size: int) -> FloatArray:
+    """Its derivatives by z (n, size), ψ as it is."""
+    by = np.zeros((len(lying.palms), size))
+    by[:, SHAPE], by[:, _STANDOFFS] = lying.kept(palm), lying.standing_off(palm)
+    by[:, _TILT] = -lying.kept_slope(palm, shape_of)
+    by[:, _TURN] = lying.kept_opened(palm, shape_of, standoffs)
+    return by
 
 
 def phases_of(stuck: Palms, t: FloatArray) -> list[Rolling]:
@@ -287,12 +369,14 @@ def phases_of(stuck: Palms, t: FloatArray) -> list[Rolling]:
     return [Rolling(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
 
 
-def _kept(palms: FloatArray, psi: float, value: float, palm: int, shape_of: FloatArray) -> tuple[FloatArray, Lying]:
+def _kept(
+    palms: FloatArray, psi: float, value: float, palm: int, shape_of: FloatArray, standoffs: FloatArray
+) -> tuple[FloatArray, Lying]:
     """ψ at which Q1 or Q2 has this value, by Newton's method from psi (rad)."""
     at = np.full(len(palms), psi)
     for _ in range(NEWTON_STEPS):
         lying = Lying.at(palms, at, ORDER)
-        step = (value - lying.kept(palm) @ shape_of) / lying.kept_slope(palm, shape_of)
+        step = (value - _q(lying, palm, shape_of, standoffs)) / lying.kept_slope(palm, shape_of)
         if not np.abs(step).max(initial=0.0) > NEWTON_RAD:
             break
         at += np.clip(step, -0.3, 0.3)

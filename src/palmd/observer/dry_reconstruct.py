@@ -11,8 +11,8 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.rolling import Lying
 from palmd.model.smoothing import ORDER, C
-from palmd.observer.criticism import KNOWN
-from palmd.observer.dry_fit import LN_MASS, LN_RHO, MU, SHAPE, DryFit, DryModel, phases_of
+from palmd.observer.dry_fit import LN_MASS, LN_RHO, MU, RIG, SHAPE, DryFit, DryModel, phases_of
+from palmd.observer.factor import given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
@@ -34,11 +34,10 @@ RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second beginning: of the radius, a
 def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
     """The outline of what sticks to one palm and slips along the other, if that explains the segment of `search`.
 
-    None where it does not, beyond doubt; for flat palms that are exactly as described.
+    None where it does not, beyond doubt; for flat palms.
     """
     record = search.record
-    known = float(search.belief.sd.max()) <= KNOWN and not search.rig.curved
-    if not known or still(record) or search.segment.end - search.segment.start < LEAST_S:
+    if search.rig.curved or still(record) or search.segment.end - search.segment.start < LEAST_S:
         return None
     try:
         found = _found(search, seed)
@@ -97,7 +96,8 @@ def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconst
     sd = np.sqrt(np.diagonal(covariance))
     normals = felt_normals(record, fit.psi, z[SHAPE])
     outline = outline_of(z[SHAPE], covariance[SHAPE, SHAPE], [normals])
-    sharp = float(np.sqrt(np.mean(outline.h_sd[outline.touched] ** 2))) < SHARP_M
+    told = outline_of(z[SHAPE], given(covariance, RIG, SHAPE), [normals])
+    sharp = float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) < SHARP_M
     if not sharp or z[MU] < LEAST_FRICTION * sd[MU]:
         return None
     rho, mass = math.exp(z[LN_RHO]), math.exp(z[LN_MASS])
@@ -108,7 +108,7 @@ def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconst
         theta=outline.theta, h=outline.h, h_sd=outline.h_sd, touched=outline.touched, visits=visits_of(normals),
         rho=rho, rho_sd=rho * float(sd[LN_RHO]), mu=float(z[MU]), mu_sd=float(sd[MU]),
         mass=mass, mass_sd=mass * float(sd[LN_MASS]),
-        rig=np.zeros(C.SHAPE - C.RIG), rig_covariance=np.diag(search.belief.sd**2),
+        rig=z[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=fit.psi, omega0=np.gradient(fit.psi, record.t),
         radii=np.stack([rows @ z[SHAPE] for rows in lying.h]),

@@ -64,7 +64,6 @@ class Handover:
             self._frame, self._turn = frame, float(bank.x[best, shape_map.Z.PSI] - x[shape_map.Z.PSI])
         x, P, spread = _turned(x, P, answer.spread, self._turn)
         self.rig_error.values[:] = answer.rig
-        track.smoothed = True
         if answer.established:
             self._hypotheses.accept(track)
             track.lead_with(self._single, x, P, nis, self._touched(track, answer, float(x[shape_map.Z.PSI])), spread)

@@ -20,6 +20,7 @@ from palmd.model.arcs import contacts_on_arcs
 from palmd.model.touch import LEAST_SLACK
 from palmd.observer.coverage import Marks
 from palmd.observer.mass import MassEstimator
+from palmd.observer.riding import Riding
 from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, normal_directions
@@ -45,6 +46,7 @@ class KnownObject:
     """A settled state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass.
 
     Where a smoother vouches for it, `spread` is what the rig's constants leave open (`events.Improvement`).
+    riding: what its readings have said of that.
     """
 
     x: FloatArray
@@ -52,6 +54,7 @@ class KnownObject:
     touched: Marks
     mass: MassEstimator
     spread: FloatArray | None = None
+    riding: Riding | None = None
 
     @property
     def smoothed(self) -> bool:

@@ -129,14 +129,16 @@ class ReturningObject:
     def accept(self, track: Track) -> None:
         """It is the candidate, if there is one."""
         if self.candidate is not None:
-            track.mass, self.candidate = self.candidate.mass, None
+            track.mass, track.riding = self.candidate.mass, self.candidate.riding or track.riding
+            self.candidate = None
 
     def keep(self, track: Track, t: float) -> None:
         """Remember the map, for when the object is lost and put back."""
         if self.memory.due(t):
             filters = track.fusion.filters
             x, P = filters.belief(filters.bank.best())
-            self.memory.keep(t, KnownObject(x, P, track.coverage.marks.copy(), track.mass, filters.spread))
+            touched = track.coverage.marks.copy()
+            self.memory.keep(t, KnownObject(x, P, touched, track.mass, filters.spread, track.riding))
 
     def lost(self, track: Track) -> None:
         """What was known of the object, if it was, has led astray."""

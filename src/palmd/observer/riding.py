@@ -7,66 +7,104 @@ centre stays as high over the ridden palm (Y) as over the other (ρ), while the 
 
 the same for either palm to ride on. Nothing else is assumed of the object. While readings agree with that, the ridden
 palm's own may be where a side's torques balance, and need tell nothing of an outline that rolls.
+
+Of the rig's constants those count that bend the curve: a pad's zero, lag and give under force, and the opening's
+error. Scale and standoffs are a matter of Y and ρ.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample
-from palmd.system.mechanism import PALMS
+from palmd.events import FloatArray, PadSample, PalmMotion
+from palmd.observer.palms import RESTING_RAD_S
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import OPENING, PALMS
 
 SIGMAS, SLACK = 3.0, 0.02  # of χ², from which on readings contradict a ride; a share of it for what is no noise
-
-TELLING_RAD = 0.25  # of φ2, over which what rolls contradicts a ride mostly
+FIT_EVERY = 5  # of a pad's readings
+TELLING_RAD = 0.25  # of φ2, over which a corner is told
 CORNER_M = 4e-3  # of ρ: smooth objects of the studies have 15 mm and more, corners of 1 and 3 mm are told to 0.1 mm
+ROUND_M = 15e-3  # of ρ, about, where it multiplies a constant of the rig
 
 
 class Riding:
     """Both rides of one object on flat palms, by least squares; safe inside the loop."""
 
-    def __init__(self) -> None:
-        self._sums: dict[int, FloatArray] = {pad: np.zeros((3, 3)) for pad in PALMS}
+    def __init__(self, rig: RigDescription):
+        """`rig` says how well readings and its constants are known."""
+        self._noise = np.sqrt(rig.reading_variances).tolist()
+        self._off = [
+            [math.hypot(pad.zero_sd, ROUND_M * rig.angle_sd), rig.angle_sd, pad.lag_sd, pad.force_sd]
+            for pad in rig.pads
+        ]
+        self._sums: dict[int, FloatArray] = {
+            pad: np.zeros((3 + np.count_nonzero(off),) * 2) for pad, off in zip(PALMS, self._off, strict=True)
+        }
+        self._standoff_sd = max(pad.standoff_sd for pad in rig.pads)
         self._readings = dict.fromkeys(PALMS, 0)
+        self._ride: dict[int, _Ride | None] = dict.fromkeys(PALMS)
         self._least, self._most = math.inf, -math.inf
         self.cornered = False  # it has ridden, and touched the other palm with a corner
 
-    def read(self, sample: PadSample, opening: float, variance: float) -> None:
-        """Take a reading of `variance` (m²), φ2 being `opening` (rad)."""
-        row = np.array([1.0, math.cos(opening), sample.s * math.sin(opening)])
-        row /= math.sin(opening) * math.sqrt(variance)
+    def read(self, sample: PadSample, palms: PalmMotion) -> None:
+        """Take a reading, the palms moving like that; at rest it tells nothing."""
+        if max(map(abs, palms.rates)) < RESTING_RAD_S:
+            return
+        opening, rate, i = palms.angles[OPENING], palms.rates[OPENING], sample.pad - 1
+        cos, sin, force = math.cos(opening), math.sin(opening), sample.force or 0.0
+        moved = sin, -sample.s * cos, -sample.s * rate * sin, force * sin
+        of_rig = [sd * by for sd, by in zip(self._off[i], moved, strict=True) if sd]
+        row = np.array([1.0, cos, sample.s * sin, *of_rig]) / (sin * self._noise[i])
         self._sums[sample.pad] += np.outer(row, row)
         self._readings[sample.pad] += 1
         self._least, self._most = min(self._least, opening), max(self._most, opening)
-        self.cornered = self.cornered or (self._told and self._sharp(sample.pad))
-
-    @property
-    def likely(self) -> bool:
-        """Whether a ride is not `excluded` by palms that have turned far enough against each other to exclude most."""
-        return self._told and not self.excluded
-
-    @property
-    def _told(self) -> bool:
-        return self._most - self._least > TELLING_RAD
+        if self._readings[sample.pad] % FIT_EVERY == 0:
+            self._ride[sample.pad] = _fitted(self._sums[sample.pad], self._readings[sample.pad])
+            told = self._most - self._least > TELLING_RAD
+            self.cornered = self.cornered or (told and self._sharp(sample.pad))
 
     @property
     def excluded(self) -> bool:
         """Whether the readings of each palm contradict a ride on the other."""
         return all(self._contradicted(pad) for pad in PALMS)
 
+    @property
+    def disc(self) -> bool:
+        """Whether neither palm's readings contradict a ride on the other, as those of a disc do not."""
+        return not any(self._contradicted(pad) for pad in PALMS)
+
     def _contradicted(self, pad: int) -> bool:
-        (a, b, p), (_, c, q), (*_, total) = self._sums[pad].tolist()
-        n, determinant = self._readings[pad], a * c - b * b
-        if n < 3 or not determinant > 0.0:
-            return False
-        chi2: float = total - (c * p * p - 2.0 * b * p * q + a * q * q) / determinant
-        return chi2 > n * (1.0 + SLACK) + SIGMAS * math.sqrt(2.0 * n)
+        ride = self._ride[pad]
+        return ride is not None and ride.contradicted
 
     def _sharp(self, pad: int) -> bool:
-        (a, b, p), (_, c, q), _ = self._sums[pad].tolist()
-        determinant = a * c - b * b
-        if not determinant > 0.0 or self._contradicted(pad):
+        ride = self._ride[pad]
+        if ride is None or ride.contradicted:
             return False
-        return bool((a * q - b * p) / determinant + SIGMAS * math.sqrt(a / determinant) < CORNER_M)
+        return ride.rho + SIGMAS * math.hypot(ride.sd, self._standoff_sd) < CORNER_M
+
+
+class _Ride(NamedTuple):
+    """The likeliest ρ (m) and its one-sigma, and whether the readings contradict it all the same."""
+
+    rho: float
+    sd: float
+    contradicted: bool
+
+
+def _fitted(sums: FloatArray, readings: int) -> _Ride | None:
+    """From a pad's sums of products of (1, cos φ2, s sin φ2, constants of the rig in one-sigmas); None of too few."""
+    if len(sums) > 3:
+        of_rig = sums[3:, 3:] + np.eye(len(sums) - 3)
+        sums = sums[:3, :3] - sums[:3, 3:] @ np.linalg.solve(of_rig, sums[3:, :3])
+    (a, b, p), (_, c, q), (*_, total) = sums.tolist()
+    determinant = a * c - b * b
+    if not determinant > 0.0:
+        return None
+    chi2 = total - (c * p * p - 2.0 * b * p * q + a * q * q) / determinant
+    most = readings * (1.0 + SLACK) + SIGMAS * math.sqrt(2.0 * readings)
+    return _Ride((a * q - b * p) / determinant, math.sqrt(a / determinant), chi2 > most)

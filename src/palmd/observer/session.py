@@ -15,6 +15,7 @@ from palmd.observer.hypotheses import Hypotheses, Verdict
 from palmd.observer.mass import MassEstimator
 from palmd.observer.observability import Observability
 from palmd.observer.prior import blind_start, shape_map_sd
+from palmd.observer.riding import Riding
 from palmd.observer.rig_error import circle_spread
 from palmd.observer.track import Track
 from palmd.observer.validity import LOST_NIS
@@ -85,6 +86,7 @@ class ObjectSession:
             radius_sd=circle_spread(rig, contacts, tangents(palms.angles, contacts, rig.curvatures)[OPENING]),
             mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
+            riding=Riding(rig),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
         self._observability.begin(t, shape_map_sd(start))

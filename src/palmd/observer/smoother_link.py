@@ -43,7 +43,10 @@ class SmootherLink:
         self._refused_at = -math.inf
 
     def refuses(self, begun: float) -> bool:
-        """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it."""
+        """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it.
+
+        Or that something may, which is not vouched for: what has been found contradicts the rig, or is not sure.
+        """
         return self._refused_at > begun
 
     def on_time(self, sample: PadSample) -> PadSample:
@@ -73,7 +76,8 @@ class SmootherLink:
             self._refused_at = improvement.t
             return improvement
         if improvement is not None:
-            self._refused_at = -math.inf
+            vouches = improvement.established or bool(improvement.touched.any())
+            self._refused_at = -math.inf if vouches else improvement.t
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement

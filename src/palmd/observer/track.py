@@ -23,7 +23,7 @@ class Track:
     radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
     the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
     surprise: what its readings have lately said of the published one-sigmas; what is acted on does not ask.
-    riding: whether it may only have turned with a palm since. smoothed: an answer of a smoother has taken part.
+    riding: whether it may only have turned with a palm since.
     """
 
     fusion: Fusion
@@ -34,13 +34,12 @@ class Track:
     radius_sd: float
     mass: MassEstimator
     coverage: Coverage
+    riding: Riding
     valid: bool = False
     predictable: bool = False
     vouched_for: bool = False
     t_unlikely: float | None = None
     surprise: Surprise = field(default_factory=Surprise)
-    riding: Riding = field(default_factory=Riding)
-    smoothed: bool = False
 
     def age(self, t: float) -> float:
         """How long ago its filters began, at `t` (s)."""

@@ -34,10 +34,11 @@ def test_what_raises_becomes_a_row_that_says_so() -> None:
 
 
 def test_the_table_leaves_smooth_lumps_out_of_things() -> None:
-    rows = [ThingRow("die", 0, "", 0.5, 0.1, 1e-3, 1e-4, 3, 2), ThingRow(LUMP, 0, "", 0.9, 0.5, 4e-4, 1e-5)]
+    rows = [ThingRow("die", 0, "", 0.5, 0.1, 1e-3, 1e-4, 3, 2, far=0.025), ThingRow(LUMP, 0, "", 0.9, 0.5, 4e-4, 1e-5)]
     told = things.table(rows)
     last = told.splitlines()[-1]
     assert last.startswith("all things")
     assert "10.0%" in last
+    assert "2.5%" in last
     assert "50.0%" not in last
     assert things.remarks(rows)[0] == "die 0: wrong for 10.0%, by up to 1.00 mm"

@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from palmd.lab.simulated import written
 from palmd.lab.thing_logs import SharpTask, simulated
 from palmd.model import shape
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
-from palmd.model.smoothing import ORDER
+from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C, R, contact_function
 from palmd.observer.data_segment import longest_segment
+from palmd.observer.dry_fit import RIG, SHAPE, DryModel, _palms, phases_of
 from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.noise import with_scatter
 from palmd.observer.search import Search
@@ -23,6 +25,8 @@ from palmd.rig.plant import Hinge, stable_poses
 from palmd.rig.shapes import random_body
 from palmd.rig.simulate import Rock, Rocking, simulate_log
 from palmd.score import score_outline
+from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.rig_constants import prior_sds
 
 STEP = 5e-4
 ROCKING = Rocking(Rock(0.75, 0.5, 0.5, 0.3), Rock(1.65, 0.25, 0.8, 1.0))
@@ -125,8 +129,61 @@ def test_what_slides_under_dither_is_not_taken_for_sticking():
         assert dry_reconstruction(searched(read_log(path)), 0, time.perf_counter()) is None
 
 
-def test_where_the_rig_is_not_known_exactly_nothing_is_claimed(dry):
-    log, _ = dry
-    search = searched(log, 3.0)
-    search.belief = search.belief.suspended()
-    assert dry_reconstruction(search, 0, time.perf_counter()) is None
+def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
+    log, truth = dry
+    calibrated = replace(log, rig=log.rig.known_to(AS_CALIBRATED))
+    answer = dry_reconstruction(searched(calibrated), 0, time.perf_counter())
+    score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
+    sd = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    assert score.e_h < 3.0 * sd
+    assert 5e-5 < sd < 3e-4  # standoffs of 0.2 mm are told in part
+    assert answer.mu == pytest.approx(DRY.mu, abs=4.0 * answer.mu_sd)
+    sds = np.sqrt(np.diagonal(answer.rig_covariance))
+    assert (np.abs(answer.rig) < 3.0 * sds).all()
+    assert (sds <= answer.rig_prior_sd * (1.0 + 1e-6)).all()
+
+
+def drawn(search):
+    """A model of a few phases, and constants of an object and of a rig that is off."""
+    palms = (np.arange(len(search.record.t)) // 300 % 2).astype(np.intp)
+    model = DryModel(search.record, search.path, search.prior, phases_of(palms, search.record.t))
+    random = np.random.default_rng(5)
+    z = model.begun(search.prior.mean[C.SHAPE :] + 0.3 * search.prior.sd[C.SHAPE :] * random.normal(size=25), 0.1, 0.2)
+    z[RIG] = prior_sds(RigDescription().known_to(AS_CALIBRATED)) * random.normal(size=RIG_CONSTANTS)
+    return model, z
+
+
+def test_pads_read_what_the_smoothers_kernel_says_on_a_rig_that_is_off(dry):
+    model, z = drawn(searched(dry[0], 6.0))
+    record, kernel = model.record, contact_function()
+    p = np.zeros(CONSTANTS)
+    p[C.RIG : C.SHAPE], p[C.SHAPE :] = z[RIG], z[SHAPE]
+    lying = Lying.at(_palms(record.contact_palms, z), np.full(len(record.contact_pad), 0.1), ORDER)
+    inputs = record.contact_inputs(len(record.contact_pad))
+    for k in range(0, len(inputs), 97):
+        palm = int(record.contact_pad[k]) - 1
+        value, _, _ = model._contact(lying, palm, z, np.zeros(len(inputs)))
+        told = float(kernel([0.1, 0.0], [0.1, 0.0], p, inputs[k])[0])
+        assert value[k] == pytest.approx(told, abs=3e-6)
+
+
+def test_the_derivatives_are_those_of_finite_differences(dry):
+    model, z = drawn(searched(dry[0], 4.0))
+    psi, slope = model._followed(z)
+    of_contacts, of_forces = (of(z, psi, slope).jacobian for of in (model._contact_terms, model._force_terms))
+    standoff, tilt, turn, asymmetry = (RIG.start + which for which in (R.STANDOFF, R.TILT, R.TURN, R.FRICTION))
+
+    def differences(i, of):
+        after, before = (z + sign * 1e-7 * np.eye(model.size)[i] for sign in (1.0, -1.0))
+        return (of(after) - of(before)) / 2e-7
+
+    for i in (3, standoff, tilt, turn, RIG.stop):
+        told = slope[:, i]
+        assert differences(i, lambda z: model._followed(z)[0]) == pytest.approx(
+            told, rel=1e-4, abs=1e-4 * np.abs(told).max() + 1e-5
+        )
+        miss = differences(i, lambda z: -model._contact_terms(z, *model._followed(z)).residual) - of_contacts[:, i]
+        assert np.median(np.abs(miss)) < 1e-2 * np.median(np.abs(of_contacts[:, i])) + 1e-3
+    for i in (tilt, turn, asymmetry):
+        miss = differences(i, lambda z: -model._force_terms(z, *model._followed(z)).residual) - of_forces[:, i]
+        assert np.median(np.abs(miss)) < 1e-2 * np.median(np.abs(of_forces[:, i]))

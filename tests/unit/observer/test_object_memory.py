@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
+from palmd.observer.returning_object import ReturningObject
+from palmd.observer.riding import Riding
 from palmd.system.description import PadSensor, RigDescription
 
 Z = shape_map.Z
@@ -92,3 +96,12 @@ def test_marks_turn_with_the_gauge_of_the_leader() -> None:
     marks.mark(2.0, 1, named, lambda: np.array([0.0, 6 * step]))
     assert marks.fraction == pytest.approx(2 / NORMAL_BINS)
     assert (marks.marks == np.roll(before, -6)).all()
+
+
+def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
+    """Else what was vouched for before would have to roll anew first."""
+    rig, track = RigDescription(), MagicMock()
+    before, hypotheses = Riding(rig), ReturningObject(rig, MagicMock())
+    hypotheses.candidate = replace(_known(), riding=before)
+    hypotheses.accept(track)
+    assert track.riding is before

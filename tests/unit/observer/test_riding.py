@@ -7,21 +7,29 @@ import pytest
 from simulated import simulated
 
 from palmd import observer
-from palmd.events import PadSample, PalmSample
+from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.observer import Simulated
 from palmd.observer.riding import Riding
+from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.mechanism import PALMS
 
-NOISE_M, NEVER = 1e-4, 100.0
+EXACT = RigDescription()
+CALIBRATED = EXACT.known_to(AS_CALIBRATED)
+DT_S, NO_FORCE = 0.01, np.zeros(2000)
+NOISE_M, NEVER = float(np.sqrt(EXACT.reading_variances[0])), 100.0
 
 
-def told(readings: dict[int, np.ndarray], openings: np.ndarray) -> Riding:
+def told(
+    readings: dict[int, np.ndarray], openings: np.ndarray, rig: RigDescription = EXACT, force: np.ndarray = NO_FORCE
+) -> Riding:
     """After these readings (m) of each pad, with noise."""
-    random, riding = np.random.default_rng(1), Riding()
-    for k, opening in enumerate(openings.tolist()):
+    random, riding = np.random.default_rng(1), Riding(rig)
+    rates = np.gradient(openings, DT_S)
+    for k, (opening, rate) in enumerate(zip(openings.tolist(), rates.tolist(), strict=True)):
+        palms = PalmMotion((0.7, opening), (0.0, rate), (0.0, 0.0))
         for pad in PALMS:
             s = float(readings[pad][k] + random.normal(0.0, NOISE_M))
-            riding.read(PadSample(0.01 * k, pad, s), opening, NOISE_M**2)
+            riding.read(PadSample(DT_S * k, pad, s, float(force[k])), palms)
     return riding
 
 
@@ -37,29 +45,55 @@ def test_a_ride_is_excluded_where_both_palms_contradict_it(one, two, excluded):
     assert told({1: one, 2: two}, OPENINGS).excluded is excluded
 
 
-def test_a_ride_is_likely_once_the_palms_have_turned_far_and_do_not_contradict_it():
-    assert told({1: RIDDEN, 2: ROLLING}, OPENINGS).likely
-    assert not told({1: ROLLING, 2: ROLLING}, OPENINGS).likely
-    near = OPENINGS[:20]
-    assert not told({1: RIDDEN[:20], 2: ROLLING[:20]}, near).likely
-
-
 def test_a_corner_is_felt_and_not_forgotten():
     riding = told({1: RIDDEN, 2: ROLLING}, OPENINGS)
     assert riding.cornered
     for s in (10e-3, 20e-3) * 100:
-        riding.read(PadSample(3.0, 1, s), 1.6, NOISE_M**2)
+        riding.read(PadSample(3.0, 1, s), PalmMotion((0.7, 1.6), (0.1, 0.0), (0.0, 0.0)))
     assert riding.excluded
     assert riding.cornered
     round_one = (15e-3 + 10e-3 * np.cos(OPENINGS)) / np.sin(OPENINGS)
-    assert told({1: round_one, 2: ROLLING}, OPENINGS).likely
     assert not told({1: round_one, 2: ROLLING}, OPENINGS).cornered
 
 
-def test_nothing_that_rests_excludes_a_ride():
+def test_nothing_that_rests_excludes_a_ride_or_allows_for_one():
     still = np.full(200, 15e-3)
     assert not told({1: still, 2: still}, np.full(200, 1.6)).excluded
-    assert not Riding().excluded
+    assert not Riding(EXACT).excluded
+    rolled = told({1: ROLLING, 2: ROLLING}, OPENINGS)
+    for k in range(100_000):
+        rolled.read(PadSample(3.0, 1 + k % 2, 20e-3), PalmMotion.at_rest((0.7, 1.6)))
+    assert rolled.excluded
+
+
+def test_a_disc_may_be_anything_that_has_an_arc_for_all_that_its_readings_tell():
+    disc = 18e-3 * (1 + np.cos(OPENINGS)) / np.sin(OPENINGS)
+    riding = told({1: disc, 2: disc}, OPENINGS)
+    assert not riding.excluded
+    assert not riding.cornered
+    assert riding.disc
+    assert not told({1: RIDDEN, 2: ROLLING}, OPENINGS).disc
+
+
+@pytest.mark.parametrize("off", ["zero", "scale", "turn", "lag", "force", "standoff"])
+def test_a_ride_is_not_excluded_by_what_a_rig_may_be_off_by(off):
+    openings = 1.6 + 0.3 * np.sin(np.linspace(0.0, 40.0, 2000))
+    ridden = (15e-3 + 10e-3 * np.cos(openings)) / np.sin(openings)
+    rolling = ridden + 1e-3 * np.sin(np.linspace(0.0, 90.0, 2000))
+    pad, force = CALIBRATED.pads[0], 1.0 + 0.8 * np.sin(np.linspace(0.0, 60.0, 2000))
+    wrong = {
+        "zero": 3 * pad.zero_sd,
+        "scale": 3 * pad.scale_sd * ridden,
+        "lag": -3 * pad.lag_sd * np.gradient(ridden, DT_S),
+        "force": 3 * pad.force_sd * force,
+        "standoff": 3 * pad.standoff_sd / np.sin(openings),
+    }
+    reported = openings - 3 * CALIBRATED.angle_sd * (off == "turn")
+    assert not told({1: ridden + wrong.get(off, 0.0), 2: rolling}, reported, CALIBRATED, force).excluded
+
+
+def test_what_rolls_on_a_calibrated_rig_excludes_a_ride_too():
+    assert told({1: ROLLING, 2: ROLLING}, OPENINGS, CALIBRATED).excluded
 
 
 def watched(run, smoother_takes_s: float) -> int:
@@ -77,13 +111,13 @@ def watched(run, smoother_takes_s: float) -> int:
     return valid
 
 
-@pytest.mark.parametrize(("of_a_ride", "ticks"), [("excluded", 20), ("likely", 0), ("untold", 0), ("cornered", 0)])
-def test_a_bank_vouches_alone_only_for_what_is_known_to_roll(monkeypatch, of_a_ride, ticks):
-    monkeypatch.setattr(Riding, "excluded", of_a_ride in ("excluded", "cornered"))
-    monkeypatch.setattr(Riding, "_sharp", lambda *_: of_a_ride == "cornered")
-    monkeypatch.setattr(Riding, "_told", True)
-    monkeypatch.setattr(Riding, "likely", of_a_ride == "likely")
-    valid = watched(simulated("nominal", 9500, 1.2), NEVER)
+@pytest.mark.parametrize("smoother_takes_s", [0.2, NEVER])
+@pytest.mark.parametrize(("excluded", "sharp", "ticks"), [(True, False, 20), (False, False, 0), (True, True, 0)])
+def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s, excluded, sharp, ticks):
+    monkeypatch.setattr(Riding, "excluded", excluded)
+    monkeypatch.setattr(Riding, "_sharp", lambda *_: sharp)
+    monkeypatch.setattr("palmd.observer.riding.TELLING_RAD", 0.0)
+    valid = watched(simulated("nominal", 9500, 1.6), smoother_takes_s)
     assert (valid > ticks) if ticks else (valid == 0)
 
 

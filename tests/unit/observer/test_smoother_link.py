@@ -39,11 +39,11 @@ def run() -> Run:
 
 
 class Refusing:
-    """A smoother that says at one time that nothing explains what it has read, and later gives an improvement."""
+    """A smoother that at one time vouches for nothing, and later gives an improvement."""
 
-    def __init__(self, refuses: float, ready: float, improvement: Improvement | None):
+    def __init__(self, refusal: Improvement | Unexplained, ready: float, improvement: Improvement | None):
         self.script: list[tuple[float, Improvement | Unexplained | None]] = [
-            (refuses, Unexplained(refuses)),
+            (refusal.t, refusal),
             (ready, improvement),
         ]
 
@@ -150,10 +150,13 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
     assert estimate.object_count == 2
 
 
-def test_what_no_outline_explains_is_not_valid_until_one_does(run: Run) -> None:
-    found = answer(run, 4.0)
+@pytest.mark.parametrize("unsure", [False, True])
+def test_what_no_outline_explains_or_none_for_sure_is_not_valid_until_one_does(run: Run, unsure: bool) -> None:
+    found, early = answer(run, 4.0), answer(run, 3.0)
+    assert early is not None
+    doubtful = replace(early, established=False, touched=np.zeros_like(early.touched))
     alone = {t: estimate.valid for t, estimate in ticks(run, observer.make("shape", run.rig))}
-    watcher = observer.make("shape", run.rig, smoothing=Refusing(3.0, 4.5, found))
+    watcher = observer.make("shape", run.rig, smoothing=Refusing(doubtful if unsure else Unexplained(3.0), 4.5, found))
     valid = {t: estimate.valid for t, estimate in ticks(run, watcher)}
     assert all(alone[t] for t in alone if 2.9 < t < 6.0)
     assert all(valid[t] for t in valid if 2.9 < t < 2.99)
