@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.core import Core
+from palmd.daemon.exploration_requests import InlineExplorer
 from palmd.daemon.planner import Plan
 from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
@@ -19,5 +21,6 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
         """`seed` draws body and noise."""
         limits, rig = TiltLimits.of(config), three_palms_rig(config)
         plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
-        core = Core(config, BodyObserver(rig, SimulatedGrowing(rig)), AtOnce(), plan)
+        explorer = InlineExplorer(BodyDecider(rig, seed))
+        core = Core(config, BodyObserver(rig, SimulatedGrowing(rig)), AtOnce(), plan, explorer=explorer)
         super().__init__(ThreePalmsWorld(config, seed), core, config.loop.rate_hz)

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
@@ -76,10 +77,10 @@ class BodyExplorer:
         self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
         self._low, self._high = np.array(limits.angles).T
 
-    def covered(self, normals: FloatArray) -> Bools:
+    def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
         cosines = self._directions @ normals.reshape(-1, 3).T
-        return np.asarray((cosines > math.cos(NEAR_RAD)).any(axis=1), np.bool_)
+        return np.asarray((cosines > math.cos(within)).any(axis=1), np.bool_)
 
     def decide(self, now: Bearings, touched: Bools) -> Move | None:
         """The next move from `now` (of one); None where every one that was tried might lose the body."""
@@ -107,13 +108,13 @@ class BodyExplorer:
         """The first of the moves that keeps the body from all bearings that may be; palms stand for a while after."""
         n = SAMPLES * len(moves)
         off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        begin = Bearings(_turned(now.R, off), now.omega + spun, np.repeat(now.joints, n, axis=0))
+        begin = Bearings(rotation.exp(off) @ now.R, now.omega + spun, np.repeat(now.joints, n, axis=0))
         ends = np.repeat([move.end for move in moves], SAMPLES, axis=0)
-        foreseen = self._foresight.of(begin, ends, np.repeat([move.duration for move in moves], SAMPLES))
-        after = self._foresight.of(foreseen.after, ends, np.full(n, STAND_S))
-        force, room = (np.minimum(getattr(foreseen, name), getattr(after, name)) for name in ("least_force", "room"))
-        held = ((force > 0.5 * LEAST_FORCE) & (room > 0.5 * LEAST_ROOM_M)).reshape(-1, SAMPLES).all(axis=1)
-        return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
+        durations = np.repeat([move.duration for move in moves], SAMPLES)
+        foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S)
+        safe = (foreseen.least_force > 0.5 * LEAST_FORCE) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+        held = np.asarray(safe.reshape(-1, SAMPLES).all(axis=1))
+        return next((move for move, sure in zip(moves, held.tolist(), strict=True) if sure), None)
 
     def _grown(
         self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
@@ -182,13 +183,6 @@ def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
         if len(kept) == KEPT:
             break
     return kept
-
-
-def _turned(rotations: FloatArray, by: FloatArray) -> FloatArray:
-    """(N, 3, 3) rotations (1, 3, 3) turned by small vectors (N, 3)."""
-    skew = np.cross(by[:, None], np.eye(3)).transpose(0, 2, 1)
-    turned, _ = np.linalg.qr((np.eye(3) + skew) @ rotations)
-    return np.asarray(turned * np.sign(np.einsum("nij,nij->nj", turned, (np.eye(3) + skew) @ rotations))[:, None])
 
 
 def _safe(foreseen: ForeseenMoves) -> Bools:

@@ -10,17 +10,17 @@ import pytest
 from palmd import three_palms_messages as says
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.harness.three_palms_comparison import between, matrix, surface_error
+from palmd.model.icosphere import icosphere
+from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing
+from palmd.observer.three_palms import beliefs, growing, live
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import begun, raced
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.reconstruct import felt_directions, near
-from palmd.observer.three_palms.rotation import exp, quaternion
 from palmd.observer.three_palms.search import Rival
 from palmd.observer.three_palms.smoother import BodyMotion
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
@@ -397,6 +397,29 @@ def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     stub.next = lived.answer  # about what was there before
     observer.improve(4.81)
     assert observer.estimate(4.81).hypotheses == 0
+
+
+def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
+    observer = BodyObserver(lived.rig, stub := Stub())
+    assert not observer.foresees
+    assert observer.outlook(4.0) is None
+    lived.told(observer, stub, 4.6, lived.END + 0.05)
+    assert observer.foresees
+    told = observer.outlook(4.6)
+    R = lived.truth(told.t)[6:15].reshape(3, 3)
+    assert (told.claimed, told.begun) == (True, lived.answer.begun)
+    assert np.abs(told.R - R @ lived.gauge).max() < 0.02
+    assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
+    since = (4.6 - lived.answer.t) / live.SEEN_S
+    assert len(told.since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
+    normal = palms_at(*swung(np.array([4.6]))).normal[0]
+    assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
+    stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
+    said = go_on(lived, observer, 4.6, 4.65)
+    assert (said.valid, observer.foresees, observer.outlook(4.65).claimed) == (False, True, False)
+    stub.next = replace(lived.answer, hypotheses=0, claimed=False)
+    go_on(lived, observer, 4.65, 4.7)
+    assert not observer.foresees
 
 
 def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):

@@ -16,9 +16,9 @@ import numpy as np
 from palmd.blas import one_thread
 from palmd.config import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings

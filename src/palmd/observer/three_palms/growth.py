@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.model.spherical import Y00
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, rotation
+from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, course

@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from palmd.blas import one_thread
 from palmd.events import FloatArray
+from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import ORDER, Grown, best
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
