@@ -65,7 +65,7 @@ class SpaceLiveRow:
         return line
 
 
-class _TrueCoverage:
+class TrueCoverage:
     """What of the body has been touched in truth."""
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ def _lived(seed: int, seconds: float, plan: str) -> SpaceLiveRow:
     ticks, valid, squares = 0, 0, []
     surfaces: list[tuple[float, float]] = []
     estimate: dict[str, Any] = {}
-    coverage, told = _TrueCoverage(), math.nan
+    coverage, told = TrueCoverage(), math.nan
     lost, back, losses = math.nan, list[float](), 0
     for now in rig.run(seconds):
         estimate, truth = now.messages[PALM3.name], now.truth
