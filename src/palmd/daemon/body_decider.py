@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
 from palmd.model.icosphere import icosphere
-from palmd.motion.body_explorer import NEAR_RAD, BodyExplorer
+from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
 from palmd.motion.decisions import Decision
@@ -16,6 +16,7 @@ from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 
 HALVINGS = 3  # of the directions that are counted: 642
 TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
+FELT_N = 0.05  # that a pad surely feels
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -64,7 +65,9 @@ class BodyDecider:
             return Decision("wait", None, "the body will not stay where it is", coverage, 1.0)
         if not question.choose:
             return Decision("safe", None, "", coverage, 1.0)
-        move = explorer.decide(foreseen.after, touched | explorer.covered(foreseen.normals))
+        felt_at = FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0
+        seen = touched | explorer.covered(foreseen.normals)
+        move = explorer.decide(foreseen.after, seen, max(LEAST_FORCE, felt_at))
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
         return Decision("move", move, "", coverage, 1.0)

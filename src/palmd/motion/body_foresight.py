@@ -56,7 +56,7 @@ class BodyForesight:
         """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first."""
         order = math.isqrt(len(p) - BODY) - 1
         assert len(p) == count(order) + BODY, "other parameters than those of the model"
-        self._side = pad_side
+        self._side, self.gravity = pad_side, gravity
         sizes = (9, 3, MOVE_INPUTS)
         self._R, self._omega, self._move = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))

@@ -154,13 +154,15 @@ class BodyOutlook:
     R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`. touched: which of the
     directions lie within 4 degrees of where a palm has been until the smoother's answer; since: (K, 3 palms, 3) outward
     normals in the body where it has been touched after that. `begun` (s) tells frames of the body apart: each record
-    has its own. What is not `claimed` agrees with the readings, and is not known to be right.
+    has its own. What is not `claimed` agrees with the readings, and is not known to be right. mass: kg, NaN where no
+    force was read.
     """
 
     t: float
     object_count: int
     begun: float
     claimed: bool
+    mass: float
     R: FloatArray
     omega: FloatArray
     p: FloatArray

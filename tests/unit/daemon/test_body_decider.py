@@ -11,6 +11,7 @@ from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
 from palmd.model.icosphere import icosphere
+from palmd.motion.body_explorer import LEAST_FORCE
 from palmd.motion.decisions import UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -30,7 +31,7 @@ def outlook():
     (R,), (omega,) = stand.bearings
     p = known_parameters(stand.plant.body, stand.plant.rubbing)
     none = np.zeros(len(icosphere()[0]), np.bool_)
-    return BodyOutlook(10.0, 1, 2.0, True, R, omega, p, none, np.zeros((0, 3, 3)))
+    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, none, np.zeros((0, 3, 3)))
 
 
 def question(outlook, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
@@ -77,6 +78,16 @@ def test_what_was_felt_since_the_answer_counts_too(outlook):
     share = decider.answer(question(felt, choose=False)).decision.coverage
     assert bare == 0.0
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
+
+
+def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
+    asked = []
+    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args: asked.append(args[-1]))
+    decider = BodyDecider(RIG)
+    for mass in (0.02, 10.0, math.nan):
+        decision = decider.answer(question(dataclasses.replace(outlook, mass=mass))).decision
+        assert (decision.kind, decision.reason) == ("wait", "no safe motion found yet")
+    assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
 
 
 def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):

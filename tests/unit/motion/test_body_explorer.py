@@ -130,9 +130,8 @@ def test_the_rest_of_a_sequence_is_tried_again():
     assert who._grown([root], none, None, then[:1])[1] is None  # where its beginning was not safe
 
 
-def test_where_every_move_might_lose_the_body_there_is_none(monkeypatch):
-    monkeypatch.setattr(body_explorer, "LEAST_FORCE", 20.0)
-    assert explorer().decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)) is None
+def test_where_every_move_might_lose_the_body_there_is_none():
+    assert explorer().decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_), least_force=20.0) is None
 
 
 def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):

@@ -165,8 +165,8 @@ class BodyObserver:
         now = self._ahead(filtered, t)
         felt = [normals for at, normals in self._seen if at > answer.t]
         return BodyOutlook(
-            t, self.object_count, answer.begun, answer.claimed, now.R, now.omega, now.p, answer.touched > 0,
-            np.array(felt).reshape(-1, len(PALMS), 3),
+            t, self.object_count, answer.begun, answer.claimed, answer.mass, now.R, now.omega, now.p,
+            answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3),
         )  # fmt: skip
 
     def identify(self, t: float) -> None:
