@@ -17,7 +17,7 @@ from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, live
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import begun, raced
+from palmd.observer.three_palms.growth import advanced, begun, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.reconstruct import felt_directions, near
@@ -429,6 +429,18 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     lived.smoother._answer(task, [erring])
     told = lived.smoother._answer(task, ended)
     assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
+
+
+def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
+    def unsmoothed(task, running):
+        return [advanced(task, running[0], task.intervals(task.end - task.start))]
+
+    monkeypatch.setattr(growing, "raced", unsmoothed)
+    lived.smoother.add([event for event in lived.events if event.t_sample >= lived.END])
+    answer = lived.smoother.answer()
+    assert answer is not None
+    assert answer.t > lived.answer.t + 0.5
+    assert math.isfinite(answer.mass)
 
 
 def test_what_is_late_is_counted_and_dropped():

@@ -18,7 +18,7 @@ from palmd.config import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
+from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced, smoothed
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
@@ -90,6 +90,8 @@ class GrowingBody:
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
             return _unknown(task, begun, "what explained the readings does so no more")
+        if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
+            first = ended[0] = smoothed(task, first)
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)

@@ -130,7 +130,7 @@ def best(task: Task) -> list[Grown]:
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
-    if ended and ended[0].lost:
+    if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
     return ended
 
