@@ -431,6 +431,21 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
 
 
+def test_what_was_believed_and_has_foretold_for_long_may_cost_what_truncation_does(lived, monkeypatch):
+    task, ended = lived.raced
+    costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
+    smoother = lived.smoother
+    monkeypatch.setattr(smoother, "_believed_since", math.inf)
+    assert not smoother._answer(task, costly).claimed
+    assert smoother._believed_since == math.inf
+    assert smoother._answer(task, ended).claimed  # from now on
+    assert not smoother._answer(task, costly).claimed
+    monkeypatch.setattr(smoother, "_believed_since", ended[0].record.t[-1] - growing.PROVEN_S - 0.1)
+    assert smoother._answer(task, costly).claimed
+    worse = [replace(ended[0], cost=1.4 * 2 * len(ended[0].record.readings.t))]
+    assert smoother._answer(task, worse).reason == "no motion by the equations explains the readings"
+
+
 def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
     def unsmoothed(task, running):
         return [advanced(task, running[0], task.intervals(task.end - task.start))]
