@@ -17,6 +17,7 @@ from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 HALVINGS = 3  # of the directions that are counted: 642
 TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
 FELT_N = 0.05  # that a pad surely feels
+CAREFUL = 2.0  # times the force, while a body is not claimed
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -65,9 +66,9 @@ class BodyDecider:
             return Decision("wait", None, "the body will not stay where it is", coverage, 1.0)
         if not question.choose:
             return Decision("safe", None, "", coverage, 1.0)
-        felt_at = FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0
+        least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
         seen = touched | explorer.covered(foreseen.normals)
-        move = explorer.decide(foreseen.after, seen, max(LEAST_FORCE, felt_at))
+        move = explorer.decide(foreseen.after, seen, least if outlook.claimed else CAREFUL * least)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
         return Decision("move", move, "", coverage, 1.0)

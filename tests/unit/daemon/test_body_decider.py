@@ -88,6 +88,8 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outloo
         decision = decider.answer(question(dataclasses.replace(outlook, mass=mass))).decision
         assert (decision.kind, decision.reason) == ("wait", "no safe motion found yet")
     assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
+    decider.answer(question(dataclasses.replace(outlook, claimed=False)))
+    assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.FELT_N / 0.08)
 
 
 def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):
