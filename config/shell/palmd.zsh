@@ -868,6 +868,7 @@ _shtab_palmd_rig_options=(
   "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
   "--uinput[emulated input devices are the kernel\'s own\; a desktop beside it takes them too until palmd does]"
   "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
+  "--sockets[serial ports are UNIX sockets, which no busy machine holds up]"
   ":palmd.yaml\; default\: as shipped:_files"
 )
 

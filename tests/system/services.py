@@ -11,6 +11,7 @@ from boot import Machine, wait
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.bus.subscriber import Subscriber
+from palmd.harness.operator import Operator
 from palmd.model.compiled import cache_directory
 
 CHECKOUT = Path(__file__).parents[2]
@@ -137,16 +138,19 @@ class Services:
     def arm_letter(self):
         return self.heard["palm/motion"]["arm_state"]
 
-    def do(self, command):
-        reply = self._client.ask(command)
-        assert reply["ok"], f"{command}: {reply['error']}"
-
     def moving(self):
-        """The arm follows a plan."""
-        self.do("arm")
-        self.do("start")
-        start = self.heard["palm/motion"]["phi1_rad"]
-        self.hear(lambda: abs(self.heard["palm/motion"]["phi1_rad"] - start) > 0.02, "motion")
+        """The arm follows a plan; the operator tries again where a machine without time has stopped it."""
+        operator, start = Operator(), self.heard["palm/motion"]["phi1_rad"]
+
+        def moves():
+            for topic, fields in self.heard.items():
+                operator.take(topic, fields)
+            command = operator.decide(time.monotonic())
+            if command is not None:
+                self._client.ask(command)
+            return operator.moves and abs(self.heard["palm/motion"]["phi1_rad"] - start) > 0.02
+
+        self.hear(moves, "motion")
 
     def rig(self):
         """What the emulated rig counts."""

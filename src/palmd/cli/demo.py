@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))
-        begun = stack.start_rig("--kind", arguments.kind, *seed)
+        begun = stack.start_rig("--sockets", "--kind", arguments.kind, *seed)
         if not (begun and stack.start(record=not arguments.no_record)):
             return 0  # the end was asked for before anything began
         comparison = _comparison(config, stack.told["seed"])

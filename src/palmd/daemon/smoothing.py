@@ -119,7 +119,7 @@ def work(
             started, spent = time.monotonic(), time.process_time()
             said = answer()
             spent = time.process_time() - spent  # what it waited for on a busy machine, others have had
-            next_one = max(started + period_s(), time.monotonic() + spent * (1.0 / SHARE - 1.0))
+            next_one = started + max(period_s(), spent / SHARE)
             if said is not None:
                 socket.send(msgpack.packb(said))
             give_back_memory()

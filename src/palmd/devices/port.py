@@ -8,12 +8,14 @@ import fcntl
 import math
 import os
 import select
+import socket
 import struct
 import termios
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -176,7 +178,7 @@ class ReopenedPort(ABC):
 
 
 class Port(ReopenedPort):
-    """One serial port, 8N1, opened exclusively and again whenever it has gone.
+    """One serial port, 8N1, opened exclusively and again whenever it has gone; or a UNIX socket that carries its bytes.
 
     `error` says in one line why the port is not open and what to do, None while it is. Every call returns at
     once, so all are safe inside the 100 Hz loop; opening takes a system call or ten.
@@ -186,21 +188,21 @@ class Port(ReopenedPort):
         """As any `ReopenedPort`, `baud` in bit/s."""
         super().__init__(name, path, retry_s)
         self._baud = baud
-        self._serial: serial.Serial | None = None
+        self._end: serial.Serial | socket.socket | None = None
         self._line = (0, 0, 0, 0)
         self._unsent = b""
 
     def _open(self) -> int:
-        self._serial = _open(self.path, self._baud)
-        fd = int(self._serial.fileno())
+        self._end = _connect(self.path) if Path(self.path).is_socket() else _open(self.path, self._baud)
+        fd = int(self._end.fileno())
         self._line = _line_errors(fd)
         return fd
 
     def _shut(self, fd: int) -> None:
         del fd
         self._unsent = b""
-        if self._serial is not None:
-            self._serial.close()
+        if self._end is not None:
+            self._end.close()
 
     def _explain(self, failure: Exception) -> str:
         return explain(self.path, failure)
@@ -232,9 +234,9 @@ class Port(ReopenedPort):
 
     def set_break(self, active: bool) -> None:
         """Hold the line in break, or end it; without effect where the port cannot."""
-        if self._fd is not None and self._serial is not None:
+        if self._fd is not None and isinstance(self._end, serial.Serial):
             with contextlib.suppress(*FAILURES):
-                self._serial.break_condition = active
+                self._end.break_condition = active
 
     def _put(self, data: bytes) -> int:
         if self._fd is None or not data:
@@ -253,6 +255,17 @@ class Port(ReopenedPort):
         with contextlib.suppress(*FAILURES):
             termios.tcflush(self.fileno(), termios.TCOFLUSH)  # else closing may wait for it to drain
         super()._lose(failure)
+
+
+def _connect(path: str) -> socket.socket:
+    end = socket.socket(socket.AF_UNIX)
+    end.setblocking(False)
+    try:
+        end.connect(path)
+    except BaseException:
+        end.close()
+        raise
+    return end
 
 
 def _open(path: str, baud: int) -> serial.Serial:
@@ -299,7 +312,7 @@ def explain(path: str, failure: Exception) -> str:
             )
         case errno.EBUSY | errno.EAGAIN:
             return f"{path} is held by another process: end it (sudo fuser -v {path} names it)"
-        case errno.EIO | errno.ENXIO | errno.ENODEV:
+        case errno.EIO | errno.ENXIO | errno.ENODEV | errno.ECONNREFUSED:
             return f"nothing is connected behind {path}: check the plug"
         case _:
             return f"{path} cannot be used as a serial port: {failure}"

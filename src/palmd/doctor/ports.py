@@ -68,7 +68,7 @@ def port_finding(name: str, path: str) -> Finding:
     except OSError:
         names = "ls -l /dev/serial/by-id, then name it in /etc/udev/rules.d/71-palmd-names.rules"
         return Finding(what, "missing", f"no port {path}", names)
-    if not stat.S_ISCHR(mode.st_mode):
+    if not (stat.S_ISCHR(mode.st_mode) or stat.S_ISSOCK(mode.st_mode)):
         return Finding(what, "missing", f"{path} is not a serial port", f"ls -l {path}")
     if not os.access(path, os.R_OK | os.W_OK):
         group = _group(mode.st_gid)

@@ -69,7 +69,7 @@ class Child:
                 env={name: value for name, value in os.environ.items() if name != KEY_VARIABLE}
                 | {"TMPDIR": str(folder)}
                 | dict(environment or {}),
-                process_group=0,
+                start_new_session=True,
                 preexec_fn=_die_with_parent,
             )
 

@@ -47,7 +47,7 @@ from palmd.rig.fault_injection import (
     order,
     parse,
 )
-from palmd.rig.line import LineWaiter, PtyLine
+from palmd.rig.line import LineWaiter, PtyLine, SocketLine
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import KINDS, Body, cylinder
 from palmd.rig.tally import Listener
@@ -57,10 +57,13 @@ from palmd.systems import LIVE, SYSTEMS, load_part
 from palmd.topics import RIG_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config
 
+Line = PtyLine | SocketLine | UinputLine
+
 PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
 MARBLES: dict[str, tuple[PortName, ...]] = {pad.removeprefix("pad"): (pad,) for pad in PADS} | {"both": PADS}
 _LATE_S, _STALLED_S = 2e-3, 20e-3
+_LONG = 80  # bytes of a folder's path below which a socket's fits in it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,6 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
+    )
+    parser.add_argument(
+        "--sockets", action="store_true", help="serial ports are UNIX sockets, which no busy machine holds up"
     )
 
 
@@ -118,7 +124,10 @@ def run_rig(arguments: argparse.Namespace) -> int:
     except OSError as error:
         return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
     try:
-        rig = RigProcess(world, folder, stop, input_devices=arguments.uinput)
+        try:
+            rig = RigProcess(world, folder, stop, input_devices=arguments.uinput, sockets=arguments.sockets)
+        except OSError as error:
+            return _refuse(f"its ports cannot be made in {folder}: {error}")
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
@@ -147,7 +156,8 @@ def _world(config: AnyConfig, seed: int, arguments: argparse.Namespace, t: float
 def _folder(given: Path | None) -> Path:
     """Where the ports are: the folder given, made if need be, or one for this run alone; raises OSError."""
     if given is None:
-        return Path(tempfile.mkdtemp(prefix="palmd-rig-"))
+        usual = tempfile.gettempdir()
+        return Path(tempfile.mkdtemp(prefix="palmd-rig-", dir=usual if len(os.fsencode(usual)) < _LONG else "/tmp"))
     given.mkdir(parents=True, exist_ok=True)
     if not os.access(given, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -182,8 +192,19 @@ class StopSignal:
 class RigProcess:
     """The world behind its ports and sockets. Ports are links in `folder`, as udev would name them."""
 
-    def __init__(self, world: EmulatedRig[Any], folder: Path, stop: StopSignal, *, input_devices: bool = False) -> None:
-        """With `input_devices` what is no serial line is an input device of the kernel's."""
+    def __init__(
+        self,
+        world: EmulatedRig[Any],
+        folder: Path,
+        stop: StopSignal,
+        *,
+        input_devices: bool = False,
+        sockets: bool = False,
+    ) -> None:
+        """With `sockets` serial lines are sockets, with `input_devices` the others are input devices of the kernel's.
+
+        Raises OSError for a port that cannot be made.
+        """
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
@@ -192,12 +213,15 @@ class RigProcess:
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
         noise = np.random.default_rng(world.seed)
-        self._lines: dict[PortName, PtyLine | UinputLine] = {
-            port: UinputLine(folder / port)
-            if input_devices and world.bauds[port] is None
-            else PtyLine(folder / port, world.bauds[port], noise)
-            for port in world.ports
-        }
+        self._lines: dict[PortName, Line] = {}
+        for port in world.ports:
+            path, baud = folder / port, world.bauds[port]
+            if input_devices and baud is None:
+                self._lines[port] = UinputLine(path)
+            elif sockets and baud is not None:
+                self._lines[port] = SocketLine(path)
+            else:
+                self._lines[port] = PtyLine(path, baud, noise)
         self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in world.ports}
         self._waiter = LineWaiter()
         for line in self._lines.values():
@@ -266,7 +290,7 @@ class RigProcess:
         for port, said in world.advance(t).items():
             self._listeners[port].take(self._lines[port].write(said), t)
 
-    def _move_plug(self, line: PtyLine | UinputLine) -> None:
+    def _move_plug(self, line: Line) -> None:
         if line.plugged:
             self._waiter.forget(line.fileno)
             line.unplug()

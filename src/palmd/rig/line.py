@@ -1,4 +1,4 @@
-"""The emulated serial lines: pacing at line rate (pure), and the pseudo-terminals the host opens (I/O)."""
+"""The emulated serial lines: pacing at line rate (pure), and the pseudo-terminals or sockets the host opens (I/O)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import fcntl
 import math
 import os
 import select
+import socket
 import termios
 import tty
 from collections import deque
@@ -148,6 +149,92 @@ class PtyLine:
         return _BAUD_OF.get(termios.tcgetattr(self._master)[_OSPEED])
 
 
+class SocketLine:
+    """A line with the face of a `PtyLine` on a UNIX socket: bytes are with the host as soon as they are written.
+
+    A pseudo-terminal's wait for a thread of the kernel, tenths of a second where other programs want the processors. A
+    socket has no baud and no break. One host at a time, others wait for it to go. Bytes without a host are lost.
+    """
+
+    fileno = -1  # to be read each time: that nothing has come is told at once
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
+        self._door: socket.socket | None = None
+        self._host: socket.socket | None = None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port exists at the moment."""
+        return self._door is not None
+
+    def plug(self) -> None:
+        """Makes the port appear; does nothing if it is there. Raises OSError where the path is too long for one."""
+        if self._door is not None:
+            return
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        door = socket.socket(socket.AF_UNIX)
+        try:
+            door.bind(str(self.path))
+            door.listen()
+        except BaseException:
+            door.close()
+            raise
+        door.setblocking(False)
+        self._door = door
+
+    def unplug(self) -> None:
+        """Makes the port vanish under the host's hands; does nothing if it is gone."""
+        if self._door is None:
+            return
+        self._door.close()
+        self._door = None
+        self.path.unlink(missing_ok=True)
+        self._hang_up()
+
+    def read(self, events: int) -> tuple[bytes, bool]:  # noqa: ARG002
+        """What the host has written, and whether it has opened the port."""
+        if self._host is None:
+            return b"", self._take_host()
+        try:
+            out = self._host.recv(READ_BYTES)
+        except BlockingIOError:
+            return b"", False
+        except OSError:
+            out = b""
+        if not out:
+            self._hang_up()
+        self.bytes_heard += len(out)
+        return out, False
+
+    def write(self, data: bytes) -> bytes:
+        """Offers bytes to the host; returns those that the socket took."""
+        written = 0
+        if data and self._host is not None:
+            with contextlib.suppress(OSError):
+                written = self._host.send(data)
+        self.bytes_sent += written
+        self.bytes_lost += len(data) - written
+        return data[:written]
+
+    def _take_host(self) -> bool:
+        assert self._door is not None
+        try:
+            host, _ = self._door.accept()
+        except OSError:  # nobody at the door
+            return False
+        host.setblocking(False)
+        self._host = host
+        return True
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
 class LineWaiter:
     """What poll() would say of several descriptors; one system call for all that a host has opened.
 
@@ -160,12 +247,16 @@ class LineWaiter:
         self._unopened: set[int] = set()
 
     def watch(self, fd: int) -> None:
-        """Take a descriptor in."""
+        """Take a descriptor in; of −1 there is nothing to wait for."""
+        if fd < 0:
+            return
         self._edges.register(fd, _EVENTS | select.EPOLLET)
         self._unopened.add(fd)
 
     def forget(self, fd: int) -> None:
         """Leave one out, before it is closed."""
+        if fd < 0:
+            return
         self._edges.unregister(fd)
         self._unopened.discard(fd)
 

@@ -9,8 +9,10 @@ import sys
 import textwrap
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from simulated import Run, simulated
@@ -125,3 +127,54 @@ def test_closing_ends_it_at_once(run: Run) -> None:
     assert process._process._process.poll() is not None
     assert time.monotonic() - begun < 2 * worker.CLOSE_S + 1.0
     assert not Path(process._process._folder.name).exists()
+
+
+@pytest.mark.parametrize(("others_s", "paused_s"), [(0.0, 1.0), (0.4, 0.6), (5.0, 0.0)])
+def test_it_pauses_for_what_others_have_not_had_already(
+    monkeypatch: pytest.MonkeyPatch, others_s: float, paused_s: float
+) -> None:
+    """An answer costs a second of the processor, and `others_s` more without: half is left to others."""
+    clock = Clock(others_s)
+    monkeypatch.setattr(smoothing, "meet", clock.meet)
+    monkeypatch.setattr(smoothing, "time", clock)
+    with pytest.raises(Clock.OverError):
+        smoothing.work("", lambda *_: None, clock.answer, lambda: 0.1)
+    first, second, *_ = clock.answered
+    assert second - (first + 1.0 + others_s) == pytest.approx(paused_s, abs=0.06)
+
+
+class Clock:
+    """Time and a loop that hands something over every 50 ms, for five seconds of waiting."""
+
+    class OverError(Exception):
+        """The loop has ended."""
+
+    def __init__(self, others_s: float) -> None:
+        self.t = self.spent = 0.0
+        self.answered: list[float] = []
+        self._others_s, self._waited = others_s, 0
+
+    def monotonic(self) -> float:
+        return self.t
+
+    def process_time(self) -> float:
+        return self.spent
+
+    @contextmanager
+    def meet(self, *_: object) -> Iterator[Clock]:
+        yield self
+
+    def recv(self) -> bytes:
+        self.t += 0.05
+        self._waited += 1
+        if self._waited > 100:
+            raise self.OverError
+        return msgpack.packb([[]])
+
+    def poll(self, _timeout: int) -> int:
+        return 0
+
+    def answer(self) -> None:
+        self.answered.append(self.t)
+        self.t += 1.0 + self._others_s
+        self.spent += 1.0

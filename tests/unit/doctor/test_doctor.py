@@ -312,6 +312,9 @@ def test_a_port_is_there_and_nobody_has_it(tmp_path):
     assert "not a serial port" in ports.port_finding("arm", str(tmp_path / "file")).says
     with terminal(tmp_path / "arm"):
         assert ports.port_finding("arm", str(tmp_path / "arm")).verdict == "ok"
+    with socket.socket(socket.AF_UNIX) as line:
+        line.bind(str(tmp_path / "socket"))
+        assert ports.port_finding("arm", str(tmp_path / "socket")).verdict == "ok"
 
 
 def test_a_port_that_may_not_be_opened(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""The emulated lines: pacing, and pseudo-terminals with a baud rate, a plug, and nobody at the other end."""
+"""The emulated lines: pacing, and pseudo-terminals or sockets with a plug, and nobody at the other end."""
 
 import os
 import select
@@ -9,7 +9,8 @@ import tty
 import numpy as np
 import pytest
 
-from palmd.rig.line import LineWaiter, PtyLine, Wire
+from palmd.devices.port import Port, PortWaiter
+from palmd.rig.line import LineWaiter, PtyLine, SocketLine, Wire
 
 
 def test_wire_paces_bytes_and_keeps_their_order():
@@ -135,3 +136,73 @@ def heard_by(waiter, line, patience_s=10.0):
         if heard:
             return heard
     return b""
+
+
+@pytest.fixture
+def socket_line(tmp_path):
+    port = SocketLine(tmp_path / "pad1")
+    port.plug()
+    yield port
+    port.unplug()
+
+
+@pytest.fixture
+def host(socket_line):
+    port = Port("pad1", str(socket_line.path), 9600, retry_s=0.0)
+    yield port
+    port.close()
+
+
+def test_over_a_socket_bytes_go_both_ways_at_once(socket_line, host):
+    assert socket_line.write(b"lost") == b""
+    assert host.poll_open(0.0), host.error
+    assert socket_line.read(0) == (b"", True)
+    everything = bytes(range(256))
+    assert socket_line.write(everything) == everything
+    assert PortWaiter([host]).wait(time.monotonic() + 5.0) == [host]
+    assert host.read() == everything
+    assert host.read() == b""
+    host.write(everything)
+    assert socket_line.read(0) == (everything, False)
+    assert socket_line.read(0) == (b"", False)
+    assert (socket_line.bytes_sent, socket_line.bytes_lost, socket_line.bytes_heard) == (256, 4, 256)
+
+
+def test_a_socket_that_is_unplugged_hangs_up_and_serves_again(socket_line, host):
+    assert host.poll_open(0.0)
+    socket_line.read(0)
+    socket_line.unplug()
+    assert host.read() == b""
+    assert not host.is_open
+    assert "was lost" in host.error
+    assert not host.poll_open(1.0)
+    assert "no such port" in host.error
+    socket_line.plug()
+    assert host.poll_open(2.0), host.error
+    assert socket_line.read(0) == (b"", True)
+    socket_line.write(b"back")
+    assert host.read() == b"back"
+
+
+def test_the_next_host_of_a_socket_waits_until_the_first_has_gone(socket_line, host):
+    assert host.poll_open(0.0)
+    socket_line.read(0)
+    second = Port("pad1", str(socket_line.path), 9600)
+    assert second.poll_open(0.0)
+    socket_line.write(b"to the first")
+    assert second.read() == b""
+    host.close()
+    assert socket_line.read(0) == (b"", False)
+    assert socket_line.read(0) == (b"", True)
+    socket_line.write(b"to the second")
+    assert second.read() == b"to the second"
+    second.close()
+
+
+def test_a_socket_that_nobody_serves_says_so(socket_line, host):
+    left_behind = socket_line.path.with_name("left")
+    socket_line.path.rename(left_behind)
+    socket_line.unplug()
+    host.path = str(left_behind)
+    assert not host.poll_open(0.0)
+    assert "nothing is connected behind" in host.error
