@@ -328,6 +328,7 @@ _shtab_palmd_bench_space_options=(
   "--seconds[how long each lasts (default\: 20.0)]:S:"
   "--live[in the emulated rig, by the shipped plan, judged tick by tick]"
   "--exploring[how much of each the palms show when the body is known to who plans, within wider limits than shipped]"
+  "--blind[with --exploring\: in the emulated rig, by the shipped plan that explores, nothing known beforehand]"
   {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
 )
 

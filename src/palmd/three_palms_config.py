@@ -14,6 +14,8 @@ from palmd.config import (
     AnyPads,
     AnyPlanSpec,
     Duration,
+    ExploreGoal,
+    ExploreSpec,
     JointValues,
     Plausible,
     Positive,
@@ -128,11 +130,6 @@ class ThreePalmsConfig(AnyConfig):
             raise ValueError(f"{', '.join(based)}: an arm whose axes are the joints stands nowhere; leave it out")
         return arm
 
-    @property
-    def explores(self) -> bool:
-        """No exploration is known for it yet."""
-        return False
-
 
 def three_palms_rig(config: ThreePalmsConfig) -> ThreePalmsRig:
     """What an observer must know of the configured rig (SI)."""
@@ -194,11 +191,30 @@ class TiltSineSpec(Strict):
         return tuple(_for_all_joints(self.frequency_hz))
 
 
+class TiltGoal(ExploreGoal):
+    """When an exploration has seen enough: shares are of all directions."""
+
+    @field_validator("band_mm")
+    @classmethod
+    def _without_band(cls, band_mm: float | None) -> float | None:
+        if band_mm is not None:
+            raise ValueError("three palms do not explore until a band is reached: leave it out")
+        return band_mm
+
+
+class TiltExploreSpec(ExploreSpec):
+    """Closed-loop motion that turns the body on to what has not been touched yet; swings until it is known."""
+
+    explore: TiltGoal
+    """When it has seen enough; must be the last segment."""
+
+
 TiltSegmentSpec = Annotated[
     Annotated[TiltMoveSpec, Tag("<move>")]
     | Annotated[TiltHoldSpec, Tag("<hold_s>")]
-    | Annotated[TiltSineSpec, Tag("<sine>")],
-    one_key_of(("move", "hold_s", "sine")),
+    | Annotated[TiltSineSpec, Tag("<sine>")]
+    | Annotated[TiltExploreSpec, Tag("<explore>")],
+    one_key_of(("move", "hold_s", "sine", "explore")),
 ]
 
 

@@ -21,7 +21,7 @@ def limits():
 
 
 def test_what_is_shipped_is_good():
-    assert check_files([SHIPPED, ROOT / "config/plans/three_palms/sway.yaml"]) == []
+    assert check_files([SHIPPED, *(ROOT / "config/plans/three_palms").iterdir()]) == []
 
 
 def test_an_observer_is_told_the_rig_in_si():
@@ -70,10 +70,21 @@ def test_moves_holds_and_swings_follow_one_another(limits):
     assert trajectory.duration == pytest.approx(11.0)
 
 
+def test_an_exploration_comes_last_and_asks_for_no_band(limits):
+    goal = {"explore": {"coverage": 0.8, "time_limit_s": 30}}
+    found = compile_tilt_plan(plan({"hold_s": 1}, goal), limits).exploration(2.0)
+    assert found is not None
+    assert (found[0].goal.coverage, found[1]) == (0.8, 1.0)
+    with pytest.raises(PlanError, match="it must be the last segment"):
+        compile_tilt_plan(plan(goal, {"hold_s": 1}), limits)
+    with pytest.raises(ValueError, match="leave it out"):
+        plan({"explore": {"band_mm": 0.1}})
+
+
 def test_what_leaves_the_limits_is_refused_with_its_place(limits):
     with pytest.raises(PlanError) as caught:
         compile_tilt_plan(plan({"hold_s": 1}, {"move": {"gamma2_deg": 80}, "duration_s": 3}), limits)
     assert [loc for loc, _ in caught.value.problems] == [("segments", 1)]
-    assert "gamma2 reaches 80°, the limit is 67°" in str(caught.value)
+    assert "gamma2 reaches 80°, the limit is 75°" in str(caught.value)
     with pytest.raises(PlanError, match="the rate of beta reaches"):
         compile_tilt_plan(plan({"move": {"beta_deg": 33}, "duration_s": 0.2}), limits)

@@ -29,12 +29,12 @@ class ExplorationTask:
 class Question:
     """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one.
 
-    Without `choose`: only whether that move may go on.
+    `outlook`: as the system's observer gives it. Without `choose`: only whether that move may go on.
     """
 
     t: float
     task: ExplorationTask
-    outlook: Outlook | None
+    outlook: object | None
     under_way: UnderWay
     choose: bool = True
 
@@ -48,6 +48,13 @@ class ExplorationAnswer:
     after: Move
     object_count: int | None
     decision: Decision
+
+
+class Decides(Protocol):
+    """Who answers questions, of whichever system; not for the loop."""
+
+    def answer(self, question: Question) -> ExplorationAnswer:
+        """The answer to a question."""
 
 
 class Source(Protocol):
@@ -64,7 +71,7 @@ class Source(Protocol):
 
 
 class Decider:
-    """Answers questions: the explorer's work, and rocking for as long as nothing is known. Not for the loop."""
+    """Answers questions of two palms: the explorer's work, rocking while nothing is known. Not for the loop."""
 
     def __init__(self, rig: RigDescription, seed: int = 0) -> None:
         self._rig = rig
@@ -81,6 +88,7 @@ class Decider:
             self._explorer = Explorer(self._rig, task.limits, task.goal, self._seed)
             self._centre: Angles | None = None  # of the rocking
         if outlook is not None:
+            assert isinstance(outlook, Outlook), "it is of two palms"
             self._centre = None
             decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
         else:
@@ -107,7 +115,7 @@ class InlineExplorer:
     A question that comes while another is being answered is dropped.
     """
 
-    def __init__(self, decider: Decider, latency_s: float = LATENCY_S) -> None:
+    def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
         self._decider = decider
         self._latency = latency_s
         self._ready: ExplorationAnswer | None = None

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import pickle  # between a process and its own child, on a socket in a folder of their own
 
-from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, Question
+from palmd.daemon.exploration_requests import Decides, ExplorationAnswer, Question
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
-from palmd.system.description import RigDescription
+from palmd.systems import load_part
 
 log = logging.getLogger(__name__)
 
+TWO_PALMS = "palmd.daemon.exploration_requests:Decider"
 HIGH_WATER = 10  # questions on their way: a second
 NICENESS = 2  # the palms stand while it thinks: before the smoother, after the loop
 
@@ -18,8 +19,9 @@ NICENESS = 2  # the palms stand while it thinks: before the smoother, after the 
 class ExplorerProcess:
     """The loop's end, a `daemon.exploration_requests.Source`; a plan that first needs it starts it, in 3 ms."""
 
-    def __init__(self, rig: RigDescription) -> None:
-        self._rig = rig
+    def __init__(self, rig: object, decider: str = TWO_PALMS) -> None:
+        """`decider`: who answers questions there, a class made of the `rig` as its observers know it."""
+        self._rig, self._decider = rig, decider
         self._process: WorkerProcess | None = None
         self._failed = False
 
@@ -33,7 +35,7 @@ class ExplorerProcess:
         if self._process is not None or self._failed:
             return
         try:
-            self._process = WorkerProcess("explorer", __name__, high_water=HIGH_WATER)
+            self._process = WorkerProcess("explorer", __name__, self._decider, high_water=HIGH_WATER)
         except OSError as error:
             self._failed = True
             log.warning("no explorer beside the loop: %s", error)
@@ -58,15 +60,15 @@ class ExplorerProcess:
             self._process.close()
 
 
-def serve(address: str) -> None:
+def serve(address: str, who: str) -> None:
     """The process's work, for ever: answer, and leave out questions that newer ones have overtaken."""
-    decider: Decider | None = None
+    decider: Decides | None = None
     with meet(address, NICENESS) as socket:
         while True:
             message = socket.recv()
             if socket.poll(0):
                 continue
             rig, question = pickle.loads(message)
-            decider = decider or Decider(rig)
+            decider = decider or load_part(who)(rig)
             socket.send(pickle.dumps(decider.answer(question)))
             give_back_memory()

@@ -16,7 +16,6 @@ from typing import Any
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question, Source
 from palmd.daemon.setpoints import SetPoints
-from palmd.events import Outlook
 from palmd.jsonvalues import or_none
 from palmd.messages import Explored
 from palmd.motion.decisions import UnderWay
@@ -103,7 +102,7 @@ class Explores(ABC):
 
 
 class Exploring(Explores):
-    """Of two palms; see the module."""
+    """Of palms that an explorer beside the loop decides for; see the module."""
 
     def __init__(self, setpoints: SetPoints, source: Source | None) -> None:
         """Without a `source` there is no exploring: the observer knows no outline."""
@@ -228,7 +227,6 @@ class Exploring(Explores):
         to_go = exploration.end - tau - AHEAD_S
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
         outlook = senses.look() if senses.known else None
-        assert outlook is None or isinstance(outlook, Outlook), "it is of two palms"
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)
         if outlook is None and (senses.known or not may_rock):
             return

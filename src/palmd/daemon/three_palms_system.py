@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from palmd import three_palms_messages as messages
 from palmd.daemon.exploration_requests import Source
-from palmd.daemon.exploring import Explores, Senses
+from palmd.daemon.explorer_process import ExplorerProcess
+from palmd.daemon.exploring import Exploring
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
@@ -25,6 +26,7 @@ from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_config import ThreePalmsConfig, three_palms_rig
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
+DECIDER = "palmd.daemon.body_decider:BodyDecider"
 OUTSIDE_RAD = math.radians(1.0)
 _PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
 
@@ -52,18 +54,6 @@ class TiltPoses:
         del reach
 
 
-class NoExploring(Explores):
-    """Nobody knows yet where to go."""
-
-    @property
-    def possible(self) -> bool:
-        """No."""
-        return False
-
-    def step(self, t: float, senses: Senses) -> None:
-        """There is none."""
-
-
 class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     """A body between three palms; see `LiveSystem`."""
 
@@ -84,10 +74,15 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         stack.callback(smoother.close)
         return BodyObserver(rig, smoother), smoother
 
-    def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
-        """There is none yet: no plan of its has a segment that explores."""
-        del source
-        return NoExploring(setpoints)
+    def explorer(self, stack: ExitStack) -> ExplorerProcess:
+        """Who foresees motions of a body."""
+        explorer = ExplorerProcess(three_palms_rig(self._config), DECIDER)
+        stack.callback(explorer.close)
+        return explorer
+
+    def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
+        """Decided beside the loop."""
+        return Exploring(setpoints, source)
 
     def unknown(self, t: float, observer: LiveObserver) -> BodyEstimate:
         """Without a number."""

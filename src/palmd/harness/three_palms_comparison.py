@@ -11,8 +11,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.harness.settling import SettlingComparison
-from palmd.observer.three_palms.icosphere import icosphere
-from palmd.observer.three_palms.rotation import exp
+from palmd.model.icosphere import icosphere
+from palmd.model.rotation import exp
 from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
 
 SPIN = tuple(f"omega_{axis}_rad_s" for axis in WORLD_AXES)

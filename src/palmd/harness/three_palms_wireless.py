@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.core import Core
+from palmd.daemon.exploration_requests import InlineExplorer
 from palmd.daemon.planner import Plan
 from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
 from palmd.observer.three_palms.growing import SimulatedGrowing
-from palmd.observer.three_palms.live import BodyObserver
+from palmd.observer.three_palms.live import BodyObserver, BodySmoothing
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
 
@@ -15,9 +17,12 @@ from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec, three_palms
 class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
     """See the module."""
 
-    def __init__(self, config: ThreePalmsConfig, spec: TiltPlanSpec, seed: int) -> None:
-        """`seed` draws body and noise."""
+    def __init__(
+        self, config: ThreePalmsConfig, spec: TiltPlanSpec, seed: int, smoothing: BodySmoothing | None = None
+    ) -> None:
+        """`seed` draws body and noise. `smoothing` takes the place of the smoother that knows nothing beforehand."""
         limits, rig = TiltLimits.of(config), three_palms_rig(config)
         plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
-        core = Core(config, BodyObserver(rig, SimulatedGrowing(rig)), AtOnce(), plan)
+        explorer = InlineExplorer(BodyDecider(rig, seed))
+        core = Core(config, BodyObserver(rig, smoothing or SimulatedGrowing(rig)), AtOnce(), plan, explorer=explorer)
         super().__init__(ThreePalmsWorld(config, seed), core, config.loop.rate_hz)

@@ -1,7 +1,8 @@
 """Unknown bodies between three palms in space reconstructed blind from simulated runs, scored against their truth.
 
 Right is a surface within 0.15 mm (RMS) of the truth within 4 degrees of where it was touched, after the best rotation.
-With --exploring nothing is reconstructed: it tells which share of all directions comes within 10 degrees of a contact.
+With --exploring nothing is reconstructed: it tells which share of all directions comes within 10 degrees of a contact,
+with --blind of a body of which nothing is known beforehand.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from palmd.console.arguments import count, seconds, seed
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.lab.space import SpaceRow, reconstructed, report
 from palmd.lab.space_exploring import SpaceExploringRow, explored, told_of_exploring
-from palmd.lab.space_live import SpaceLiveRow, lived, told
+from palmd.lab.space_live import SpaceLiveRow, lived, lived_exploring, told
+from palmd.lab.space_live import told_of_exploring as told_blind
 from palmd.rig.three_palms.simulate import KINDS, simulate
 
 ALL = "all"
@@ -39,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="how much of each the palms show when the body is known to who plans, within wider limits than shipped",
     )
+    add(
+        "--blind",
+        action="store_true",
+        help="with --exploring: in the emulated rig, by the shipped plan that explores, nothing known beforehand",
+    )
     add("-o", "--output", type=Path, default=Path("space.jsonl"), metavar="FILE",
         help="a JSON line for each run (default: %(default)s)")  # fmt: skip
 
@@ -47,6 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then."""
     if arguments.live:
         return _one_by_one(arguments, lived, told)
+    if arguments.blind and not arguments.exploring:
+        raise CliError(BAD_INPUT, "--blind says how --exploring is done: give that, too")
+    if arguments.blind:
+        return _one_by_one(arguments, lived_exploring, told_blind)
     if arguments.exploring:
         return _one_by_one(arguments, explored, told_of_exploring)
     kinds = tuple(KINDS) if arguments.kind == ALL else (arguments.kind,)

@@ -15,7 +15,7 @@ import numpy as np
 
 from palmd.config import Config, Drawn, ExploreGoal, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
-from palmd.events import FloatArray
+from palmd.events import FloatArray, Outlook
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
 from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
@@ -157,7 +157,7 @@ class _Timed(Decider):
     def answer(self, question: Question) -> ExplorationAnswer:
         begin = time.process_time()
         answer = super().answer(question)
-        if question.outlook is not None:
+        if isinstance(question.outlook, Outlook):
             self.spent_ms.append((time.process_time() - begin) * 1e3)
             cost = rig_cost(question.outlook, question.outlook.touched)
             self.open_rig_m = math.nan if cost is None else cost.sd

@@ -11,8 +11,8 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
+from palmd.model import rotation
 from palmd.model.spherical import evaluator
-from palmd.observer.three_palms import rotation
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import SimulatedBody

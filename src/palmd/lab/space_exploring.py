@@ -17,13 +17,13 @@ import numpy as np
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
+from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.motion.body_explorer import BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
@@ -26,6 +27,7 @@ APART_RAD = 0.1  # of rotations, that those of a level go on from
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
 LEAST_FORCE = 0.5  # m/s², of any palm on the way
+RESTING = 1.2  # times the least force on the way, that palms bear where a move ends
 LEAST_ROOM_M = 3e-3  # of a contact, to its pad's edge
 MOST_SPIN = 8.0  # rad/s
 NOVELTY = 0.03  # of the sphere, that a rotation is worth which is 1 rad from all before
@@ -75,14 +77,19 @@ class BodyExplorer:
         self._been: list[FloatArray] = []
         self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
         self._low, self._high = np.array(limits.angles).T
+        self._least_force = LEAST_FORCE
 
-    def covered(self, normals: FloatArray) -> Bools:
+    def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
         cosines = self._directions @ normals.reshape(-1, 3).T
-        return np.asarray((cosines > math.cos(NEAR_RAD)).any(axis=1), np.bool_)
+        return np.asarray((cosines > math.cos(within)).any(axis=1), np.bool_)
 
-    def decide(self, now: Bearings, touched: Bools) -> Move | None:
-        """The next move from `now` (of one); None where every one that was tried might lose the body."""
+    def decide(self, now: Bearings, touched: Bools, least_force: float = LEAST_FORCE) -> Move | None:
+        """The next move from `now` (of one); None where every one that was tried might lose the body.
+
+        least_force: that every palm is to bear on the way (m/s²).
+        """
+        self._least_force = least_force
         self._been.append(now.R[0])
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         planned: _MoveSequence | None = root
@@ -107,13 +114,13 @@ class BodyExplorer:
         """The first of the moves that keeps the body from all bearings that may be; palms stand for a while after."""
         n = SAMPLES * len(moves)
         off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        begin = Bearings(_turned(now.R, off), now.omega + spun, np.repeat(now.joints, n, axis=0))
+        begin = Bearings(rotation.exp(off) @ now.R, now.omega + spun, np.repeat(now.joints, n, axis=0))
         ends = np.repeat([move.end for move in moves], SAMPLES, axis=0)
-        foreseen = self._foresight.of(begin, ends, np.repeat([move.duration for move in moves], SAMPLES))
-        after = self._foresight.of(foreseen.after, ends, np.full(n, STAND_S))
-        force, room = (np.minimum(getattr(foreseen, name), getattr(after, name)) for name in ("least_force", "room"))
-        held = ((force > 0.5 * LEAST_FORCE) & (room > 0.5 * LEAST_ROOM_M)).reshape(-1, SAMPLES).all(axis=1)
-        return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
+        durations = np.repeat([move.duration for move in moves], SAMPLES)
+        foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S)
+        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+        held = np.asarray(safe.reshape(-1, SAMPLES).all(axis=1))
+        return next((move for move, sure in zip(moves, held.tolist(), strict=True) if sure), None)
 
     def _grown(
         self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
@@ -137,7 +144,7 @@ class BodyExplorer:
             durations[0] = then[0].duration
         foreseen = self._foresight.of(begin, ends, durations)
         found: dict[int, _MoveSequence] = {}
-        for k in np.flatnonzero(_safe(foreseen)).tolist():
+        for k in np.flatnonzero(self._safe(foreseen)).tolist():
             parent, after = parents[k], foreseen.after.some(np.array([k]))
             seen = parent.touched | self.covered(foreseen.normals[k])
             seconds = parent.seconds + float(durations[k])
@@ -146,6 +153,10 @@ class BodyExplorer:
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
         return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
+
+    def _safe(self, foreseen: ForeseenMoves) -> Bools:
+        slow = foreseen.spin < MOST_SPIN
+        return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 
     def _novelty(self, rotation: FloatArray) -> float:
         """How far a rotation is from all before (rad), no more than 1."""
@@ -161,8 +172,9 @@ class BodyExplorer:
         kinds = np.stack([corners, alone, near, anywhere])
         ends: FloatArray = kinds[random.choice(4, size=n, p=(0.3, 0.28, 0.13, 0.29)), np.arange(n)]
         inside = weight_shares(start).min(axis=1)
+        least = max(LEAST_SHARE, RESTING * self._least_force / self._foresight.gravity)
         for _ in range(6):  # back towards the middle of what is allowed, until all of them bear
-            bad = weight_shares(ends).min(axis=1) < np.minimum(LEAST_SHARE, inside)
+            bad = weight_shares(ends).min(axis=1) < np.minimum(least, inside)
             ends[bad] += 0.3 * (0.5 * (self._low + self._high) - ends[bad])
         return ends
 
@@ -182,15 +194,3 @@ def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
         if len(kept) == KEPT:
             break
     return kept
-
-
-def _turned(rotations: FloatArray, by: FloatArray) -> FloatArray:
-    """(N, 3, 3) rotations (1, 3, 3) turned by small vectors (N, 3)."""
-    skew = np.cross(by[:, None], np.eye(3)).transpose(0, 2, 1)
-    turned, _ = np.linalg.qr((np.eye(3) + skew) @ rotations)
-    return np.asarray(turned * np.sign(np.einsum("nij,nij->nj", turned, (np.eye(3) + skew) @ rotations))[:, None])
-
-
-def _safe(foreseen: ForeseenMoves) -> Bools:
-    fast = foreseen.spin > MOST_SPIN
-    return (foreseen.least_force > LEAST_FORCE) & (foreseen.room > LEAST_ROOM_M) & ~fast

@@ -56,21 +56,31 @@ class BodyForesight:
         """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first."""
         order = math.isqrt(len(p) - BODY) - 1
         assert len(p) == count(order) + BODY, "other parameters than those of the model"
-        self._side = pad_side
+        self._side, self.gravity = pad_side, gravity
         sizes = (9, 3, MOVE_INPUTS)
         self._R, self._omega, self._move = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
-        inputs = [self._R, self._omega, self._move, np.array(p, np.float64), np.array([gravity])]
+        self._p = np.array(p, np.float64)
+        inputs = [self._R, self._omega, self._move, self._p, np.array([gravity])]
         outputs = [self._R_after, self._omega_after, self._told]
         self._step = body_rollout.library(order).bind("step_columns", inputs, outputs)
 
-    def of(self, begin: Bearings, ends: FloatArray, durations: FloatArray) -> ForeseenMoves:
-        """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s."""
+    def learn(self, p: FloatArray) -> None:
+        """Go by these parameters from now on."""
+        self._p[:] = p
+
+    def of(
+        self, begin: Bearings, ends: FloatArray, durations: FloatArray, elapsed: float = 0.0, stand: float = 0.0
+    ) -> ForeseenMoves:
+        """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s.
+
+        elapsed: for how long they have been under way when the body is so (s). stand: what the palms stand after (s).
+        """
         n = len(ends)
-        steps = np.ceil(durations / STEP_S - 1e-9).astype(np.intp)
+        steps = np.maximum(np.ceil((durations - elapsed + stand) / STEP_S - 1e-9).astype(np.intp), 1)
         self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)
         self._omega[:n] = begin.omega
-        self._move[:n] = np.column_stack([begin.joints, ends, durations, np.zeros(n)])
+        self._move[:n] = np.column_stack([begin.joints, ends, durations, np.full(n, elapsed)])
         for each in (self._R, self._omega, self._move):
             each[n:] = each[0]
         turned, spun = np.empty((n, 9)), np.empty((n, 3))

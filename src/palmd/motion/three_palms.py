@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
 from palmd.motion.joint_limits import JointLimits
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
@@ -16,6 +17,7 @@ from palmd.three_palms_config import (
     ThreePalmsConfig,
     ThreePalmsLimitsConfig,
     TiltAngles,
+    TiltExploreSpec,
     TiltHoldSpec,
     TiltMoveSpec,
     TiltPlanSpec,
@@ -72,6 +74,11 @@ def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | No
             segment, pose = Move(pose, end, each.duration_s), end
         elif isinstance(each, TiltHoldSpec):
             segment = Hold(pose, each.hold_s)
+        elif isinstance(each, TiltExploreSpec):
+            segment = Exploration(pose, each.explore)
+            if index != len(spec.segments) - 1:
+                text = "where an exploration ends is not known beforehand: it must be the last segment"
+                found.append((("segments", index), text))
         else:
             segment = Sine(
                 pose,

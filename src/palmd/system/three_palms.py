@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray, LiveEstimate
 from palmd.system.naming import Naming
@@ -144,6 +145,29 @@ class BodyEstimate(LiveEstimate):
     touched: float
     hypotheses: int
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class BodyOutlook:
+    """What is known of a body at time `t` (s), for choosing motions.
+
+    R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`. touched: which of the
+    directions lie within 4 degrees of where a palm has been until the smoother's answer; since: (K, 3 palms, 3) outward
+    normals in the body where it has been touched after that. `begun` (s) tells frames of the body apart: each record
+    has its own. What is not `claimed` agrees with the readings, and is not known to be right. mass: kg, NaN where no
+    force was read.
+    """
+
+    t: float
+    object_count: int
+    begun: float
+    claimed: bool
+    mass: float
+    R: FloatArray
+    omega: FloatArray
+    p: FloatArray
+    touched: npt.NDArray[np.bool_]
+    since: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from palmd.cli import main
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.messages import PadView, contact_fields
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.reconstruct import BodyReconstruction
 from palmd.polygon import boundary
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE

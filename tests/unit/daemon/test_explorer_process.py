@@ -17,10 +17,14 @@ from palmd.config import ExploreGoal, LimitsConfig
 from palmd.daemon import worker
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
+from palmd.daemon.three_palms_system import DECIDER
 from palmd.motion.decisions import UnderWay
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Move
+from palmd.motion.three_palms import TiltLimits
 from palmd.system.description import RigDescription
+from palmd.system.three_palms import ThreePalmsRig
+from palmd.three_palms_config import ThreePalmsLimitsConfig, TiltGoal
 
 PATIENCE_S = 60.0
 FEW = HIGH_WATER // 2
@@ -169,3 +173,21 @@ def test_it_is_met_however_long_the_path_of_temporary_files_is(
         process.close()
         assert not own.exists()
         assert list(folder.iterdir()) == []
+
+
+def test_of_another_system_it_asks_its_decider() -> None:
+    process = ExplorerProcess(ThreePalmsRig(), DECIDER)
+    process.prepare()
+    try:
+        here = (0.9, 0.8, 0.8)
+        task = ExplorationTask(1, TiltGoal(), TiltLimits.over(ThreePalmsLimitsConfig(), 75.0))
+        begun, answer = time.monotonic(), None
+        while answer is None and time.monotonic() - begun < PATIENCE_S:
+            process.ask(Question(1.0, task, None, UnderWay(Move(here, here, 0.0), 1.0)))
+            time.sleep(0.02)
+            answer = process.collect(1.0)
+    finally:
+        process.close()
+    assert answer is not None
+    assert answer.decision.move is not None
+    assert len(answer.decision.move.end) == 3

@@ -9,13 +9,14 @@ import pytest
 
 from palmd.lab import space_exploring
 from palmd.lab.space_exploring import WIDE, known_parameters
+from palmd.model import rotation
+from palmd.model.icosphere import icosphere
 from palmd.motion import body_explorer
 from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyExplorer, weight_shares
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
-from palmd.observer.three_palms import kernels, rotation
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import palms_at
@@ -129,9 +130,8 @@ def test_the_rest_of_a_sequence_is_tried_again():
     assert who._grown([root], none, None, then[:1])[1] is None  # where its beginning was not safe
 
 
-def test_where_every_move_might_lose_the_body_there_is_none(monkeypatch):
-    monkeypatch.setattr(body_explorer, "LEAST_FORCE", 20.0)
-    assert explorer().decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)) is None
+def test_where_every_move_might_lose_the_body_there_is_none():
+    assert explorer().decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_), least_force=20.0) is None
 
 
 def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
@@ -144,11 +144,17 @@ def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
     assert who._surely_held(bearings(1), [gentle]) is None
 
 
-def test_rotations_are_turned_by_small_vectors():
-    by = np.random.default_rng(1).normal(0.0, 0.03, (5, 3))
-    turned = body_explorer._turned(bearings(1).R, by)
-    np.testing.assert_allclose(turned, rotation.exp(by) @ bearings(1).R, atol=3e-3)
-    np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
+    foresight, rest = BodyForesight(stand()[1], GRAVITY, SIDE), REST_POSE[None]
+    end, duration = np.array([[1.05, 0.7, 0.9]]), np.array([0.3])
+    first = foresight.of(bearings(1, SPIN), end, duration)
+    standing = foresight.of(first.after, end, np.array([0.1]))
+    whole = foresight.of(bearings(1, SPIN), end, duration, stand=0.1)
+    np.testing.assert_allclose(whole.after.R, standing.after.R, atol=1e-12)
+    assert whole.least_force[0] == min(first.least_force[0], standing.least_force[0])
+    halfway = foresight.of(bearings(1, SPIN), end, np.array([0.15]), elapsed=0.0)  # a quicker move: another path
+    late = foresight.of(Bearings(halfway.after.R, halfway.after.omega, rest), end, duration, elapsed=0.3, stand=0.1)
+    np.testing.assert_allclose(late.after.R, foresight.of(halfway.after, end, np.array([0.1])).after.R, atol=1e-12)
 
 
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():

@@ -10,17 +10,17 @@ import pytest
 from palmd import three_palms_messages as says
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.harness.three_palms_comparison import between, matrix, surface_error
+from palmd.model.icosphere import icosphere
+from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing
+from palmd.observer.three_palms import beliefs, growing, live
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import begun, raced
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.growth import advanced, begun, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.reconstruct import felt_directions, near
-from palmd.observer.three_palms.rotation import exp, quaternion
 from palmd.observer.three_palms.search import Rival
 from palmd.observer.three_palms.smoother import BodyMotion
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
@@ -399,6 +399,29 @@ def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     assert observer.estimate(4.81).hypotheses == 0
 
 
+def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
+    observer = BodyObserver(lived.rig, stub := Stub())
+    assert not observer.foresees
+    assert observer.outlook(4.0) is None
+    lived.told(observer, stub, 4.6, lived.END + 0.05)
+    assert observer.foresees
+    told = observer.outlook(4.6)
+    R = lived.truth(told.t)[6:15].reshape(3, 3)
+    assert (told.claimed, told.begun) == (True, lived.answer.begun)
+    assert np.abs(told.R - R @ lived.gauge).max() < 0.02
+    assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
+    since = (4.6 - lived.answer.t) / live.SEEN_S
+    assert len(told.since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
+    normal = palms_at(*swung(np.array([4.6]))).normal[0]
+    assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
+    stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
+    said = go_on(lived, observer, 4.6, 4.65)
+    assert (said.valid, observer.foresees, observer.outlook(4.65).claimed) == (False, True, False)
+    stub.next = replace(lived.answer, hypotheses=0, claimed=False)
+    go_on(lived, observer, 4.65, 4.7)
+    assert not observer.foresees
+
+
 def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     task, ended = lived.raced
     motion = ended[0].motion
@@ -406,6 +429,33 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     lived.smoother._answer(task, [erring])
     told = lived.smoother._answer(task, ended)
     assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
+
+
+def test_what_was_believed_and_has_foretold_for_long_may_cost_what_truncation_does(lived, monkeypatch):
+    task, ended = lived.raced
+    costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
+    smoother = lived.smoother
+    monkeypatch.setattr(smoother, "_believed_since", math.inf)
+    assert not smoother._answer(task, costly).claimed
+    assert smoother._believed_since == math.inf
+    assert smoother._answer(task, ended).claimed  # from now on
+    assert not smoother._answer(task, costly).claimed
+    monkeypatch.setattr(smoother, "_believed_since", ended[0].record.t[-1] - growing.PROVEN_S - 0.1)
+    assert smoother._answer(task, costly).claimed
+    worse = [replace(ended[0], cost=1.4 * 2 * len(ended[0].record.readings.t))]
+    assert smoother._answer(task, worse).reason == "no motion by the equations explains the readings"
+
+
+def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
+    def unsmoothed(task, running):
+        return [advanced(task, running[0], task.intervals(task.end - task.start))]
+
+    monkeypatch.setattr(growing, "raced", unsmoothed)
+    lived.smoother.add([event for event in lived.events if event.t_sample >= lived.END])
+    answer = lived.smoother.answer()
+    assert answer is not None
+    assert answer.t > lived.answer.t + 0.5
+    assert math.isfinite(answer.mass)
 
 
 def test_what_is_late_is_counted_and_dropped():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from palmd.lab.space import errors
+from palmd.model.icosphere import icosphere
 from palmd.model.spherical import evaluator
 from palmd.observer.three_palms import growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, within, without_turns
 from palmd.observer.three_palms.search import Task, rivals
 from palmd.record.systems.three_palms import SYSTEM, laid_out

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.record import PadReadings

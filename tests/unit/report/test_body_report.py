@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.model.icosphere import icosphere
 from palmd.report.body_report import body_report
 from palmd.report.html import as_html
 from palmd.report.surface_figure import first_view

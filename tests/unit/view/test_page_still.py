@@ -15,7 +15,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
 from palmd.harness.processes import Child
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.model.icosphere import icosphere
 
 IN_VIEW = """
     const { left, top, right, bottom } = document.querySelector(arguments[0]).getBoundingClientRect();

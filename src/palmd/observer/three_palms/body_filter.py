@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import compiled_filter, kernels, rotation
+from palmd.observer.three_palms import compiled_filter, kernels
 from palmd.observer.three_palms.compiled_filter import READING, STATES
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry

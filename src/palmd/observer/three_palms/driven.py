@@ -13,7 +13,8 @@ import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 
 from palmd.events import FloatArray
-from palmd.observer.three_palms import kernels, rotation
+from palmd.model import rotation
+from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.path import JointPath

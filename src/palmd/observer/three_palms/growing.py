@@ -16,9 +16,9 @@ import numpy as np
 from palmd.blas import one_thread
 from palmd.config import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced, smoothed
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
@@ -33,6 +33,7 @@ LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
 WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
 MOST_RIVALS = 3
+PROVEN_S = 5.0  # of going on since it was first believed: whoever is wrong is lost by then
 LATENCY_S = 1.1  # that a simulated one takes; its first answer takes longer
 FIRST_LATENCY_S = 3.0
 
@@ -64,6 +65,7 @@ class GrowingBody:
         self._running: list[Grown] = []
         self._attempt = 0
         self._reached = -math.inf
+        self._believed_since = math.inf
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
     def add(self, events: Sequence[Event]) -> None:
@@ -90,6 +92,8 @@ class GrowingBody:
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
             return _unknown(task, begun, "what explained the readings does so no more")
+        if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
+            first = ended[0] = smoothed(task, first)
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
@@ -169,6 +173,7 @@ class GrowingBody:
         """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
         lost_at = float(first.record.t[-1])
         self._running = []
+        self._believed_since = math.inf
         if lost_at - task.start > WORTH_S or self._attempt == 0:
             self._begin_anew(max(lost_at, task.end - LEAST_S))
 
@@ -181,7 +186,10 @@ class GrowingBody:
         belief = first.ahead
         touched = self._before | near(felt_directions(first))  # as it is known now: earlier answers may have erred
         h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2)
-        reason = doubt(task, ended, h_sd[touched])
+        proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
+        reason = doubt(task, ended, h_sd[touched], proven=proven)
+        if not reason:
+            self._believed_since = min(self._believed_since, float(first.record.t[-1]))
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
             t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,

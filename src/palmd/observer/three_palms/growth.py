@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.model.spherical import Y00
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, rotation
+from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, course
@@ -129,7 +130,7 @@ def best(task: Task) -> list[Grown]:
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
-    if ended and ended[0].lost:
+    if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
     return ended
 

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from palmd.events import Event, PadLift, PalmSample, ShapeEstimate
+from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
+from palmd.model.icosphere import icosphere
+from palmd.model.rotation import quaternion
 from palmd.observer.three_palms import body_filter, kernels
 from palmd.observer.three_palms.body import inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
-from palmd.observer.three_palms.icosphere import icosphere
 from palmd.observer.three_palms.joint_track import STEADY, JointTrack
-from palmd.observer.three_palms.rotation import quaternion
-from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, ThreePalmsRig
+from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyOutlook, ThreePalmsRig
 from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
 NAME = "space"
@@ -30,12 +31,14 @@ HELD_S = 0.02  # how late readings are fused
 KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
 MOST_KEPT = 8192  # of readings, before older ones are let go: some 27 s
 A_TICK = 12  # readings that a filter which catches up takes beyond the new ones
-NIS_MOST = 1.6
+NIS_MOST = 1.35  # six of the standard deviations that it has where all is as believed
+NIS_FORESEEN = 4.0  # up to which what is believed still tells where the body goes
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
 AWAY_S = 0.5  # without any contact, after which it is another object
 LONGEST_S = 1e-2  # of a step ahead of the last reading
 TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and of the spin
 FORCE_SHARE = 0.03
+SEEN_S = 0.02  # how often it is kept where the palms touch the body
 
 
 class BodySmoothing(Protocol):
@@ -68,6 +71,8 @@ class BodyObserver:
         self._filter: BodyFilter | None = None
         self._next: BodyFilter | None = None  # catches up
         self._shape_of: BodyAnswer | None = None
+        self._foresees = False
+        self._seen: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / SEEN_S))  # normals in the body
 
     @property
     def backend(self) -> str:
@@ -115,7 +120,8 @@ class BodyObserver:
         told = answer if answer is not None and answer.hypotheses else None
         turn: tuple[float, ...] = (math.nan,) * 4
         attitude: tuple[float, ...] = (math.nan,) * 3
-        reason = self._doubt(t)
+        absent, reason = self._absent(t), self._doubt(t)
+        self._foresees = False
         if filtered is not None and told is not None and self._joints is not None and t - filtered.t < GAP_S:
             now = self._ahead(filtered, t)
             if np.isfinite(now.P).all() and np.isfinite(now.R).all():
@@ -127,6 +133,8 @@ class BodyObserver:
                 worst = max(bands[f"{side}{palm}_m"] for palm in PALMS for side in "ab")
                 if not reason and not worst < KNOWN_M:
                     reason = "the body rolls onto what has not been felt yet"
+                self._foresees = not absent and filtered.nis < NIS_FORESEEN and worst < KNOWN_M
+                self._see(now, t)
             else:
                 reason, self._filter = "the filter has lost it", None
         return BodyEstimate(
@@ -146,12 +154,20 @@ class BodyObserver:
 
     @property
     def foresees(self) -> bool:
-        """No exploration goes by it yet."""
-        return False
+        """Whether what is believed, claimed or not, still tells about what the readings are."""
+        return self._foresees
 
-    def outlook(self, t: float) -> None:
-        """None."""
-        del t
+    def outlook(self, t: float) -> BodyOutlook | None:
+        """What is believed of the body at `t` (s); None unless it `foresees`."""
+        answer, filtered = self._answer, self._filter
+        if not self._foresees or answer is None or filtered is None:
+            return None
+        now = self._ahead(filtered, t)
+        felt = [normals for at, normals in self._seen if at > answer.t]
+        return BodyOutlook(
+            t, self.object_count, answer.begun, answer.claimed, answer.mass, now.R, now.omega, now.p,
+            answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3),
+        )  # fmt: skip
 
     def identify(self, t: float) -> None:
         """No bodies in space are stored."""
@@ -176,8 +192,8 @@ class BodyObserver:
         """A palm has been let go at t (s): what was known of the motion ends."""
         self._begun = max(t, self._begun)
         self._filter = self._next = self._answer = None
-        self._pending.clear()
-        self._kept.clear()
+        for each in (self._pending, self._kept, self._seen):
+            each.clear()
 
     def _hear(self, answer: BodyAnswer) -> None:
         forgotten = bool(self._kept) and self._kept[0].t > answer.t
@@ -186,6 +202,7 @@ class BodyObserver:
         self._answer = answer
         if not answer.hypotheses:
             self._filter = self._next = None
+            self._seen.clear()
             return
         if self._next is None or self._filter is not None or self._next.t < answer.t:
             self._next = BodyFilter(answer, self._rig)
@@ -225,19 +242,29 @@ class BodyObserver:
 
     def _doubt(self, t: float) -> str:
         """Why what is believed is not to be believed now; empty when it is."""
+        absent, answer = self._absent(t), self._answer
+        if absent or answer is None:
+            return absent
+        if not answer.claimed:
+            return answer.reason
+        if self._filter is None:
+            return "the readings since the smoother's answer are being caught up with"
+        return "" if self._filter.nis < NIS_MOST else "the readings contradict the motion that was claimed"
+
+    def _absent(self, t: float) -> str:
+        """Why nothing can be said of now; empty when something can."""
         felt = zip(PALMS, self._felt_at, strict=True)
         untouched = [palm for palm, at in felt if t - at > GAP_S or palm in self._silent]
         if untouched:
             return f"nothing touches palm {', '.join(map(str, untouched))}"
         if self._joints is None or t - self._joints.t > GAP_S:
             return "the joints are not reported"
-        if self._answer is None:
-            return "no motion is known yet that explains the readings"
-        if not self._answer.claimed:
-            return self._answer.reason
-        if self._filter is None:
-            return "the readings since the smoother's answer are being caught up with"
-        return "" if self._filter.nis < NIS_MOST else "the readings contradict the motion that was claimed"
+        return "no motion is known yet that explains the readings" if self._answer is None else ""
+
+    def _see(self, now: BodyFilter, t: float) -> None:
+        """Keep where the palms touch the body."""
+        if self._joints is not None and (not self._seen or t - self._seen[-1][0] >= SEEN_S):
+            self._seen.append((t, -self._joints.palms(np.array([t])).normal[0] @ now.R))
 
     def _of_joints(self, t: float) -> tuple[dict[str, float], dict[str, float]]:
         if self._joints is None:

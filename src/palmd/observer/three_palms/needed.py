@@ -7,7 +7,7 @@ from palmd.observer.kernels import Part
 
 def needed(_config: object) -> list[Part]:
     """Its kernels, whatever its configuration says: as `palmd.observer.kernels.needed`."""
-    from palmd.model import three_palms
+    from palmd.model import body_rollout, three_palms
     from palmd.observer.three_palms.body_filter import steps
     from palmd.observer.three_palms.growth import ORDER
     from palmd.observer.three_palms.search import START_ORDER
@@ -19,5 +19,6 @@ def needed(_config: object) -> list[Part]:
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *map(space, (START_ORDER, ORDER)),
+        ("three palms in space, foresight", lambda: body_rollout.library(ORDER).backend),
         ("three palms in space, the filter", lambda: "python" if steps(ORDER, ThreePalmsRig()) is None else "c"),
     ]

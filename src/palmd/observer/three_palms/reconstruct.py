@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from palmd.blas import one_thread
 from palmd.events import FloatArray
+from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import ORDER, Grown, best
-from palmd.observer.three_palms.icosphere import icosphere
+from palmd.observer.three_palms.growth import ORDER, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
@@ -180,14 +180,18 @@ def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.b
     return np.asarray(rows - turns @ undone, np.float64)
 
 
-def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray) -> str:
-    """Why the first of the rivals is not to be believed; empty if it is."""
+def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = False) -> str:
+    """Why the first of the rivals is not to be believed; empty if it is.
+
+    proven: it was believed before, and has foretold what came for long: what more it costs is truncation.
+    """
     first = ended[0]
+    most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)
     if first.record.t[-1] < task.end - 0.1:
         return f"what explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
-    if first.whole.chi2 > MOST_CHI2:
+    if first.whole.chi2 > most_chi2:
         return "the readings are not explained to their noise"
-    if first.per_number > MOST_COST:
+    if first.per_number > most_cost:
         return "no motion by the equations explains the readings"
     if any(each.contradicts(first) for each in ended[1:]):
         return "another motion explains the readings as well"

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import rotation
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import kernels, rotation
+from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN

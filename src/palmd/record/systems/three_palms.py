@@ -11,12 +11,12 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, ObserverName, PadSample, PalmSample
 from palmd.jsonvalues import column, or_none
+from palmd.model.rotation import quaternions
 from palmd.observer.three_palms.growing import SimulatedGrowing
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.path import JointPath, joint_path
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.observer.three_palms.record import PadReadings
-from palmd.observer.three_palms.rotation import quaternions
 from palmd.outlinefile import Outline
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh

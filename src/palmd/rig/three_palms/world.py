@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.observer.three_palms.icosphere import icosphere
-from palmd.observer.three_palms.rotation import quaternion
+from palmd.model.icosphere import icosphere
+from palmd.model.rotation import quaternion
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
@@ -24,7 +24,7 @@ from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
-from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, PalmPlanes, palms_at, readings_of
+from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, PalmPlanes, palms_at, readings_of, room_on_pads
 from palmd.three_palms_config import ThreePalmsConfig
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
@@ -144,10 +144,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         read = readings_of(planes, body.point[None])[0]
         self._moving = (read - self._read) / (2 * HALF_STEP * self.step_s)
         self._read, self._read_at = read, t
-        middles = np.array(list(self._middles.values()))
-        off = np.abs(self._read[:, 0] - middles) > 0.5 * self._side
-        beyond = (self._read[:, 1] <= 0.0) | (self._read[:, 1] >= self._side)
-        if not (body.force > 0.0).all() or (off | beyond).any():
+        if not (body.force > 0.0).all() or not (room_on_pads(read, self._side) > 0.0).all():
             self.contact_losses += 1
             self._leave(t)
 

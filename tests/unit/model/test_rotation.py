@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palmd.observer.three_palms import rotation
+from palmd.model import rotation
 
 VECTORS = np.concatenate(
     [

@@ -1,0 +1,84 @@
+"""Where an exploration of a body between three palms goes next: see `daemon.exploration_requests`. Not for the loop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palmd.daemon.exploration_requests import ExplorationAnswer, Question
+from palmd.model.icosphere import icosphere
+from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyExplorer
+from palmd.motion.body_foresight import Bearings, BodyForesight
+from palmd.motion.body_swing import Swing
+from palmd.motion.decisions import Decision
+from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
+
+HALVINGS = 3  # of the directions that are counted: 642
+TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
+FELT_N = 0.05  # that a pad surely feels
+CAREFUL = 2.0  # times the force, while a body is not claimed
+DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
+
+
+class BodyDecider:
+    """Brisk moves until a body is known, then those that show the rest of it."""
+
+    def __init__(self, rig: ThreePalmsRig, seed: int = 0) -> None:
+        self._rig, self._seed = rig, seed
+        self._random = np.random.default_rng(seed)
+        self._directions = icosphere(HALVINGS)[0]
+        self._run: int | None = None
+        self._known: tuple[int, float] | None = None  # which object, in what frame
+        self._explorer: BodyExplorer | None = None
+
+    def answer(self, question: Question) -> ExplorationAnswer:
+        """The answer to a question; a new task, and a body in a new frame, begin with a new explorer."""
+        task, outlook, move = question.task, question.outlook, question.under_way.move
+        if task.run != self._run:
+            self._run, self._begun, self._known = task.run, question.t, None
+        if outlook is None:
+            swing = Swing(task.limits).next(move.end, self._random)
+            decision = Decision("move", swing, "swings the body until it is known where it is")
+            return ExplorationAnswer(question.t, task.run, move, None, decision)
+        assert isinstance(outlook, BodyOutlook), "it is of three palms"
+        return ExplorationAnswer(question.t, task.run, move, outlook.object_count, self._decided(question, outlook))
+
+    def _decided(self, question: Question, outlook: BodyOutlook) -> Decision:
+        task, under_way = question.task, question.under_way
+        foresight, explorer = self._of(question, outlook)
+        felt = icosphere()[0][outlook.touched]
+        touched = explorer.covered(felt, TOUCHED_RAD) | explorer.covered(outlook.since)
+        coverage = float(touched.mean())
+        if coverage >= task.goal.coverage and outlook.claimed:
+            return Decision("done", None, f"{coverage:.0%} of all directions have been touched", coverage, 1.0)
+        if question.t - self._begun > task.goal.time_limit_s:
+            return Decision("done", None, f"the time limit of {task.goal.time_limit_s:g} s is over", coverage, 1.0)
+        begin = Bearings(outlook.R[None], outlook.omega[None], np.array([under_way.move.start]))
+        left = under_way.move.duration - under_way.elapsed
+        foreseen = foresight.of(
+            begin, np.array([under_way.move.end]), np.array([max(under_way.move.duration, 1e-3)]),
+            under_way.elapsed, max(DECIDED_S - left, 0.0),
+        )  # fmt: skip
+        if not (foreseen.least_force[0] > 0.0 and foreseen.room[0] > 0.0):
+            if left > 0.0:
+                return Decision("unsafe", None, "the move under way would lose the body", coverage, 1.0)
+            return Decision("wait", None, "the body will not stay where it is", coverage, 1.0)
+        if not question.choose:
+            return Decision("safe", None, "", coverage, 1.0)
+        least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
+        seen = touched | explorer.covered(foreseen.normals)
+        move = explorer.decide(foreseen.after, seen, least if outlook.claimed else CAREFUL * least)
+        if move is None:
+            return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
+        return Decision("move", move, "", coverage, 1.0)
+
+    def _of(self, question: Question, outlook: BodyOutlook) -> tuple[BodyForesight, BodyExplorer]:
+        """Who foresees this body as it is known now."""
+        known = outlook.object_count, outlook.begun
+        if self._explorer is None or known != self._known:
+            self._known = known
+            self._foresight = BodyForesight(outlook.p, self._rig.gravity, self._rig.pad.side)
+            self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
+        self._foresight.learn(outlook.p)
+        return self._foresight, self._explorer

@@ -1,0 +1,107 @@
+"""Where an exploration of a body between three palms goes next, by questions and answers."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from palmd.daemon import body_decider
+from palmd.daemon.body_decider import BodyDecider
+from palmd.daemon.exploration_requests import ExplorationTask, Question
+from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
+from palmd.model.icosphere import icosphere
+from palmd.motion.body_explorer import LEAST_FORCE
+from palmd.motion.decisions import UnderWay
+from palmd.motion.segments import Move
+from palmd.motion.three_palms import TiltLimits
+from palmd.rig.three_palms.simulate import REST_POSE
+from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
+from palmd.three_palms_config import TiltGoal
+
+RIG, SEED = ThreePalmsRig(), 4
+LIMITS = TiltLimits.over(WIDE, 75.0)
+REST = tuple(REST_POSE.tolist())
+STANDING = UnderWay(Move(REST, REST, 0.0), 0.0)
+
+
+@pytest.fixture(scope="module")
+def outlook():
+    stand = BodyStand(SEED, RIG.gravity)
+    (R,), (omega,) = stand.bearings
+    p = known_parameters(stand.plant.body, stand.plant.rubbing)
+    none = np.zeros(len(icosphere()[0]), np.bool_)
+    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, none, np.zeros((0, 3, 3)))
+
+
+def question(outlook, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
+    return Question(t, ExplorationTask(run, TiltGoal(**goal), LIMITS), outlook, under_way, choose)
+
+
+def test_until_a_body_is_known_the_palms_swing():
+    answer = BodyDecider(RIG).answer(question(None))
+    assert (answer.object_count, answer.decision.kind, answer.decision.move.start) == (None, "move", REST)
+    assert "swings" in answer.decision.reason
+
+
+def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(outlook):
+    end = (0.95, 0.78, 0.8)
+    answer = BodyDecider(RIG).answer(question(outlook, UnderWay(Move(REST, end, 0.5), 0.1)))
+    assert answer.object_count == 1
+    assert answer.decision.kind == "move"
+    assert answer.decision.move.start == end
+    assert math.isfinite(answer.decision.coverage)
+
+
+def test_who_is_only_asked_whether_it_may_go_on_says_so(outlook):
+    decider, move = BodyDecider(RIG), Move(REST, (0.95, 0.78, 0.8), 0.5)
+    assert decider.answer(question(outlook, UnderWay(move, 0.1), choose=False)).decision.kind == "safe"
+    thrown = UnderWay(Move(REST, (1.3, 0.3, 0.3), 0.08), 0.01)
+    assert decider.answer(question(outlook, thrown, choose=False)).decision.kind == "unsafe"
+
+
+def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over(outlook):
+    decider, most = BodyDecider(RIG), icosphere()[0][:, 2] > -0.6
+    seen = dataclasses.replace(outlook, touched=most)
+    answer = decider.answer(question(seen, coverage=0.8)).decision
+    assert (answer.kind, answer.reachable) == ("done", 1.0)
+    assert answer.coverage > 0.8
+    assert decider.answer(question(dataclasses.replace(seen, claimed=False), coverage=0.8)).decision.kind != "done"
+    late = decider.answer(question(outlook, t=75.0, time_limit_s=60)).decision
+    assert (late.kind, late.reason) == ("done", "the time limit of 60 s is over")
+
+
+def test_what_was_felt_since_the_answer_counts_too(outlook):
+    decider = BodyDecider(RIG)
+    bare = decider.answer(question(outlook, choose=False)).decision.coverage
+    felt = dataclasses.replace(outlook, since=np.tile(np.eye(3), (5, 1, 1)))
+    share = decider.answer(question(felt, choose=False)).decision.coverage
+    assert bare == 0.0
+    assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
+
+
+def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
+    asked = []
+    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args: asked.append(args[-1]))
+    decider = BodyDecider(RIG)
+    for mass in (0.02, 10.0, math.nan):
+        decision = decider.answer(question(dataclasses.replace(outlook, mass=mass))).decision
+        assert (decision.kind, decision.reason) == ("wait", "no safe motion found yet")
+    assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
+    decider.answer(question(dataclasses.replace(outlook, claimed=False)))
+    assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.FELT_N / 0.08)
+
+
+def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):
+    made = []
+    explorer = body_decider.BodyExplorer
+    monkeypatch.setattr(body_decider, "BodyExplorer", lambda *a: made.append(a) or explorer(*a))
+    decider = BodyDecider(RIG)
+    for each in (
+        outlook,
+        outlook,
+        dataclasses.replace(outlook, begun=3.0),
+        dataclasses.replace(outlook, object_count=2),
+    ):
+        decider.answer(question(each, choose=False))
+    assert len(made) == 3

@@ -1,0 +1,92 @@
+"""The daemon explores a body between three palms, without wires; a smoother that has been told the body spares time."""
+
+import numpy as np
+import pytest
+
+from palmd.console.shipped import shipped
+from palmd.daemon.lifecycle import State
+from palmd.harness.three_palms_comparison import matrix
+from palmd.harness.three_palms_wireless import ThreePalmsWireless
+from palmd.lab.space_exploring import known_parameters
+from palmd.lab.space_live import SpaceLiveRow, TrueCoverage, told_of_exploring
+from palmd.model.icosphere import icosphere
+from palmd.quantities import STATE
+from palmd.system.three_palms import BodyAnswer
+from palmd.three_palms_config import TiltPlanSpec
+from palmd.yamlfile import load_any_config
+
+PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
+TOLD_S, SECONDS = 2.2, 4.5
+
+
+class Informed:
+    """A smoother that says once what the body is, and how it moves just then."""
+
+    rig: ThreePalmsWireless
+    done = False
+
+    def submit(self, *_):
+        pass
+
+    def collect(self, t):
+        world = self.rig.world
+        if self.done or t < TOLD_S:
+            return None
+        self.done = True
+        truth, n = world.truth(), len(icosphere()[0])
+        p = known_parameters(world.body.body, world.body.rubbing)
+        covariance = np.diag([1e-6] * 3 + [1e-4] * 3 + [1e-9] * (len(p) - 9) + [1e-4] * 8 + [1e-2])
+        omega = np.array([truth[f"omega_{axis}_rad_s"] for axis in "xyz"])
+        h = np.array(world.object_truth()["h_m"])
+        return BodyAnswer(
+            t, t, True, "", 1, matrix(truth["quat_xyzw"]), omega, p, covariance, h, np.full(n, 1e-5), np.zeros(n),
+            np.zeros(9), float("nan"), float("nan"),
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def explored():
+    """(the rig, its true coverage, what was said in each tick)."""
+    smoother = Informed()
+    rig = smoother.rig = ThreePalmsWireless(load_any_config(shipped("three_palms.yaml")), PLAN, 3, smoother)
+    rig.start()
+    begun, coverage, said = rig.t, TrueCoverage(), []
+    for now in rig.run(SECONDS):
+        coverage.see(rig.t - begun, now.truth)
+        said.append((now, rig.core.exploring.reason))
+    return rig, coverage, said
+
+
+def test_it_swings_until_the_body_is_known_and_then_shows_more_of_it(explored):
+    rig, coverage, said = explored
+    reasons = [reason for _, reason in said]
+    assert "swings the body until it is known where it is" in reasons
+    assert reasons[-1] == ""
+    assert rig.core.state is State.TRACKING
+    assert rig.world.contact_losses == 0
+    assert coverage.share > 0.1  # swinging shows 4 %
+
+
+def test_what_is_touched_is_told_as_it_is(explored):
+    _, coverage, said = explored
+    told = [now.messages[STATE.name] for now, _ in said if STATE.name in now.messages][-1]
+    assert told["exploring"]
+    assert told["reachable"] == 1.0
+    assert coverage.share - 0.1 < told["coverage"] < coverage.share + 0.01
+
+
+def test_every_set_point_keeps_the_limits(explored):
+    rig, _, said = explored
+    limits = rig.core.setpoints.limits.angles
+    for now, _ in said:
+        for joint, (low, high) in zip(("beta", "gamma2", "gamma3"), limits, strict=True):
+            assert low - 2e-3 < now.truth[f"{joint}_rad"] < high + 2e-3
+    assert rig.core.setpoints.interventions == 0
+
+
+def test_a_row_tells_how_much_was_touched_and_what_was_lost():
+    row = SpaceLiveRow(5, 8.0, 9.0, 0.9, 2e-5, 0, 0.5, (0.4, 0.6, 0.85), 0.8, 1, 1, 9.5, "")
+    lines = list(told_of_exploring([row]))
+    assert lines[0] == "       5: 40% after 20 s, 60% after 40 s, 85% after 60 s, told 80%"
+    assert "fell off 1 times, 1 times valid again after 9.5 s" in lines[1]
+    assert lines[-1] == "touched: median 85%, 1 with at least 80%; lost 1"
