@@ -1,9 +1,13 @@
-"""Folders that are made when they are needed: whether that will succeed can be told before."""
+"""Folders that are made when they are needed: whether that will succeed can be told before; and short ones."""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
+
+SOCKET_PATH_BYTES = 107
+"""Of the path of a UNIX socket, at most."""
 
 
 def nearest(folder: Path) -> Path:
@@ -17,3 +21,12 @@ def nearest(folder: Path) -> Path:
 def takes_files(folder: Path) -> bool:
     """Whether it is a folder in which we may make files and folders."""
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def for_sockets(prefix: str, name: str) -> tempfile.TemporaryDirectory[str]:
+    """A temporary folder of this user's alone, its path short enough for a socket `name` in it."""
+    folder = tempfile.TemporaryDirectory(prefix=prefix)
+    if len(os.fsencode(Path(folder.name) / name)) <= SOCKET_PATH_BYTES:
+        return folder
+    folder.cleanup()
+    return tempfile.TemporaryDirectory(prefix=prefix, dir="/tmp")

@@ -11,7 +11,7 @@ from palmd.systems import load_part
 
 log = logging.getLogger(__name__)
 
-TWO_PALMS = "palmd.daemon.exploration_requests:Decider"
+DECIDER = "palmd.daemon.exploration_requests:Decider"
 HIGH_WATER = 10  # questions on their way: a second
 NICENESS = 2  # the palms stand while it thinks: before the smoother, after the loop
 
@@ -19,7 +19,7 @@ NICENESS = 2  # the palms stand while it thinks: before the smoother, after the 
 class ExplorerProcess:
     """The loop's end, a `daemon.exploration_requests.Source`; a plan that first needs it starts it, in 3 ms."""
 
-    def __init__(self, rig: object, decider: str = TWO_PALMS) -> None:
+    def __init__(self, rig: object, decider: str = DECIDER) -> None:
         """`decider`: who answers questions there, a class made of the `rig` as its observers know it."""
         self._rig, self._decider = rig, decider
         self._process: WorkerProcess | None = None

@@ -12,13 +12,13 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import zmq
 
+from palmd.console.folders import for_sockets
 from palmd.daemon.realtime import freeze_collector
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ class WorkerProcess:
         `name` is for people, `high_water` the most messages on their way. Raises OSError when it cannot be started.
         """
         self._name = name
-        self._folder = _meeting_place(name)
+        self._folder = for_sockets("palmd-", name)
         address = f"ipc://{Path(self._folder.name) / name}"
         self._command = [
             sys.executable,
@@ -98,15 +98,6 @@ class WorkerProcess:
         if self._process.poll() is not None and time.monotonic() - self._t_started > RESTART_S:
             log.warning("the %s ended with status %s: started again", self._name, self._process.returncode)
             self._start()
-
-
-def _meeting_place(name: str) -> tempfile.TemporaryDirectory[str]:
-    """A folder of this user's alone, whose path is short enough for a socket `name` in it."""
-    folder = tempfile.TemporaryDirectory(prefix="palmd-")
-    if len(os.fsencode(folder.name)) + 1 + len(name) <= zmq.IPC_PATH_MAX_LEN:
-        return folder
-    folder.cleanup()
-    return tempfile.TemporaryDirectory(prefix="palmd-", dir="/tmp")
 
 
 @contextlib.contextmanager

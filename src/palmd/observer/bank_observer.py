@@ -26,7 +26,6 @@ from palmd.events import (
     Unexplained,
 )
 from palmd.model.outputs import NAMED, rig_inputs
-from palmd.model.smoothing import R
 from palmd.observer.answer import answer, no_answer, outline_answer, outlook
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.filters.base import LONGEST_STEP_S, Filters
@@ -43,7 +42,7 @@ from palmd.observer.validity import Evidence, Thresholds, consistent, predictabl
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
-from palmd.system.rig_constants import prior_sds
+from palmd.system.rig_constants import declared_exact
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
@@ -81,7 +80,7 @@ class BankObserver:
         self._hypotheses = hypotheses or ReturningObject(rig, filters)
         self._fusion = Fusion(rig, self._hypotheses.banks)
         self._observability = Observability(rig_inputs(rig), rig.reading_variances)
-        self._exact = not prior_sds(rig)[: R.FRICTION].any()  # as the seeker has it
+        self._exact = declared_exact(rig)
         self.reset()
 
     def reset(self) -> None:

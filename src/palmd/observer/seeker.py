@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.smoothing import ORDER, R
+from palmd.model.smoothing import ORDER
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
@@ -13,7 +13,7 @@ from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
 from palmd.system.description import RigDescription
-from palmd.system.rig_constants import prior_sds
+from palmd.system.rig_constants import declared_exact
 
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
@@ -55,8 +55,7 @@ class Seeker:
         self._guesses: tuple[Guess, ...] = ()
         self._belief = RigBelief.of(rig)
         self._challenge_s = 0.0
-        # how alike the palms rub is no matter of calibration
-        self._exact = not prior_sds(rig)[: R.FRICTION].any()
+        self._exact = declared_exact(rig)
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True

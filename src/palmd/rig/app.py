@@ -21,10 +21,8 @@ import json
 import math
 import os
 import secrets
-import shutil
 import signal
 import sys
-import tempfile
 import time
 from pathlib import Path
 from types import FrameType
@@ -35,6 +33,7 @@ import numpy as np
 import zmq
 
 from palmd.config import AnyConfig
+from palmd.console.folders import for_sockets
 from palmd.messages import stamp
 from palmd.quantities import BODY, STALL, TRUTH, Topic
 from palmd.rig import uinput
@@ -63,7 +62,6 @@ PERIOD_S = 1e-3
 TRUTH_S, OBJECT_S, PARENT_S = 1.0 / TRUTH.rate_hz, 1.0 / BODY.rate_hz, 0.5
 MARBLES: dict[str, tuple[PortName, ...]] = {pad.removeprefix("pad"): (pad,) for pad in PADS} | {"both": PADS}
 _LATE_S, _STALLED_S = 2e-3, 20e-3
-_LONG = 80  # bytes of a folder's path below which a socket's fits in it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,13 +115,13 @@ def run_rig(arguments: argparse.Namespace) -> int:
         return _refuse(
             f"--uinput: {uinput.UINPUT} cannot be written to (sudo modprobe uinput; as root, or by a udev rule)"
         )
-    try:
-        folder = _folder(arguments.ports)
-    except FileExistsError:
-        return _refuse(f"--ports: {arguments.ports} is not a folder")
-    except OSError as error:
-        return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
-    try:
+    with contextlib.ExitStack() as leaving:
+        try:
+            folder = _folder(arguments.ports, max(world.ports, key=len), leaving)
+        except FileExistsError:
+            return _refuse(f"--ports: {arguments.ports} is not a folder")
+        except OSError as error:
+            return _refuse(f"--ports: {arguments.ports}: {error.strerror}")
         try:
             rig = RigProcess(world, folder, stop, input_devices=arguments.uinput, sockets=arguments.sockets)
         except OSError as error:
@@ -131,9 +129,6 @@ def run_rig(arguments: argparse.Namespace) -> int:
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
-    finally:
-        if arguments.ports is None:
-            shutil.rmtree(folder, ignore_errors=True)
     return 0
 
 
@@ -153,11 +148,13 @@ def _world(config: AnyConfig, seed: int, arguments: argparse.Namespace, t: float
     return world
 
 
-def _folder(given: Path | None) -> Path:
-    """Where the ports are: the folder given, made if need be, or one for this run alone; raises OSError."""
+def _folder(given: Path | None, longest: str, leaving: contextlib.ExitStack) -> Path:
+    """Where the ports are, the `longest` name among them: the folder given, made if need be, or one for this run alone.
+
+    That goes with `leaving`. Raises OSError.
+    """
     if given is None:
-        usual = tempfile.gettempdir()
-        return Path(tempfile.mkdtemp(prefix="palmd-rig-", dir=usual if len(os.fsencode(usual)) < _LONG else "/tmp"))
+        return Path(leaving.enter_context(for_sockets("palmd-rig-", longest)))
     given.mkdir(parents=True, exist_ok=True)
     if not os.access(given, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

@@ -76,6 +76,11 @@ def prior_sds(rig: RigDescription) -> FloatArray:
     return np.array([*np.transpose(of_pads).ravel(), *of_angles, rig.friction_sd, *(pad.force_sd for pad in rig.pads)])
 
 
+def declared_exact(rig: RigDescription) -> bool:
+    """Whether nothing that calibration measures is left open; how alike the palms rub is no matter of calibration."""
+    return not prior_sds(rig)[: RIG_NAMES.index("friction_asymmetry")].any()
+
+
 def told(sds: FloatArray, priors: FloatArray) -> npt.NDArray[np.bool_]:
     """Which constants readings have told, by their one-sigmas now and beforehand."""
     return sds < TOLD * priors
