@@ -1,4 +1,4 @@
-/* One step of a body between two flat or bowed palms: the twin of `rig.plant`, which says what is computed, and why; and
+/* One step of a body between two flat or bowed palms: the twin of `rig.plant`, which says what is computed, and why. And
    a whole run on palms that rock: the twin of `rig.simulate`'s.
 
    The same operations in the same order, so that both give the same bits. Nothing is kept: `Step` holds all that a step
@@ -300,7 +300,8 @@ static Eased rocked(const Rock *rock, double t) {
     const double begin = rock->rests[i][0], end = rock->rests[i][1];
     if (!(begin < t && t < end + 1.0)) continue;
     const Eased out = eased(t - begin), back = eased(t - end);
-    const double v = back.value - out.value + 1.0, dv = back.rate - out.rate, ddv = back.acceleration - out.acceleration;
+    const double v = back.value - out.value + 1.0, dv = back.rate - out.rate;
+    const double ddv = back.acceleration - out.acceleration;
     w = (Eased){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
   }
   const double k = TAU * rock->frequency, s = sin(k * t + rock->phase), c = cos(k * t + rock->phase);
@@ -320,7 +321,8 @@ static Palms palms_at(const Rocking *rocking, double t) {
 }
 
 /* Rows of a run, one before each step of `step->dt`; how many there are before a contact does not keep to it. */
-long plant_rock(const Scene *scene, Step *step, const Rocking *rocking, const ContactBounds *bounds, Row *rows, long count) {
+long plant_rock(const Scene *scene, Step *step, const Rocking *rocking, const ContactBounds *bounds, Row *rows,
+                long count) {
   const Body *body = &step->body;
   const double dt = step->dt;
   step->end = palms_at(rocking, -rocking->lag);
