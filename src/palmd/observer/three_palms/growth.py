@@ -8,6 +8,7 @@ all of it is smoothed as a whole, and the belief is made anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +20,10 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import centres_of, curvatures, inertia
-from palmd.observer.three_palms.driven import BallBelief, course
+from palmd.observer.three_palms.beliefs import Hypothesis
+from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
-from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Rival, Task, rivals
+from palmd.observer.three_palms.search import EXPLAINED, HOPELESS, SPACING_S, ContactBall, Rival, Task, loosely, rivals
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
 ORDER = 8
@@ -58,10 +60,9 @@ class Grown:
     """A rival as far as it has come: its motion at all nodes of `record`, what is believed of the last, what it cost.
 
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
-    met: how many starts led to it.
+    met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
     """
 
-    rival: Rival
     prior: BodyPrior
     record: BodyRecord
     motion: BodyMotion
@@ -70,6 +71,7 @@ class Grown:
     whole: BodyFit
     windows: tuple[tuple[int, float], ...] = ()
     met: int = 1
+    confirmed: int = 0
 
     @property
     def intervals(self) -> int:
@@ -85,6 +87,11 @@ class Grown:
     def since_whole(self) -> float:
         """By which factor the record has grown since all of it was fitted."""
         return self.intervals / (len(self.whole.motion.R) - 1)
+
+    @property
+    def found_twice(self) -> bool:
+        """Whether another start has come to the same, of no less than half of it."""
+        return 2 * self.confirmed >= self.intervals
 
     @property
     def surprise(self) -> float:
@@ -174,7 +181,9 @@ def _apart(rivals: list[Grown]) -> list[Grown]:
         if twin is None:
             kept.append(each)
         else:
-            kept[twin] = replace(kept[twin], met=kept[twin].met + each.met)
+            kept[twin] = replace(
+                kept[twin], met=kept[twin].met + each.met, confirmed=max(kept[twin].confirmed, each.confirmed)
+            )
     return kept
 
 
@@ -183,7 +192,7 @@ def begun(task: Task, rival: Rival) -> Grown:
     prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
     motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
     return smoothed(
-        task, Grown(rival, prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15
+        task, Grown(prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15
     )
 
 
@@ -198,6 +207,42 @@ def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
 
 
+def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis]) -> list[Grown]:
+    """All of a record from its beginning explained blindly, the cheapest first, each way but once.
+
+    Contacts of many seconds lead to where rivals that grow from a short start do not come: those keep to their valley.
+    Ends where two ways have met in the cheapest.
+    """
+    contacts = ContactCurves.smoothed(record.readings)
+    ball = ContactBall.of(task.path, contacts, record)
+    prior = beliefs.prior(ball.radius, ORDER, task.spin_sd)
+    smoother = BodySmoother(record, prior, task.noise, task.rig.gravity)
+    found: list[Grown] = []
+    for way in ways:
+        if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
+            break
+        fit = smoother.fit(loosely(task, record, prior, contacts, ball, way).motion)
+        now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
+        found = _apart(sorted([*found, now], key=lambda each: each.cost))
+        if found[0].met > 1:
+            found[0] = replace(found[0], confirmed=found[0].intervals)
+            break
+    return found
+
+
+def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis]) -> list[Grown]:
+    """The rivals, the cheapest first, with what blind starts of the same record lead to, until one meets the cheapest.
+
+    That one is `confirmed`. All of `rivals` are of one record.
+    """
+    for way in ways:
+        again, first = anew(task, rivals[0].record, [way])[0], rivals[0]
+        if again.same_as(first):
+            return [replace(first, confirmed=first.intervals), *rivals[1:]]
+        rivals = sorted([again, *rivals], key=lambda each: each.cost)
+    return rivals
+
+
 def folded(task: Task, now: Grown, intervals: int) -> Grown:
     """The rival without so many of its first intervals, which become the belief that its record begins with."""
     R, omega, p = now.motion.R, now.motion.omega, now.motion.p
@@ -208,7 +253,8 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
     lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
-    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
+    tailed = replace(now, prior=prior, record=tail, motion=motion, windows=lately, confirmed=now.intervals)
+    return smoothed(task, tailed)
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
