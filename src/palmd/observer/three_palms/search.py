@@ -28,6 +28,7 @@ STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the mo
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
+LEAST_RADIUS_M = 3e-3  # of a ball: contacts that contradict each other may tell a smaller one, or none
 HOPELESS = 2.5  # cost per number read above which a start is not followed at all
 EXPLAINED = 1.35  # of the same, below which bodies that rub explain the record, and none that do not are tried
 STEPS = 12
@@ -141,7 +142,7 @@ class ContactBall:
         """By smoothed contacts at the record's nodes."""
         points = contacts.at(path, record.t)[:, :9].reshape(-1, 3, 3)
         centres, radii = ball_of(points, record.node_palms[:, :9].reshape(-1, 3, 3))
-        return cls(centres[0], float(np.median(radii)))
+        return cls(centres[0], max(float(np.median(radii)), LEAST_RADIUS_M))
 
 
 def loosely(
@@ -150,12 +151,15 @@ def loosely(
     """What a blind start leads to while much noise is allowed to the equations."""
     belief = hypothesis.belief(ball.radius, ball.centre, task.spin_sd, task.rest)
     driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
-    motion = first_motion(record, driven, prior, ball.radius * (1.0 + hypothesis.larger))
+    return loosened(task, record, prior, first_motion(record, driven, prior, ball.radius * (1.0 + hypothesis.larger)))
+
+
+def loosened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
+    """What leads on from a motion while much noise is allowed to the equations, then less, and the inertia is held."""
     stiff = beliefs.with_inertia(prior, STIFF)
-    for strengths in LOOSE:
-        fit = task.fitted(record, stiff, strengths, motion, STEPS)
-        motion = fit.motion
-    return fit
+    first, second = LOOSE
+    begun = task.fitted(record, stiff, first, motion, STEPS)
+    return task.fitted(record, stiff, second, begun.motion, STEPS)
 
 
 def met(found: Sequence[Rival]) -> list[Rival]:
