@@ -39,7 +39,7 @@ from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
 STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
-STARTS_S = (8.0, 3.0, 1.8)  # of a record, as far as there is so much, that it is begun with
+STARTS_S = (3.0, 1.8, 8.0)  # of a record, as far as there is so much, that it is begun with
 LEAST_S = 2.2  # of a record, before anything is tried
 NEWS_S = 0.4  # of readings, before another lap
 LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
@@ -118,7 +118,7 @@ class GrowingBody:
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
-        if first.intervals * SPACING_S > LONGEST_S and not first.found_twice:
+        if first.intervals * SPACING_S > LONGEST_S and not first.confirmed:
             self._begin_anew(task.end - KEPT_S)
         elif first.intervals * SPACING_S > LONGEST_S:
             self._folded = True

@@ -290,8 +290,7 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
     lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
-    tailed = replace(now, prior=prior, record=tail, motion=motion, windows=lately, confirmed=now.intervals)
-    return smoothed(task, tailed)
+    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
