@@ -25,6 +25,7 @@ LEAST_TOUCH_S = 0.4
 LEAST_READINGS = 25
 LEAST_FORCE_N = 0.05
 LANDING_S, HALTED_M_S2 = 0.35, 0.2
+LIFTED_M_S = 6e-3  # faster than any drag
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,11 +194,16 @@ def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> lis
 
 
 def _landed(part: list[PadSample], arm: ArmMotion) -> list[PadSample]:
-    """A touch without its beginning where the gripper was halted then: sooner than the splines can follow."""
+    """A touch without its beginning where the gripper was halted then, and without its end where it is lifted off fast.
+
+    Both are sooner than the splines can follow.
+    """
     begin = part[0].t_sample
     t = np.linspace(begin, begin + LANDING_S, 100)
     halted = max(float(np.abs(axis.at(t)[2]).max()) for axis in (arm.x, arm.z)) > HALTED_M_S2
-    return [each for each in part if each.t_sample > begin + LANDING_S] if halted else part
+    slow = np.flatnonzero(arm.z.at(np.array([each.t_sample for each in part]))[1] < LIFTED_M_S)
+    kept = part[: slow[-1] + 1] if len(slow) else []
+    return [each for each in kept if each.t_sample > begin + LANDING_S] if halted else kept
 
 
 def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Rows:
