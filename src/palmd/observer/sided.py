@@ -124,6 +124,11 @@ class SidedSmoother(Smoother):
         )
 
 
+    def _eased(self, gain: float) -> float:
+        """By Nielsen's rule: where a step keeps little of its promise the next would be rejected."""
+        return max(0.2, 1.0 - (2.0 * gain - 1.0) ** 3)
+
+
 class SidedSearch:
     """One segment, as `search` has laid it out."""
 
