@@ -25,7 +25,7 @@ from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 SMOOTHED_S = 0.015  # one-sigma of the window over which forces are averaged
 FORCE_SD = 0.03  # of such an average, relative; accelerations are in it
 MOST_COST = 25.0  # of one moment: whatever a blow does there
-CHANGE_COST = 60.0  # of going over to the other palm; what accelerations do to forces lasts for tenths of a second
+CHANGE_COST = 120.0  # of going over to the other palm; what accelerations do to forces lasts for tenths of a second
 FRICTIONS: FloatArray = np.arange(0.05, 0.6, 0.025)
 MASSES: FloatArray = np.linspace(0.8, 1.3, 41)  # in what a frictionless object of these forces would have
 STANDING = 2e-3  # rad/s: palms that turn against each other no faster tell nothing

@@ -109,7 +109,7 @@ def test_palms_that_rub_unequally_are_told_apart_by_their_forces(dry):
     """Forces ask for a friction of each: with one for both, which palm is stuck to is taken wrongly."""
     record = searched(dry[0]).record
     mu1, mu2, mass = 0.12, 0.28, 0.1
-    truly = np.arange(len(record.t)) // 150 % 3 == 0
+    truly = np.arange(len(record.t)) // 250 % 3 == 0
     phi1, phi2, _, opens = record.palms[:, :4].T
     across = [mu * np.sign(opens) * np.sin(phi2) - np.cos(phi2) for mu in (mu1, mu2)]
     two = mass * 9.81 * (np.cos(phi1) * np.cos(phi2) - np.cos(phi1 + phi2)) / np.sin(phi2) ** 2
