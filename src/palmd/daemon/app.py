@@ -20,6 +20,7 @@ from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
+from palmd.daemon.processor_time import ProcessorTime
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.daemon.systemd import Notifier
 from palmd.daemon.systems import AnySystem, live_system
@@ -118,6 +119,7 @@ def _run(
         info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
         info_topic=SYSTEM_TOPICS[config.system].info,
         counters=lambda: _counters(smoother, estimator, explorer),
+        processor=ProcessorTime(),
     )
     if recorded:
         bus.await_command("recorder", RECORDER_START_S)

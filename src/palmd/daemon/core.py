@@ -356,9 +356,9 @@ class Core:
 
     # ---- beside the ticks --------------------------------------------------------------------------------
 
-    def overran(self, t: float, late_s: float) -> None:
+    def overran(self, t: float, late_s: float, why: str = "") -> None:
         """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others had to be skipped."""
-        self._loop_watch.overran(t, late_s)
+        self._loop_watch.overran(t, late_s, why)
 
     def fail(self, t: float, error: Exception) -> None:
         """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""

@@ -79,18 +79,19 @@ class ArmDiagnostics:
 
 
 class LoopDiagnostics:
-    """Missed deadlines, the last by `late_s`, and samples that came too late."""
+    """Missed deadlines, the last by `late_s` and `why` as far as that is known, and samples that came too late."""
 
     def __init__(self) -> None:
         self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)
         self._late = Share(0.0, 5)
         self._too_late = False
         self.late_s = 0.0
+        self.why = ""
 
-    def overran(self, t: float, late_s: float) -> None:
+    def overran(self, t: float, late_s: float, why: str = "") -> None:
         """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others were skipped."""
         self._overruns.append(t)
-        self.late_s = late_s
+        self.late_s, self.why = late_s, why
 
     def conditions(self, t: float, late_dropped: int, look: bool) -> Iterator[str]:
         """The codes that hold at `t` (s)."""
@@ -108,7 +109,8 @@ class LoopDiagnostics:
         if code == "samples-too-late":
             return f"{self._late.spoilt} in the last {LOOK_S:g} s"
         often = f"{OVERRUNS_MOST} times within {OVERRUN_MEMORY_S:g} s, " if code == "loop-overruns" else ""
-        return f"{often}the last time a tick ended {self.late_s * 1e3:.0f} ms after its deadline"
+        why = f"; in the second before, {self.why}" if self.why else ""
+        return f"{often}the last time a tick ended {self.late_s * 1e3:.0f} ms after its deadline{why}"
 
 
 class NisDiagnostics:

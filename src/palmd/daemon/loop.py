@@ -18,6 +18,7 @@ from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
 from palmd.daemon.drivers import EndName
 from palmd.daemon.lifecycle import State
+from palmd.daemon.processor_time import ProcessorTime
 from palmd.daemon.realtime import rss_mb
 from palmd.daemon.statistics import LoopStatistics
 from palmd.daemon.systemd import Notifier
@@ -74,10 +75,12 @@ class Loop:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         waiter: Waiter | None = None,
+        processor: ProcessorTime | None = None,
     ) -> None:
         """`info` is what `info_topic` says, `counters` gives what `palm/loop` says beyond the loop's own.
 
-        `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports.
+        `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports;
+        `processor` says who had it when a tick is late, if it is to be said.
         """
         self.statistics = LoopStatistics(rate_hz)
         self._core = core
@@ -92,6 +95,7 @@ class Loop:
         self._counters = counters
         self._clock, self._wall = clock, wall
         self._waiter: Waiter = waiter or PortWaiter(list(self._ports.values()), clock)
+        self._processor = processor
         self._known_open: set[EndName] = set()
         self._stop_wanted = False
         self._t_stop = math.inf
@@ -142,7 +146,7 @@ class Loop:
         self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
         self._busy_s = 0.0
         if skipped:
-            self._core.overran(ended, ended - deadline)
+            self._core.overran(ended, ended - deadline, self._processor.lost() if self._processor else "")
         elif healthy:
             self._notifier.healthy(ended)
 
@@ -266,6 +270,8 @@ class Loop:
     def _publish_slowly(self, t: float) -> None:
         if t - self._t_slow >= SLOW_TOPIC_S - 0.5 * self._period:
             self._t_slow = t
+            if self._processor:
+                self._processor.forget()
             timestamp = self._wall()
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
             self._bus.publish(self._info_topic, dict(self._info), t, timestamp)

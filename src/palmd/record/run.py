@@ -247,6 +247,10 @@ def read_any_run(path: Path) -> AnyRun:
         complete = is_finished(path)
         preface = read_preface(path)
         empty = next(read_messages(path), None) is None
+    except FileNotFoundError:
+        raise RunError(f"{path}: no such file; `palmd runs FOLDER` lists what has been recorded there") from None
+    except IsADirectoryError:
+        raise RunError(f"{path}: is a folder; a run is a file in one: `palmd runs FOLDER` lists them") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
     metadata = preface.metadata.get(METADATA)

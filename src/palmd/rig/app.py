@@ -125,7 +125,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
         try:
             rig = RigProcess(world, folder, stop, input_devices=arguments.uinput, sockets=arguments.sockets)
         except OSError as error:
-            return _refuse(f"its ports cannot be made in {folder}: {error}")
+            return _refuse(f"its ports cannot be made in {folder}: {error.strerror}; --ports names another folder")
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()

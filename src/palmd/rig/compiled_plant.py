@@ -1,4 +1,7 @@
-"""What `plant.c` computes, a step of a smooth body on flat palms, to the bit as its twin in Python, `plant.Plant`."""
+"""What `plant.c` computes, to the bit as its twins in Python.
+
+A step of a smooth body on flat palms, `plant.Plant`, and a run of it on palms that rock, `simulate.run_of`.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,21 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from palmd.events import FloatArray
 from palmd.model.compiled import load
 from palmd.rig.shapes import Support, SupportFunction
+from palmd.system.mechanism import JOINTS
 
 _STEP = struct.Struct("=50d")
 _SHAKING = 3
 _BODY = struct.Struct("=36d")  # a step's beginning
+
+_MOTIONS = (0.0,) * 12  # of a step: a run sets them itself
+_ROW = 11
 
 Pads = Sequence[tuple[float, float, float]]
 Scene = Mapping[str, float | tuple[float, ...]]
@@ -38,17 +47,60 @@ class _Scene(ctypes.Structure):
     )
 
 
+class RockNumbers(NamedTuple):
+    """One palm's `simulate.Rock`: rad, Hz and rad, and its rests (from, to) in s."""
+
+    mean: float
+    amplitude: float
+    frequency: float
+    phase: float
+    rests: Sequence[tuple[float, float]]
+
+
+class Drive(NamedTuple):
+    """How both palms go: by how much (rad) they are off from that, and how late (s)."""
+
+    rocks: Sequence[RockNumbers]
+    off: Sequence[float]
+    lag: float
+
+
+class ContactBounds(NamedTuple):
+    """What both contacts must keep to: a body's mass (kg), the least force (N), and from where to where (m)."""
+
+    mass: float
+    least: float
+    low: float
+    high: float
+
+
+class _Rock(ctypes.Structure):
+    _fields_ = (
+        *_doubles("mean", "amplitude", "frequency", "phase"),
+        ("rests", ctypes.c_void_p),
+        ("resting", ctypes.c_long),
+    )
+
+
+class _Rocking(ctypes.Structure):
+    _fields_ = (("rocks", _Rock * len(JOINTS)), ("off", ctypes.c_double * len(JOINTS)), *_doubles("lag"))
+
+
+class _ContactBounds(ctypes.Structure):
+    _fields_ = tuple(_doubles(*ContactBounds._fields))
+
+
 def backend() -> str:
     """What steps the plant: compiled C, or Python where there is no compiler."""
-    return "python" if _advance() is None else "c"
+    return "python" if _library() is None else "c"
 
 
 class CompiledStep:
     """One step of a body on its pads, in memory of its own; what is pickled or copied gets another."""
 
-    def __init__(self, advance: Callable[[int, int], None], support: Support, pads: Pads, scene: Scene) -> None:
+    def __init__(self, library: ctypes.CDLL, support: Support, pads: Pads, scene: Scene) -> None:
         self._made_of = support, pads, scene
-        self._advance, self._table = advance, np.array(support.table)
+        self._library, self._table = library, np.array(support.table)
         numbers = (ctypes.c_double * 6)(*(number for pad in pads for number in pad))
         self._scene = _Scene(table=self._table.ctypes.data, pads=numbers, **scene)
         self._memory = ctypes.create_string_buffer(_STEP.size)
@@ -57,8 +109,28 @@ class CompiledStep:
     def __call__(self, *numbers: float) -> tuple[float, ...]:
         """Takes the numbers of `plant.c`'s Step, and returns those of its Body after it."""
         _STEP.pack_into(self._memory, 0, *numbers)
-        self._advance(self._scene_at, self._memory_at)
+        self._library.plant_advance(self._scene_at, self._memory_at)
         return _BODY.unpack_from(self._memory)
+
+    def run(self, body: Sequence[float], drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
+        """Rows of `plant.c`'s Row, one before each of `count` steps of `dt` (s), from the numbers of its Body at t = 0.
+
+        They end where a contact does not keep to what it must.
+        """
+        rests = [np.array(rock.rests, dtype=np.float64).reshape(-1, 2) for rock in drive.rocks]
+        rocks = [_Rock(*rock[:4], each.ctypes.data, len(each)) for rock, each in zip(drive.rocks, rests, strict=True)]
+        rocking = _Rocking((_Rock * len(JOINTS))(*rocks), (ctypes.c_double * len(JOINTS))(*drive.off), drive.lag)
+        _STEP.pack_into(self._memory, 0, *body, 0.0, *_MOTIONS, dt)
+        rows = np.empty((count, _ROW))
+        done = self._library.plant_rock(
+            self._scene_at,
+            self._memory_at,
+            ctypes.byref(rocking),
+            ctypes.byref(_ContactBounds(*bounds)),
+            rows.ctypes.data,
+            count,
+        )
+        return rows[:done]
 
     def __reduce__(self) -> tuple[Callable[..., CompiledStep | None], tuple[Support, Pads, Scene]]:
         return step_of, self._made_of
@@ -69,15 +141,18 @@ def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep 
 
     `scene`: by the names of `plant.c`'s Scene.
     """
-    advance = _advance()
-    return None if advance is None or not isinstance(support, Support) else CompiledStep(advance, support, pads, scene)
+    library = _library()
+    return None if library is None or not isinstance(support, Support) else CompiledStep(library, support, pads, scene)
 
 
 @cache
-def _advance() -> Callable[[int, int], None] | None:
+def _library() -> ctypes.CDLL | None:
     path = load("plant", list, written=[str(Path(__file__).with_name("plant.c"))]).path
     if path is None:
         return None
-    function = ctypes.CDLL(str(path)).plant_advance
-    function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p), None
-    return function
+    library = ctypes.CDLL(str(path))
+    pointer = ctypes.c_void_p
+    library.plant_advance.argtypes, library.plant_advance.restype = (pointer, pointer), None
+    library.plant_rock.argtypes = (*[pointer] * 5, ctypes.c_long)
+    library.plant_rock.restype = ctypes.c_long
+    return library

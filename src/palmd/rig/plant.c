@@ -1,4 +1,5 @@
-/* One step of a body between two flat or bowed palms: the twin of `rig.plant`, which says what is computed, and why.
+/* One step of a body between two flat or bowed palms: the twin of `rig.plant`, which says what is computed, and why. And
+   a whole run on palms that rock: the twin of `rig.simulate`'s.
 
    The same operations in the same order, so that both give the same bits. Nothing is kept: `Step` holds all that a step
    starts from and leaves behind. */
@@ -56,6 +57,25 @@ typedef struct {
   Palms middle, end;
   double dt;
 } Step;
+
+typedef struct { /* one palm's: `simulate.Rock`, with its rests as (from, to) */
+  double mean, amplitude, frequency, phase;
+  const double (*rests)[2];
+  long resting;
+} Rock;
+
+typedef struct { /* of both palms; `off` from what is told of them, and late by `lag` */
+  Rock rocks[2];
+  double off[2], lag;
+} Rocking;
+
+typedef struct { /* what a contact must keep to, in N and m */
+  double mass, least, low, high;
+} ContactBounds;
+
+typedef struct {
+  double t, psi, omega0, r[2], s[2], angles[2], force[2];
+} Row;
 
 typedef struct {
   double h, first, second;
@@ -261,4 +281,66 @@ void plant_advance(const Scene *scene, Step *step) {
   };
   body->frame = last;
   settle_contacts(scene, body, t);
+}
+
+typedef struct {
+  double value, rate, acceleration;
+} Eased;
+
+static Eased eased(double t) {
+  if (t >= 1.0) return (Eased){1.0, 0.0, 0.0};
+  const double u = fmax(t, 0.0), left = 1.0 - u;
+  return (Eased){u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left),
+                 60.0 * u * left * (1.0 - 2.0 * u)};
+}
+
+static Eased rocked(const Rock *rock, double t) {
+  Eased w = eased(t);
+  for (long i = 0; i < rock->resting; i++) {
+    const double begin = rock->rests[i][0], end = rock->rests[i][1];
+    if (!(begin < t && t < end + 1.0)) continue;
+    const Eased out = eased(t - begin), back = eased(t - end);
+    const double v = back.value - out.value + 1.0, dv = back.rate - out.rate;
+    const double ddv = back.acceleration - out.acceleration;
+    w = (Eased){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
+  }
+  const double k = TAU * rock->frequency, s = sin(k * t + rock->phase), c = cos(k * t + rock->phase);
+  const double a = rock->amplitude;
+  return (Eased){rock->mean + a * w.value * s, a * (w.rate * s + w.value * k * c),
+                 a * (w.acceleration * s + 2.0 * w.rate * k * c - w.value * k * k * s)};
+}
+
+static Palms palms_at(const Rocking *rocking, double t) {
+  Palms palms;
+  for (int i = 0; i < 2; i++) {
+    const Eased told = rocked(&rocking->rocks[i], t);
+    palms.angles[i] = told.value + rocking->off[i];
+    palms.rates[i] = told.rate, palms.accelerations[i] = told.acceleration;
+  }
+  return palms;
+}
+
+/* Rows of a run, one before each step of `step->dt`; how many there are before a contact does not keep to it. */
+long plant_rock(const Scene *scene, Step *step, const Rocking *rocking, const ContactBounds *bounds, Row *rows,
+                long count) {
+  const Body *body = &step->body;
+  const double dt = step->dt;
+  step->end = palms_at(rocking, -rocking->lag);
+  for (long k = 0; k < count; k++) {
+    const double t = k * dt, psi = body->state.psi;
+    Row *row = &rows[k];
+    *row = (Row){.t = t, .psi = psi, .omega0 = body->state.w};
+    distances(scene, &body->frame, &body->state, row->s);
+    row->r[0] = at(scene, body->frame.out1 - psi).h, row->r[1] = at(scene, body->frame.out2 - psi).h;
+    row->force[0] = bounds->mass * body->rates.f1, row->force[1] = bounds->mass * body->rates.f2;
+    for (int i = 0; i < 2; i++) {
+      row->angles[i] = step->end.angles[i];
+      if (row->force[i] < bounds->least || !(bounds->low < row->s[i] && row->s[i] < bounds->high)) return k;
+    }
+    step->middle = palms_at(rocking, t + 0.5 * dt - rocking->lag);
+    step->end = palms_at(rocking, t + dt - rocking->lag);
+    step->t += dt;
+    plant_advance(scene, step);
+  }
+  return count;
 }

@@ -22,8 +22,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from palmd.events import PalmMotion
-from palmd.rig.compiled_plant import CompiledStep, Scene, step_of
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.compiled_plant import CompiledStep, ContactBounds, Drive, Scene, step_of
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
@@ -340,10 +340,9 @@ class Plant:
         self._frame = last
 
     def _advance_compiled(self, step: CompiledStep, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        q, (plane1, plane2) = self.state, self._planes
+        q = self.state
         after = step(
-            q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,
-            self._on1, self._on2, self.fallen, self._t, *middle.angles, *middle.rates, *middle.accelerations,
+            *self._numbers(), self._t, *middle.angles, *middle.rates, *middle.accelerations,
             *end.angles, *end.rates, *end.accelerations, dt,
         )  # fmt: skip
         q.x, q.y, q.psi, q.vx, q.vy, q.omega0, ax, ay, al, f1, f2 = after[:11]
@@ -351,6 +350,21 @@ class Plant:
         self._rates, self._frame = (ax, ay, al, f1, f2), PalmFrame._make(after[11:29])
         self._planes = (slope1, above1), (slope2, above2)
         self._on1, self._on2, self.fallen = on1 != 0.0, on2 != 0.0, fallen != 0.0
+
+    def _numbers(self) -> tuple[float, ...]:
+        """What `plant.c` calls a Body."""
+        q, (plane1, plane2) = self.state, self._planes
+        return (
+            q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,
+            self._on1, self._on2, self.fallen,
+        )  # fmt: skip
+
+    def rocked(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
+        """The rows of a run as `CompiledStep.run` has them, of a body that was placed and not moved since.
+
+        None where nothing compiled serves it.
+        """
+        return None if self._compiled is None else self._compiled.run(self._numbers(), drive, bounds, dt, count)
 
     def _follow_the_surfaces(self) -> None:
         """Where they are bowed, takes the planes that touch them where the body is nearest."""

@@ -18,7 +18,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ import numpy as np
 
 from palmd.config import Drawn
 from palmd.events import FloatArray, PalmMotion
+from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.dry_plant import on_flat_palms
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
@@ -109,7 +110,12 @@ def _eased(t: float) -> tuple[float, float, float]:
     if t >= 1.0:
         return 1.0, 0.0, 0.0
     u = max(t, 0.0)
-    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+    left = 1.0 - u
+    return (
+        u * u * u * (10.0 - 15.0 * u + 6.0 * u * u),
+        30.0 * u * u * (left * left),
+        60.0 * u * left * (1.0 - 2.0 * u),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +155,11 @@ class SimulatedRun:
     def palms_at(self, t: float) -> PalmMotion:
         """Where the palms really are at t (s): off from the plan by the rig's imperfections."""
         return self.imperfections.true_palms(self.rocking.at(t))
+
+    def drive(self, lag_s: float) -> Drive:
+        """`palms_at(t - lag_s)`, as what is compiled takes it."""
+        off = self.imperfections.true_palms(PalmMotion.at_rest((0.0,) * len(JOINTS))).angles
+        return Drive([RockNumbers(*astuple(rock)) for rock in (self.rocking.palm1, self.rocking.palm2)], off, lag_s)
 
 
 def simulate_log(
@@ -223,10 +234,16 @@ def run_of(
     lag = options.lag_s
     palms = scene.palms_at(-lag)
     plant.place(palms, psi=0.0)
+    count = round(duration_s / STEP_S) + 1
+    mass, low, high = scene.body.mass, _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M
+    least = _MIN_FORCE * mass
+    if not absences:
+        compiled = plant.rocked(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
+        if compiled is not None:
+            return compiled if len(compiled) == count else None
     rows = []
-    low, high, least = _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M, _MIN_FORCE * scene.body.mass
     away = False
-    for k in range(round(duration_s / STEP_S) + 1):
+    for k in range(count):
         t = k * STEP_S
         if any(begin <= t < end for begin, end in absences):
             away = True

@@ -198,7 +198,9 @@ MISTAKES = {
         {"p.yaml": FIRST + "  - {wait: 3}\n"},
     ),
     # ------------------------------------------------------------------------------------- logs and recordings
-    "a recording that is not there": Mistake("report none.mcap", 1, "none.mcap: No such file or directory"),
+    "a recording that is not there": Mistake(
+        "report none.mcap", 1, "none.mcap: no such file; `palmd runs FOLDER` lists what has been recorded there"
+    ),
     "a text for a recording": Mistake("report notes.txt", 1, "notes.txt: is no MCAP file", {"notes.txt": "hello\n"}),
     "a log without its first line": Mistake(
         "reconstruct run.jsonl -o r.json",

@@ -18,8 +18,8 @@ TOLD = {
     "prose": "is no MCAP file",
     "empty": "is no MCAP file",
     "magic": "is cut off before its first message: there is nothing left in it",
-    "folder": "Is a directory",
-    "none": "No such file or directory",
+    "folder": "is a folder; a run is a file in one: `palmd runs FOLDER` lists them",
+    "none": "no such file; `palmd runs FOLDER` lists what has been recorded there",
     "foreign": "is an MCAP file, but no recording of palmd",
     "eventless": "holds no palm/events",
 }

@@ -178,8 +178,8 @@ def refusal(path):
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):
-    assert refusal(tmp_path / "none.mcap") == "No such file or directory"
-    assert refusal(tmp_path) == "Is a directory"
+    assert refusal(tmp_path / "none.mcap").startswith("no such file; `palmd runs FOLDER` lists")
+    assert refusal(tmp_path).startswith("is a folder; a run is a file in one: `palmd runs ")
     (tmp_path / "log.jsonl").write_text('{"palmd_log":1}\n')
     assert refusal(tmp_path / "log.jsonl") == "is no MCAP file"
 

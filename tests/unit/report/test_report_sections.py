@@ -222,7 +222,7 @@ def draw(made):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["nothing.mcap"], "nothing.mcap: No such file or directory"),
+        (["nothing.mcap"], "nothing.mcap: no such file; `palmd runs FOLDER` lists what has been recorded there"),
         (["prose.mcap"], "prose.mcap: is no MCAP file"),
         (["RUN", "-o", "report.txt"], "report.txt: a report is .html or .pdf; name it so"),
         (["RUN", "-o", "nowhere/report.html"], "nowhere/report.html: cannot be written: there is no folder nowhere"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig import compiled_plant
+from palmd.rig import compiled_plant, simulate
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
 from palmd.rig.plant import Hinge, Plant, PlantOptions, random_surface, stable_poses
 from palmd.rig.shapes import random_body
@@ -115,8 +115,27 @@ def test_a_copy_goes_on_alike_and_by_itself():
     assert told(other) != told(copy)
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed", "rests", "imperfections", "lost"),
+    [
+        ("nominal", 1, (), PERFECT, False),
+        ("rig", 3, ((0.6, 1.1), (2.0, 2.4)), BOWED, False),
+        ("odd", 1, (), SHAKEN, False),
+        ("friction", 5, (), Imperfections(angles=(0.01, -0.02), gravity=0.004), False),
+        ("friction", 5, (), Imperfections(vibration=30.0), True),
+    ],
+)
+def test_a_whole_run_has_the_same_bits(monkeypatch, kind, seed, rests, imperfections, lost):
+    scene = simulate._draw(kind, np.random.default_rng(seed), None, None, rests, imperfections)
+    compiled = simulate.run_of(scene, 3.0, PlantOptions(), ())
+    monkeypatch.setattr(Plant, "rocked", lambda *_: None)
+    python = simulate.run_of(scene, 3.0, PlantOptions(), ())
+    assert (compiled is None) == (python is None) == lost
+    assert lost or compiled.tobytes() == python.tobytes()
+
+
 def test_without_a_compiler_python_steps_it(monkeypatch):
-    monkeypatch.setattr(compiled_plant, "_advance", lambda: None)
+    monkeypatch.setattr(compiled_plant, "_library", lambda: None)
     plant = twins(0, Hinge("arc"), PlantOptions(), PERFECT)[0]
     plant.place(AT_REST, 0.0)
     plant.advance(AT_REST, AT_REST, STEP)
