@@ -123,10 +123,6 @@ class SidedSmoother(Smoother):
             and bool((p[LENGTHS:WIDTH] > -1e-3).all() and (p[LENGTHS:WIDTH] < 0.1).all())
         )
 
-    def _eased(self, gain: float) -> float:
-        """By Nielsen's rule: where a step keeps little of its promise the next would be rejected."""
-        return max(0.2, 1.0 - (2.0 * gain - 1.0) ** 3)
-
 
 class SidedSearch:
     """One segment, as `search` has laid it out."""

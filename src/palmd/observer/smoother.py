@@ -123,7 +123,7 @@ class Smoother:
                 if fall > 0.0:
                     settled = fall < NEGLIGIBLE
                     guess, now, rejected = trial, then, 0
-                    damping = max(damping * self._eased(fall / promise), LEAST_DAMPING)
+                    damping = max(damping / 5.0, LEAST_DAMPING)
                     continue
                 near = damping <= FIRST_DAMPING and promise < LITTLE
                 settled = near and _most_on_the_way(promise, fall) < NEGLIGIBLE
@@ -133,11 +133,6 @@ class Smoother:
             guess, noise, now.cost, now.chi2, now.force_chi2, now.slack, now.strain, now.outliers, now.astray,
             count, settled, Linearised(self._residuals.record, self._known, guess, noise, now),
         )  # fmt: skip
-
-    def _eased(self, gain: float) -> float:
-        """What the damping is multiplied by after a step that has lowered the cost by `gain` times what it promised."""
-        del gain
-        return 0.2
 
     def completed(self, guess: Guess) -> Guess:
         """The guess as it is, or carried on by the model where it has fewer nodes than the record."""

@@ -19,7 +19,7 @@ from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residu
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, LAST, Candidate, SidedSearch, SidedSmoother, Stage, followed
+from palmd.observer.sided import CALM, FINE, LAST, Candidate, SidedSearch, Stage, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -149,14 +149,6 @@ def test_what_explains_the_readings_is_iterated_until_it_settles():
     _, as_it_is = search.refined(search._fitted(search.record, (), guess))
     assert len(as_it_is.record.t) == len(search.record.t)
     assert search.iterations[-1] > 114
-
-
-@pytest.mark.parametrize(("gain", "eased"), [(1.8, 0.2), (1.0, 0.2), (0.5, 1.0), (0.05, 1.729)])
-def test_damping_is_eased_by_as_much_as_a_step_keeps_of_its_promise(gain, eased):
-    run = simulated("friction", 3, 1.0)
-    record = Search(longest_segment(run.events), run.rig).record
-    smoother = SidedSmoother(sharp.library_for(1), record, Prior(np.zeros(1), np.zeros(1), 1.0))
-    assert smoother._eased(gain) == pytest.approx(eased)
 
 
 def test_sides_that_there_are_not_may_be_left_out_of_the_kernels():
