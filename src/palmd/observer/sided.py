@@ -45,7 +45,7 @@ SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 HOPELESS = 5.0  # cost for each reading of a ride, on a wide side, that narrower ones will not bring down
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS, MOST_ITERATIONS = 25, 30, 150  # the most: of what explains the readings already
+ITERATIONS, LAST_ITERATIONS = 25, 30
 MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
 MOST_ASTRAY = 20  # readings in a row that are missed: more is no rocking after a jump
 MOST_PER_READING, SURPRISE = 1.25, 60.0  # that the deviance may rise by while the window grows
@@ -281,7 +281,7 @@ class SidedSearch:
         record = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
         guess = candidate.fit.guess
         yield self._fitted(record, candidate.sides, guess.on(candidate.record.t, record.t), LAST, LAST_ITERATIONS)
-        yield self._fitted(candidate.record, candidate.sides, guess, FINE, MOST_ITERATIONS)
+        yield self._fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
 
     def posterior(self, candidate: Candidate) -> Posterior:
         """How sure it is of itself; raises LinAlgError where it is no minimum."""
