@@ -49,7 +49,9 @@ def test_zero_and_scale():
 
 def test_newtons_per_count():
     plan, rests = tipping_plan(RADIUS_M, LIMITS, ROUNDS)
-    found = [pad_forces(heard(plan, seed), CONFIGURED, 9.81 * MASS_KG, rests) for seed in range(SEEDS)]
+    found = [
+        pad_forces(heard(plan, seed), CONFIGURED, 9.81 * MASS_KG, rests, radius_m=RADIUS_M) for seed in range(SEEDS)
+    ]
     pads = [(pad, real) for each in found for pad, real in zip(each.pads, REAL, strict=True)]
     gain = np.array([pad.newtons_per_count / real.newtons_per_count - 1.0 for pad, real in pads]) * 100
     sd = np.array([pad.newtons_per_count_sd / pad.newtons_per_count for pad, _ in pads]) * 100

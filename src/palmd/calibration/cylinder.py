@@ -9,6 +9,8 @@ where T is the friction that holds it up on either palm. Nothing tells T, but it
 own moment (T1 + T2)·R must vanish. So the difference of the two forces knows nothing of friction:
 
     N1 − N2 = m·g·cos β/cos(φ2/2),    β = φ1 + φ2/2 the direction of the V's middle line.
+
+Palms that are arcs press as flat ones that lie as their tangents at the contacts (`lying`).
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
-from palmd.system.arcs import FLAT, opening_at
+from palmd.system.arcs import FLAT, opening_at, tangents
 from palmd.system.mechanism import PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
@@ -44,6 +46,7 @@ _TIPS = 4
 _LEAST_SHARE = 0.15  # of the weight that either palm must bear
 _OPENINGS = (math.radians(70.0), math.radians(90.0), math.radians(110.0))
 _HOLD_S = 1.0
+_FINE = 256  # openings among which those of the tangents are sought
 _SHORTEST_S = 0.6
 _SPOILT = 6.0  # scaled median deviations
 _WHOLE = 0.02  # what undoing the configuration may leave beyond whole counts
@@ -81,6 +84,11 @@ def contacts_m(radius_m: float, phi2: FloatArray, curvatures: Sequence[float] = 
         return np.stack([contact_m(radius_m, phi2)] * len(PALMS))
     still = np.zeros(len(phi2))
     return contacts_on_arcs(np.array([radius_m]), still, phi2, still, curvatures)
+
+
+def lying(radius_m: float, phi1: FloatArray, phi2: FloatArray, curvatures: Sequence[float]) -> tuple[FloatArray, ...]:
+    """φ1, φ2 (rad) of flat palms that lie as arcs of these curvatures (1/m) do where a disc touches them."""
+    return tangents((phi1, phi2), contacts_m(radius_m, phi2, curvatures), curvatures)
 
 
 def normal_forces(weight_n: float, phi1: FloatArray, phi2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -141,11 +149,13 @@ def tipping_plan(radius_m: float, limits: MotionLimits, rounds: int) -> tuple[di
     low, high = opening_range(radius_m, limits)
     if low >= high:
         raise CylinderError(_too_little(radius_m, limits, 0.0))
-    narrow, middle, wide = (min(max(phi2, low), high) for phi2 in _OPENINGS)
+    openings = np.linspace(low, high, _FINE)
+    _, opened = lying(radius_m, np.zeros(_FINE), openings, limits.curvatures)
+    narrow, middle, wide = np.interp(_OPENINGS, opened, openings).tolist()
     poses: list[Angles] = []
     rests = set[int]()
     for phi2 in (narrow, middle, wide, middle):
-        least, most = _tipped(phi2, limits)
+        least, most = _tipped(radius_m, phi2, limits)
         room = max(most - least, 0.0)
         if room < _TIP:
             raise CylinderError(
@@ -177,14 +187,15 @@ def _within(phi1: float, phi2: float, limits: MotionLimits) -> float:
     return max(min(phi1, most), limits.angles[0][0] + _ROOM)
 
 
-def _tipped(phi2: float, limits: MotionLimits) -> tuple[float, float]:
+def _tipped(radius_m: float, phi2: float, limits: MotionLimits) -> tuple[float, float]:
     """The range of phi1 in which either palm bears its least share of the weight.
 
     It ends where a force is largest (φ12 or φ1 upright): beyond, that force would be come to from below both ways.
     """
-    edge = math.asin(_LEAST_SHARE * math.sin(phi2))
-    least, most = max(edge, math.pi / 2.0 - phi2), min(math.pi - phi2 - edge, math.pi / 2.0)
-    return _within(least, phi2, limits), _within(most, phi2, limits)
+    turned, opened = (float(angle[0]) for angle in lying(radius_m, np.zeros(1), np.array([phi2]), limits.curvatures))
+    edge = math.asin(_LEAST_SHARE * math.sin(opened))
+    least, most = max(edge, math.pi / 2.0 - opened), min(math.pi - opened - edge, math.pi / 2.0)
+    return _within(least - turned, phi2, limits), _within(most - turned, phi2, limits)
 
 
 def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:

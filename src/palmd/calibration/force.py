@@ -15,7 +15,7 @@ from palmd.calibration import cylinder_session
 from palmd.calibration.cylinder import tipping_plan
 from palmd.calibration.files import writable
 from palmd.calibration.pad_force import LEAST_ROUNDS, Forces, pad_forces
-from palmd.console.configured import with_flat_palms
+from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED
 from palmd.motion.check import motion_limits
 from palmd.system.mechanism import PALMS
@@ -42,15 +42,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    config = with_flat_palms(arguments.config, "the tipped cylinder")
+    config, radius_m = configured(arguments.config), arguments.radius_mm * 1e-3
     limits = motion_limits(config)
     weight_n = arguments.mass_g * 1e-3 * config.rig.gravity_m_s2
     with cylinder_session.ending(BAD_INPUT):
-        plan, rests = tipping_plan(arguments.radius_mm * 1e-3, limits, arguments.rounds)
+        plan, rests = tipping_plan(radius_m, limits, arguments.rounds)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     events = cylinder_session.heard(arguments, config, plan)
     with cylinder_session.ending(RIG_FAILED):
-        found = pad_forces(events, cylinder_session.pads(config), weight_n, rests)
+        pads, curvatures = cylinder_session.pads(config), config.rig.curvatures_per_m
+        found = pad_forces(events, pads, weight_n, rests, radius_m=radius_m, curvatures=curvatures)
     print(table(found))
     for remark in remarks(found):
         print(remark, file=sys.stderr)

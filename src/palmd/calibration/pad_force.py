@@ -19,14 +19,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.calibration.cylinder import CylinderError, CylinderReadings, normal_forces, readings
+from palmd.calibration.cylinder import CylinderError, CylinderReadings, lying, normal_forces, readings
 from palmd.config import PadConfig
 from palmd.events import Event, FloatArray
+from palmd.system.arcs import FLAT
 
 LEAST_ROUNDS = 2
 
@@ -70,7 +71,10 @@ class Forces:
 
 @dataclass(frozen=True, slots=True)
 class _Rests:
-    """Of n rests: mean pressures of each pad (2, n) in counts, the first palm's angle and the opening (n) in rad."""
+    """Of n rests: mean pressures of each pad (2, n) in counts, the first palm's angle and the opening (n) in rad.
+
+    Of palms that are arcs the angles come to be those of their tangents.
+    """
 
     counts: FloatArray
     first: FloatArray
@@ -83,13 +87,24 @@ class _Rests:
         return _Rests(self.counts[:, some], self.first[some], self.opening[some])
 
 
-def pad_forces(events: Iterable[Event], configs: tuple[PadConfig, ...], weight_n: float, poses: int) -> Forces:
+def pad_forces(
+    events: Iterable[Event],
+    configs: tuple[PadConfig, ...],
+    weight_n: float,
+    poses: int,
+    *,
+    radius_m: float,
+    curvatures: Sequence[float] = FLAT,
+) -> Forces:
     """Both pads from at least LEAST_ROUNDS rounds of so many poses; `configs` are those the daemon ran with.
 
-    Raises CylinderError for readings that do not suffice.
+    The cylinder's radius tells how palms of these curvatures (1/m) lie where it touches them. Raises CylinderError for
+    readings that do not suffice.
     """
     pads = readings(events, configs)
     rests = _rests(*pads)
+    first, opening = lying(radius_m, rests.first, rests.opening, curvatures)
+    rests = replace(rests, first=first, opening=opening)
     rounds = round(len(rests) / poses)
     if rounds < LEAST_ROUNDS or len(rests) < LEAST_ROUNDS * poses - poses // 4:
         raise CylinderError(

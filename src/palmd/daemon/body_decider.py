@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
 from palmd.model.icosphere import icosphere
-from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyExplorer
+from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyDraws, BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
 from palmd.motion.decisions import Decision
@@ -18,6 +18,7 @@ HALVINGS = 3  # of the directions that are counted: 642
 TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
 FELT_N = 0.05  # that a pad surely feels
 CAREFUL = 2.0  # times the force, while a body is not claimed
+STRIDE_RAD_S, SHORT_RAD_S = 0.8, 0.35  # that strides turn a body by: which is claimed, and which is not
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -68,7 +69,9 @@ class BodyDecider:
             return Decision("safe", None, "", coverage, 1.0)
         least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
         seen = touched | explorer.covered(foreseen.normals)
-        move = explorer.decide(foreseen.after, seen, least if outlook.claimed else CAREFUL * least)
+        drawn = BodyDraws.of(outlook.p, outlook.covariance, self._random)
+        least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, SHORT_RAD_S)
+        move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
         return Decision("move", move, "", coverage, 1.0)

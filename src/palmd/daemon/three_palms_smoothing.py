@@ -16,7 +16,7 @@ from palmd.events import Event
 from palmd.system.three_palms import BodyAnswer, PadPlane, ThreePalmsRig
 from palmd.three_palms_messages import shaped
 
-PERIOD_S = 0.4  # of looking whether it has thought
+PERIOD_S = 0.2  # of looking whether it has thought
 SWITCH_S = 5e-4  # between its threads: what comes must not wait for what is thought
 _NAMES = tuple(each.name for each in fields(BodyAnswer))
 

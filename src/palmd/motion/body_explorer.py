@@ -36,8 +36,28 @@ SLOWER, SLOWLY = 0.2, 1.5  # share of the moves that take longer than they must,
 SHORTEST_S = 0.15
 # A move is tried again from so many bearings about those known, off by these one-sigmas, and so long of standing after.
 SAMPLES, OFF_RAD, OFF_RAD_S, STAND_S = 8, 0.03, 0.2, 0.3
+BODIES = 4  # that are drawn for it from what is believed
+PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
+SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
+SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
 
 Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class BodyDraws:
+    """N bodies as they may be: turns from the rotation (N, 3), off the spin (N, 3) (rad/s), parameters (N, m)."""
+
+    turn: FloatArray
+    spin: FloatArray
+    p: FloatArray
+
+    @classmethod
+    def of(cls, p: FloatArray, covariance: FloatArray, random: np.random.Generator) -> BodyDraws:
+        """`BODIES` of a belief about turn, spin and parameters (6 + m, 6 + m) whose mean has these parameters (m,)."""
+        variance, axes = np.linalg.eigh(covariance)
+        off = random.normal(size=(BODIES, len(variance))) * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+        return cls(off[:, :3], off[:, 3:6], p + off[:, 6:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +97,23 @@ class BodyExplorer:
         self._been: list[FloatArray] = []
         self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
         self._low, self._high = np.array(limits.angles).T
-        self._least_force = LEAST_FORCE
+        self._least_force, self._most_rad_s = LEAST_FORCE, math.inf
 
     def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
         cosines = self._directions @ normals.reshape(-1, 3).T
         return np.asarray((cosines > math.cos(within)).any(axis=1), np.bool_)
 
-    def decide(self, now: Bearings, touched: Bools, least_force: float = LEAST_FORCE) -> Move | None:
+    def decide(
+        self, now: Bearings, touched: Bools, least_force: float = LEAST_FORCE, drawn: BodyDraws | None = None,
+        *, most_rad_s: float = math.inf,
+    ) -> Move | None:  # fmt: skip
         """The next move from `now` (of one); None where every one that was tried might lose the body.
 
-        least_force: that every palm is to bear on the way (m/s²).
+        least_force: that every palm is to bear on the way (m/s²). drawn: all of these bodies are to be held.
+        most_rad_s: that strides turn the body by in the mean, the time of a decision counted.
         """
-        self._least_force = least_force
+        self._least_force, self._most_rad_s = least_force, most_rad_s
         self._been.append(now.R[0])
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         planned: _MoveSequence | None = root
@@ -104,22 +128,30 @@ class BodyExplorer:
         else:
             found.sort(key=lambda each: -each.value)
         best = list(dict.fromkeys(each.moves[0] for each in found))
-        at_once = COLUMNS // SAMPLES
-        tried = (self._surely_held(now, best[k : k + at_once]) for k in range(0, len(best), at_once))
+        draws = _sure(self._foresight.known) if drawn is None else drawn
+        at_once = COLUMNS * len(draws.p) // SAMPLES
+        tried = (self._surely_held(now, best[k : k + at_once], draws) for k in range(0, len(best), at_once))
         move = next((each for each in tried if each is not None), None)
         self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
         return move
 
-    def _surely_held(self, now: Bearings, moves: Sequence[Move]) -> Move | None:
-        """The first of the moves that keeps the body from all bearings that may be; palms stand for a while after."""
-        n = SAMPLES * len(moves)
-        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        begin = Bearings(rotation.exp(off) @ now.R, now.omega + spun, np.repeat(now.joints, n, axis=0))
-        ends = np.repeat([move.end for move in moves], SAMPLES, axis=0)
-        durations = np.repeat([move.duration for move in moves], SAMPLES)
-        foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S)
-        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-        held = np.asarray(safe.reshape(-1, SAMPLES).all(axis=1))
+    def _surely_held(self, now: Bearings, moves: Sequence[Move], draws: BodyDraws) -> Move | None:
+        """The first of the moves that keeps the body, whichever it is, from all bearings that may be.
+
+        Palms stand for a while after it.
+        """
+        each = SAMPLES // len(draws.p)
+        n, held = each * len(moves), np.ones(len(moves), np.bool_)
+        ends = np.repeat([move.end for move in moves], each, axis=0)
+        durations = np.repeat([move.duration for move in moves], each)
+        for turn, spin, p in zip(draws.turn, draws.spin, draws.p, strict=True):
+            off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+            turned = rotation.exp(off) @ (rotation.exp(turn) @ now.R)
+            begin = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
+            foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
+            safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            held &= safe.reshape(-1, each).all(axis=1)
         return next((move for move, sure in zip(moves, held.tolist(), strict=True) if sure), None)
 
     def _grown(
@@ -139,12 +171,16 @@ class BodyExplorer:
             PEAK_RATE * way / self._limits.rate, np.sqrt(PEAK_ACCELERATION * way / self._limits.acceleration)
         )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
+        if math.isfinite(self._most_rad_s):
+            longer = self._random.uniform(1.0, SLOWEST, COLUMNS)
         durations = np.maximum(least * longer, SHORTEST_S)
         if follows:
             durations[0] = then[0].duration
         foreseen = self._foresight.of(begin, ends, durations)
         found: dict[int, _MoveSequence] = {}
-        for k in np.flatnonzero(self._safe(foreseen)).tolist():
+        turned = _chords(foreseen.after.R, begin.R)
+        safe = self._safe(foreseen) & (turned < self._most_rad_s * (durations + DECISION_S))
+        for k in np.flatnonzero(safe).tolist():
             parent, after = parents[k], foreseen.after.some(np.array([k]))
             seen = parent.touched | self.covered(foreseen.normals[k])
             seconds = parent.seconds + float(durations[k])
@@ -155,7 +191,7 @@ class BodyExplorer:
         return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
 
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
-        slow = foreseen.spin < MOST_SPIN
+        slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 
     def _novelty(self, rotation: FloatArray) -> float:
@@ -180,8 +216,13 @@ class BodyExplorer:
 
 
 def _chords(rotations: FloatArray, other: FloatArray) -> FloatArray:
-    """(N,) how far rotations (N, 3, 3) are from another: about the angle between them (rad) where that is small."""
+    """(N,) how far rotations (N, 3, 3) are from others: about the angle between them (rad) where that is small."""
     return np.asarray(np.sqrt(0.5 * ((rotations - other) ** 2).sum(axis=(1, 2))))
+
+
+def _sure(p: FloatArray) -> BodyDraws:
+    """A body that is known."""
+    return BodyDraws(np.zeros((1, 3)), np.zeros((1, 3)), p[None])
 
 
 def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:

@@ -60,22 +60,30 @@ class BodyForesight:
         sizes = (9, 3, MOVE_INPUTS)
         self._R, self._omega, self._move = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
-        self._p = np.array(p, np.float64)
+        self._known, self._p = np.array(p, np.float64), np.array(p, np.float64)
         inputs = [self._R, self._omega, self._move, self._p, np.array([gravity])]
         outputs = [self._R_after, self._omega_after, self._told]
         self._step = body_rollout.library(order).bind("step_columns", inputs, outputs)
 
     def learn(self, p: FloatArray) -> None:
         """Go by these parameters from now on."""
-        self._p[:] = p
+        self._known = np.array(p, np.float64)
+
+    @property
+    def known(self) -> FloatArray:
+        """The parameters that it goes by."""
+        return self._known
 
     def of(
-        self, begin: Bearings, ends: FloatArray, durations: FloatArray, elapsed: float = 0.0, stand: float = 0.0
-    ) -> ForeseenMoves:
+        self, begin: Bearings, ends: FloatArray, durations: FloatArray, elapsed: float = 0.0, stand: float = 0.0,
+        p: FloatArray | None = None,
+    ) -> ForeseenMoves:  # fmt: skip
         """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s.
 
         elapsed: for how long they have been under way when the body is so (s). stand: what the palms stand after (s).
+        p: parameters to go by this time.
         """
+        self._p[:] = self._known if p is None else p
         n = len(ends)
         steps = np.maximum(np.ceil((durations - elapsed + stand) / STEP_S - 1e-9).astype(np.intp), 1)
         self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)

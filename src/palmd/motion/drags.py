@@ -5,7 +5,9 @@ dz < 0 it turns by dz/e and slips by u = Ẋ + z ω0; friction trails (u e < 0),
 against e by more than z |ż/e|. So each drag goes down while it drags inwards, by steps that are small against e, which
 the pad tells. Raised, friction trails anyway while the arm goes back by less than z ż/|e|. It turns back before the
 dead centre (e small), before the end of the pad, and where the force comes near its limit or to nothing. A side is done
-when it was followed down and up; then the body is lifted off for somebody to tilt it to the other side.
+when it was followed down and up; then the body is lifted off for somebody to tilt it to the other side: in one go, and
+as fast as the arm may, for whatever stands short of the dead centre presses by 1/e, and what gravity cannot turn as
+fast as the pivot rises presses no more.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from palmd.system.pivot import Touching
 Phase = Literal["lift", "turn", "seek", "settle", "down", "up", "roll"]
 
 APPROACH_M_S = 0.015  # in the air
+BEGIN_SHARE = 0.25  # of the pad, from its end to where the gripper comes down; a body reaches ahead of its pivot
 STROKE_M, STROKE_RATIO = 0.012, 10.0  # towards the pad: dragged inwards, and lowered by so much less
-LIFT_M_S, AWAY_M, AWAY_M_S = 0.003, 0.012, 0.02  # while it touches, dragged by so much; and then
+LIFTED_M, AWAY_M_S = 0.016, 0.02  # while it touches: so far that it is fast soon, and leaves the pad; and then
 RAISED_M = 2e-4  # on the way back to the next stroke: more than a tilted or bowed pad rises over one
 NEAR_M = 9e-3  # above the highest place that the body touched at, from where on strokes seek it: its other side differs
 CLEAR_M = 6e-3  # by which a body is lifted off for somebody to turn it
@@ -37,10 +40,12 @@ LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a 
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
 # Of the limit, what the force may be foreseen to come to; it is seen late, and lowering goes on as long.
 FORESEEN_SHARE, SEEN_LATE_S, FADING = 0.75, 0.08, 0.9
+RAISED_SHARE = 0.6  # the same where a lift begins, which needs a run-up: beyond, the lever may shorten to nothing
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
 LEAST_STEP_M = 1e-4
+SETTLED_S = 0.1  # at rest, after which what is felt is of where it stands
 SILENT_S = 0.4  # of the pad, after which the body is taken to have left it
 ROUNDS = 3  # of both sides, before it is given up that anything more is told
 _LEAST_S = 0.12
@@ -76,8 +81,13 @@ class Drags:
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
         self._torque = 0.0  # about the pivot, that the pad gave at the last steps (N m)
+        self._least_torque, self._torque_lost = math.inf, 0.0  # since the last step, and how much less that is by step
+        self._weak = 0.0  # the least of the last step
+        self._z_felt = -math.inf  # where the body was felt last
+        self._z_begun = -math.inf  # where it was set down: up to there a way up is known
         self._most = 0.0  # largest |e| of this touch
         self._retreat = False
+        self._t_rest = math.inf  # since when the arm stands
 
     @property
     def coverage(self) -> float:
@@ -90,19 +100,26 @@ class Drags:
             self.phase = "settle"
             self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
             self._before, self._slope, self._most = None, 0.0, 0.0
-            self._torque = 0.0
+            self._torque, self._least_torque, self._weak, self._torque_lost = 0.0, math.inf, 0.0, 0.0
+            self._z_felt = self._z_begun = felt.z
             return DragStep("halt", reason="the body touches")
         if self.phase in ("down", "up", "settle", "roll") and not felt.touching:
             return self._silence(felt.t, resting)
         self._t_silent = math.inf
+        if felt.touching:
+            self._z_felt = felt.z
+            torque = felt.force * abs(felt.e)
+            self._torque, self._least_torque = max(self._torque, torque), min(self._least_torque, torque)
         if self.phase == "down" and not resting and (why := self._warning(felt)):
             self._note(why)
             self._retreat = True
             self.phase = "up"
             self._ends.add((self._side, "low"))
             return DragStep("halt", reason=f"turns back: {why}")
+        self._t_rest = min(self._t_rest, felt.t) if resting else math.inf
         if not resting:
-            return WAIT
+            lifted = self.phase == "lift" and not felt.touching and felt.z > self._clear
+            return DragStep("halt") if lifted else WAIT
         return self._next(felt, here)
 
     def _silence(self, t: float, resting: bool) -> DragStep:
@@ -113,7 +130,7 @@ class Drags:
         if not resting or t < self._t_silent + SILENT_S:
             return WAIT
         self._t_silent = math.inf
-        if self.phase == "up":  # it presses less and less, until the pad feels nothing
+        if self.phase == "up" and self._z_felt > self._z_begun:  # it presses less and less, until nothing is felt
             self._ends.add((self._side, "high"))
             self._wanted = -self._side
             return self._go("lift", "this side is done: the body was raised off the pad")
@@ -141,15 +158,17 @@ class Drags:
 
     def _lift(self, felt: Touching, here: Angles) -> DragStep:
         _, (_, top) = self._limits.angles
-        if here[1] >= top:
-            return DragStep("done", reason="there is no room to lift the body off: raise limits.z_mm")
-        if felt.touching:  # in one go and dragged inwards: at rest near the dead centre it would press hard
-            end = (here[0] - math.copysign(AWAY_M, felt.e), here[1] + CLEAR_M)
-            dragged = math.isfinite(felt.e) and not self._off(end, felt.e)
-            return self._moved(here, end if dragged else (here[0], end[1]), LIFT_M_S)
+        if felt.touching:
+            if here[1] >= top:
+                return DragStep("done", reason="there is no room to lift the body off: raise limits.z_mm")
+            return self._moved(here, (here[0], here[1] + LIFTED_M), self._limits.rate)
         self.phase, self._t_turned = "turn", felt.t + TURN_S
-        clear = max(here[1] + CLEAR_M, self._z_touch + NEAR_M)  # tilted anew, it may reach as far down as it ever did
-        return self._moved(here, (here[0], clear), AWAY_M_S)
+        return self._moved(here, (here[0], max(here[1], self._clear)), AWAY_M_S)
+
+    @property
+    def _clear(self) -> float:
+        """The height (m) at which a hand may turn the body: tilted anew, it may reach as far down as it ever did."""
+        return max(self._z_felt + CLEAR_M, self._z_touch + NEAR_M)
 
     def _turn(self, felt: Touching, here: Angles) -> DragStep:
         start = self._start_of(self._wanted)
@@ -179,7 +198,7 @@ class Drags:
 
     def _start_of(self, side: float) -> float:
         (low, high), _ = self._limits.angles
-        end = 0.22 * self._limits.pad_length
+        end = BEGIN_SHARE * self._limits.pad_length
         return min(max(self._limits.pad_length - end if side > 0 else end, low), high)
 
     # ---- on the pad --------------------------------------------------------------------------------------
@@ -202,11 +221,13 @@ class Drags:
             return DragStep("wait", reason=f"turns back: {why}")
         self._learn(felt)
         lower = self._stride(felt, -1.0)
-        if self._foreseen(felt, -lower) > FORESEEN_SHARE * self._limits.force:
-            self._note(_HARD)
+        hard = self._foreseen(felt, -lower) > FORESEEN_SHARE * self._limits.force
+        if hard or self._left(felt, -lower) < LEAST_FORCE_N:
+            why = _HARD if hard else _LIGHT
+            self._note(why)
             self._ends.add((self._side, "low"))
             self.phase, self._retreat = "up", True
-            return DragStep("wait", reason=f"turns back: {_HARD}")
+            return DragStep("wait", reason=f"turns back: {why}")
         end = (here[0] - self._side * TRAIL * felt.z * lower / abs(felt.e), here[1] - lower)
         if why := self._off(end, felt.e):
             self._note(why)
@@ -216,17 +237,19 @@ class Drags:
         return self._moved(here, end, DOWN_M_S)
 
     def _up(self, felt: Touching, here: Angles) -> DragStep:
-        if not math.isfinite(felt.e):
+        known = self._z_begun - felt.z  # it was followed down from there
+        if not math.isfinite(felt.e) or (known <= 0.0 and felt.t < self._t_rest + SETTLED_S):
             return WAIT
         self._learn(felt)
-        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), self._height_left(felt))
+        left = max(self._height_left(felt), known)
+        higher = min(RETREAT_M if self._retreat else self._stride(felt, 1.0), left)
         back = 0.0 if self._retreat else BACK * felt.z * higher / abs(felt.e)
         end = (here[0] + self._side * back, here[1] + higher)
         warned = "" if self._retreat else self._warning(felt)
         # the higher, the shorter the lever: it leans on the top
-        hard = warned == _HARD or self._foreseen(felt, higher) > FORESEEN_SHARE * self._limits.force
+        hard = warned == _HARD or self._foreseen(felt, higher) > RAISED_SHARE * self._limits.force
         presses = hard and self._slope < 0.0
-        falling = higher < LEAST_STEP_M or warned in (_LEVER, _LIGHT) or presses
+        falling = presses or left < LEAST_STEP_M or (known <= 0.0 and warned in (_LEVER, _LIGHT))
         self._retreat = False
         if self._off(end, felt.e) and not falling:
             end = (here[0], end[1])
@@ -279,6 +302,8 @@ class Drags:
             self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
         self._before = felt.z, square
         self._torque = max(FADING * self._torque, felt.force * abs(felt.e))  # as before where no force is told
+        self._torque_lost = max(self._weak - self._least_torque, 0.0)
+        self._weak, self._least_torque = self._least_torque, math.inf
 
     def _foreseen(self, felt: Touching, dz: float) -> float:
         """The force (N) that the body will press with when it stands, raised by dz (m).
@@ -286,8 +311,18 @@ class Drags:
         At rest no friction helps any more, and the pad gives by F e a torque that hardly changes. What is felt on the
         way is less by what friction gives: so the largest of the last steps counts.
         """
-        square = max(felt.e**2 + self._slope * dz, (0.5 * LEAST_LEVER_M) ** 2)
-        return max(self._torque, felt.force * abs(felt.e)) / math.sqrt(square)
+        return max(self._torque, felt.force * abs(felt.e)) / self._lever(felt, dz)
+
+    def _left(self, felt: Touching, dz: float) -> float:
+        """The force (N) that is left on the way, raised by dz (m).
+
+        The torque falls evenly as the centre of mass comes to hang below the pivot, where the body swings off the pad.
+        """
+        return (self._weak - self._torque_lost) / self._lever(felt, dz)
+
+    def _lever(self, felt: Touching, dz: float) -> float:
+        """|e| (m), raised by dz (m)."""
+        return math.sqrt(max(felt.e**2 + self._slope * dz, (0.5 * LEAST_LEVER_M) ** 2))
 
     def _warning(self, felt: Touching) -> str:
         """Why the body must not be lowered farther; empty when it may."""

@@ -151,11 +151,11 @@ class BodyEstimate(LiveEstimate):
 class BodyOutlook:
     """What is known of a body at time `t` (s), for choosing motions.
 
-    R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`. touched: which of the
-    directions lie within 4 degrees of where a palm has been until the smoother's answer; since: (K, 3 palms, 3) outward
-    normals in the body where it has been touched after that. `begun` (s) tells frames of the body apart: each record
-    has its own. What is not `claimed` agrees with the readings, and is not known to be right. mass: kg, NaN where no
-    force was read.
+    R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m)
+    of turns in the world, omega and p. touched: which of the directions lie within 4 degrees of where a palm has been
+    until the smoother's answer; since: (K, 3 palms, 3) outward normals in the body where it has been touched after
+    that. `begun` (s) tells frames of the body apart: each record has its own. What is not `claimed`, or contradicted a
+    little since, is not known to be right. mass: kg, NaN where no force was read.
     """
 
     t: float
@@ -166,6 +166,7 @@ class BodyOutlook:
     R: FloatArray
     omega: FloatArray
     p: FloatArray
+    covariance: FloatArray
     touched: npt.NDArray[np.bool_]
     since: FloatArray
 

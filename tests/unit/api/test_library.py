@@ -93,7 +93,7 @@ def test_what_is_no_log_is_refused_where_it_is_opened(tmp_path, text):
     (tmp_path / "x.jsonl").write_text(text)
     with pytest.raises(palmd.PalmdError, match=r"x\.jsonl:1: "):
         palmd.open(tmp_path / "x.jsonl")
-    with pytest.raises(palmd.PalmdError, match="No such file"):
+    with pytest.raises(palmd.PalmdError, match="no such file"):
         palmd.open(str(tmp_path / "none.mcap"))
 
 

@@ -12,7 +12,9 @@ from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, normal_forces, tipping_plan
 from palmd.calibration.pad_force import pad_forces
+from palmd.config import LimitsConfig
 from palmd.events import PadSample, PalmSample
+from palmd.motion.limits import MotionLimits
 from palmd.rig.pads import PadOptions
 
 RADIUS_M, MASS_KG = 0.02, 0.1
@@ -21,8 +23,13 @@ FINE = tuple(pad.model_copy(update={"newtons_per_count": 1e-4}) for pad in CONFI
 TRUE = tuple(pad.model_copy(update={"newtons_per_count": gain}) for pad, gain in zip(FINE, (8e-5, 1.2e-4), strict=True))
 
 
-def poses(rounds):
-    plan, rests = tipping_plan(RADIUS_M, LIMITS, rounds)
+def arc_limits(curvatures):
+    limits = LimitsConfig(phi1_deg=(-10.0, 110.0), phi2_deg=(88.0, 165.0))
+    return MotionLimits.from_config(limits, pad_length=0.0555, curvatures=curvatures)
+
+
+def poses(rounds, limits=LIMITS):
+    plan, rests = tipping_plan(RADIUS_M, limits, rounds)
     segments = plan["segments"]
     found = [before["move"] for before, rest in itertools.pairwise(segments) if "hold_s" in rest]
     assert len(found) == rests
@@ -37,16 +44,47 @@ def balanced(phi1_deg, phi2_deg, held):
     return np.linalg.solve(n, np.array([0.0, WEIGHT_N]) - held * along)
 
 
-def rested(rounds=2, *, held=lambda _: 0.0, offset_n=(0.0, 0.0), creep=0.0, change=lambda events: events):
-    """Events of rests one second long; `held` draws each one's friction as a share of the smaller force."""
+def on_arcs(phi1_deg, phi2_deg, radii):
+    """N1, N2 on cradles of these radii (m): both push the cylinder's axis towards their arcs' centres."""
+    phi1, phi12 = math.radians(phi1_deg), math.radians(phi1_deg + phi2_deg)
+    centres = (
+        np.array([[-math.sin(phi1), math.cos(phi1)], [math.sin(phi12), -math.cos(phi12)]]) * np.array(radii)[:, None]
+    )
+    away, between = np.array(radii) - RADIUS_M, centres[1] - centres[0]
+    apart = np.linalg.norm(between)
+    along = (apart**2 + away[0] ** 2 - away[1] ** 2) / (2.0 * apart)
+    across = math.sqrt(away[0] ** 2 - along**2)
+    axis = centres[0] + (along * between + across * np.array([between[1], -between[0]])) / apart
+    assert np.linalg.norm(axis) < min(radii), "between the pads, not beyond their ends"
+    pushed = (centres - axis) / away[:, None]
+    return np.linalg.solve(pushed.T, [0.0, WEIGHT_N])
+
+
+def rested(
+    rounds=2,
+    *,
+    held=lambda _: 0.0,
+    offset_n=(0.0, 0.0),
+    creep=0.0,
+    change=lambda events: events,
+    radii=None,
+    believed=(0.0, 0.0),
+):
+    """Events of rests one second long; `held` draws each one's friction as a share of the smaller force.
+
+    On cradles of these `radii` (m), the limits and the evaluation going by `believed` curvatures (1/m).
+    """
     rng = np.random.default_rng(3)
     events, t = [], 100.0
-    pose_list, rests = poses(rounds)
+    pose_list, rests = poses(rounds, LIMITS if radii is None else arc_limits(believed))
     for number in range(rounds * rests):
         phi1_deg, phi2_deg = pose_list[number % rests]
         if number % rests == 0:
             gains = 1.0 + creep * rng.standard_normal(2)
-        forces = balanced(phi1_deg, phi2_deg, held(rng) * WEIGHT_N * min(share(phi1_deg, phi2_deg)))
+        if radii is None:
+            forces = balanced(phi1_deg, phi2_deg, held(rng) * WEIGHT_N * min(share(phi1_deg, phi2_deg)))
+        else:
+            forces = on_arcs(phi1_deg, phi2_deg, radii)
         angles = (math.radians(phi1_deg), math.radians(phi2_deg))
         for k in range(100):
             events.append(PalmSample(t + 0.01 * k, angles, (0.0, 0.0), (0.0, 0.0)))
@@ -58,7 +96,7 @@ def rested(rounds=2, *, held=lambda _: 0.0, offset_n=(0.0, 0.0), creep=0.0, chan
             events.append(PalmSample(t + 1.0 + 0.01 * k, angles, (0.3, 0.0), (0.0, 0.0)))
             events += [PadSample(t + 1.0 + 0.01 * k, pad, 0.028, FINE[0].newtons_per_count) for pad in (1, 2)]
         t += 1.5
-    return pad_forces(change(events), FINE, WEIGHT_N, rests)
+    return pad_forces(change(events), FINE, WEIGHT_N, rests, radius_m=RADIUS_M, curvatures=believed)
 
 
 def refused(**made):
@@ -90,6 +128,13 @@ def test_friction_that_nobody_knows_changes_nothing(held):
     assert min(found.pads[0].share_left, found.pads[1].share_left) > 0.1
 
 
+@pytest.mark.parametrize("radii", [(0.075, 0.075), (0.09, 0.065)])
+def test_palms_that_are_arcs_are_weighed_by_their_tangents(radii):
+    found = rested(radii=radii, believed=tuple(1.0 / radius for radius in radii))
+    assert [pad.newtons_per_count for pad in found.pads] == pytest.approx([8e-5, 1.2e-4], rel=2e-4)
+    assert found.friction < 2e-3
+
+
 def test_the_creep_between_rounds_is_the_sd():
     found = rested(rounds=40, creep=0.03)
     for pad, error in zip(found.pads, gain_errors(found, TRUE), strict=True):
@@ -110,7 +155,7 @@ def test_the_plant_s_weight_is_weighed_in_spite_of_its_friction_and_hysteresis()
     for seed in (6, 7):
         steady = PadOptions(force_drift=0.0)
         events = turned(plan, LIMITS, REAL, CONFIGURED, RADIUS_M, MASS_KG, seed, pad_options=steady)
-        found = pad_forces(events, CONFIGURED, WEIGHT_N, rests)
+        found = pad_forces(events, CONFIGURED, WEIGHT_N, rests, radius_m=RADIUS_M)
         assert found.pads[0].saturated == found.pads[1].saturated == 0
         errors += gain_errors(found)
     assert np.abs(errors).max() < 0.005

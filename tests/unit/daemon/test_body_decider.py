@@ -31,7 +31,8 @@ def outlook():
     (R,), (omega,) = stand.bearings
     p = known_parameters(stand.plant.body, stand.plant.rubbing)
     none = np.zeros(len(icosphere()[0]), np.bool_)
-    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, none, np.zeros((0, 3, 3)))
+    sure = 1e-14 * np.eye(6 + len(p))
+    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)))
 
 
 def question(outlook, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
@@ -82,7 +83,7 @@ def test_what_was_felt_since_the_answer_counts_too(outlook):
 
 def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
     asked = []
-    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args: asked.append(args[-1]))
+    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))
     decider = BodyDecider(RIG)
     for mass in (0.02, 10.0, math.nan):
         decision = decider.answer(question(dataclasses.replace(outlook, mass=mass))).decision
@@ -90,6 +91,18 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outloo
     assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
     decider.answer(question(dataclasses.replace(outlook, claimed=False)))
     assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.FELT_N / 0.08)
+
+
+def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(outlook, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        body_decider.BodyExplorer, "decide", lambda *args, most_rad_s: asked.append((most_rad_s, args[4]))
+    )
+    decider = BodyDecider(RIG)
+    for claimed in (True, False):
+        decider.answer(question(dataclasses.replace(outlook, claimed=claimed)))
+    assert [most for most, _ in asked] == [body_decider.STRIDE_RAD_S, body_decider.SHORT_RAD_S]
+    assert all(np.abs(drawn.p - outlook.p).max() < 1e-6 for _, drawn in asked)
 
 
 def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):

@@ -16,7 +16,7 @@ from palmd.three_palms_config import TiltPlanSpec
 from palmd.yamlfile import load_any_config
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
-TOLD_S, SECONDS = 2.2, 4.5
+TOLD_S, SECONDS = 2.2, 6.5
 
 
 class Informed:

@@ -19,6 +19,6 @@ def test_the_table_tells_right_refused_and_wrong_apart():
     assert [cell.strip() for cell in everything if cell.strip()][:5] == ["all", "4", "1", "2", "1"]
 
 
-def test_a_cylinder_is_not_weighed_on_curved_palms(capsys):
-    assert main(["calibrate", "force", str(shipped("cradle.yaml")), "--radius-mm", "20", "--mass-g", "100"]) == 1
+def test_what_rolls_is_not_evaluated_on_curved_palms(capsys):
+    assert main(["calibrate", "gravity", str(shipped("cradle.yaml"))]) == 1
     assert "is evaluated on flat palms only, and these are curved" in capsys.readouterr().err

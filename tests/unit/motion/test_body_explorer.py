@@ -12,7 +12,7 @@ from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.motion import body_explorer
-from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyExplorer, weight_shares
+from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -137,11 +137,52 @@ def test_where_every_move_might_lose_the_body_there_is_none():
 def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
     rest = tuple(REST_POSE.tolist())
     thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
-    who = explorer()
-    assert who._surely_held(bearings(1), [thrown, gentle]) is gentle
-    assert who._surely_held(bearings(1), [thrown]) is None
+    who, known = explorer(), body_explorer._sure(stand()[1])
+    assert who._surely_held(bearings(1), [thrown, gentle], known) is gentle
+    assert who._surely_held(bearings(1), [thrown], known) is None
     monkeypatch.setattr(body_explorer, "OFF_RAD_S", 60.0)  # it may be spinning wildly
-    assert who._surely_held(bearings(1), [gentle]) is None
+    assert who._surely_held(bearings(1), [gentle], known) is None
+
+
+def test_a_body_is_to_be_held_however_it_may_be():
+    who, p = explorer(), stand()[1]
+    gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
+    variance = np.full(6 + len(p), 1e-14)
+    little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
+    assert who._surely_held(bearings(1), [gentle], little) is gentle
+    wild = dataclasses.replace(little, spin=np.array([[0.0] * 3] * 3 + [[60.0, 40.0, 0.0]]))
+    assert who._surely_held(bearings(1), [gentle], wild) is None
+    large = dataclasses.replace(little, p=little.p * np.array([1.0, 1.0, 1.0, 4.0])[:, None])
+    assert who._surely_held(bearings(1), [gentle], large) is None  # it would reach beyond the pads
+    there, here = (each._foresight.of(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
+    np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
+
+
+def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
+    monkeypatch.setattr(body_explorer, "BODIES", 4000)
+    root = np.random.default_rng(1).normal(size=(10, 10))
+    drawn = BodyDraws.of(np.arange(4.0), root @ root.T, np.random.default_rng(2))
+    each = np.concatenate([drawn.turn, drawn.spin, drawn.p - np.arange(4.0)], axis=1)
+    spread = np.sqrt(np.diagonal(root @ root.T))
+    np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
+
+
+def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
+    who, begin, none = explorer(), bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)
+    who._been.append(begin.R[0])
+    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
+
+    def fastest(most, peak):
+        who._most_rad_s = most
+        monkeypatch.setattr(body_explorer, "PEAK", peak)
+        found = who._grown([root], none, None, ())[0]
+        return max(body_explorer._chords(each.bearings.R, begin.R)[0] / (each.seconds + DECISION_S) for each in found)
+
+    assert fastest(math.inf, 1.0) > 0.6
+    assert fastest(0.3, 1e3) < 0.3
+    monkeypatch.setattr(body_explorer, "PEAK", 2.0)
+    move = who.decide(begin, none, most_rad_s=0.3)
+    assert who._foresight.of(begin, np.array([move.end]), np.array([move.duration])).spin[0] < 0.6
 
 
 def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():

@@ -25,6 +25,13 @@ def touched():
     return policy
 
 
+def settled(policy, felt, here):
+    """What it does once the arm has stood for long enough."""
+    policy.look(felt, here, False)
+    policy.look(felt, here, True)
+    return policy.look(replace(felt, t=felt.t + drags.SETTLED_S), here, True)
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_friction_trails_while_the_body_is_lowered(side):
     policy = Drags(LIMITS, ExploreGoal())
@@ -41,15 +48,16 @@ def test_friction_trails_while_the_body_is_lowered(side):
 
 
 def test_friction_trails_while_the_body_is_raised(touched):
-    touched.look(replace(FELT, force=1.9), (FELT.x, FELT.z), False)
+    low = replace(FELT, z=FELT.z - 4e-3)
+    touched.look(replace(low, force=1.9), (low.x, low.z), False)
     assert touched.phase == "up"
-    first = touched.look(FELT, (FELT.x, FELT.z), True).move
+    first = touched.look(low, (low.x, low.z), True).move
     assert first.end[0] == first.start[0]  # straight up first: the force was near its limit
     for _ in range(3):
-        move = touched.look(FELT, first.end, True).move
+        move = touched.look(low, first.end, True).move
         dx, dz = (end - start for start, end in zip(move.start, move.end, strict=True))
         assert dz > 0.0
-        assert (dx - FELT.z * dz / FELT.e) * FELT.e < 0.0
+        assert (dx - low.z * dz / low.e) * low.e < 0.0
 
 
 @pytest.mark.parametrize(
@@ -81,7 +89,7 @@ def pressed(touched, *, raised):
         z, e = FELT.z + (here[1] - FELT.z), math.sqrt(max(square - 2.2e-2 * abs(here[1] - FELT.z), 1e-8))
         yield torque / e
         on_the_way = replace(FELT, t=float(k), z=z, e=e, force=0.8 * torque / e)
-        step = touched.look(on_the_way, here, True)
+        step = settled(touched, on_the_way, here) if raised else touched.look(on_the_way, here, True)
         if step.move is None:
             return
         here = here[0], step.move.end[1]
@@ -136,8 +144,8 @@ def test_a_body_that_leans_on_its_top_is_raised_no_farther(touched):
     here, e = (FELT.x, FELT.z), 0.008
     for k in range(4):  # the lever shortens as it is raised, and the force is far from its limit
         felt = replace(FELT, z=FELT.z + 5e-4 * k, e=e - 6e-4 * k, force=1.0)
-        here = touched.look(felt, here, True).move.end
-    step = touched.look(replace(felt, z=felt.z + 5e-4, e=felt.e - 6e-4, force=1.35), here, True)
+        here = settled(touched, replace(felt, t=float(k)), here).move.end
+    step = settled(touched, replace(felt, t=9.0, z=felt.z + 5e-4, e=felt.e - 6e-4, force=1.15), here)
     assert step.reason == "this side is done: lifted off"
 
 
@@ -169,3 +177,49 @@ def test_it_does_not_search_below_its_limits():
     step = policy.look(IN_AIR, start.end, True)
     assert step.kind == "done"
     assert "nothing touches the pad" in step.reason
+
+
+def test_a_side_is_followed_up_again_from_its_low_end(touched):
+    """Where the lever is short below, it grows on the way back: what was followed down is known."""
+    low = replace(FELT, z=FELT.z - 8e-3, e=2.1e-3, force=1.0)
+    touched.look(replace(low, e=1.9e-3), (low.x, low.z), False)
+    assert touched.phase == "up"
+    here = (low.x, low.z)
+    for _ in range(5):
+        here = touched.look(replace(low, z=here[1]), here, True).move.end
+    assert touched.phase == "up"
+    assert here[1] > low.z + 1e-3
+
+
+def test_a_body_is_lifted_off_in_one_go_and_fast(touched):
+    """At rest short of the dead centre it would press by 1/e, and slowly raised it is as if at rest."""
+    touched.phase = "lift"
+    here = (FELT.x, FELT.z)
+    move = touched.look(FELT, here, True).move
+    assert move.end == (FELT.x, FELT.z + drags.LIFTED_M)
+    peak = max(move.at(move.duration * k / 20).rates[1] for k in range(21))
+    assert peak == pytest.approx(0.9 * LIMITS.rate, rel=0.01)
+    left = replace(IN_AIR, z=FELT.z + 2e-3)
+    assert touched.look(left, move.end, False).kind == "wait"  # it has left the pad, a hand has no room yet
+    assert touched.look(replace(left, z=FELT.z + drags.NEAR_M + 1e-4), move.end, False).kind == "halt"
+
+
+def test_it_turns_back_before_the_body_swings_off_the_pad(touched):
+    """The torque falls by as much each step as the centre of mass comes to hang below the pivot."""
+    here, forces = (FELT.x, FELT.z), (0.46, 0.36, 0.27, 0.18)
+    for k, force in enumerate(forces):
+        felt = replace(FELT, t=float(k), z=FELT.z - 5e-4 * k, force=force)
+        assert touched.phase == "down"
+        step = touched.look(felt, here, True)
+        here = step.move.end if step.move else here
+    assert (step.kind, step.reason) == ("wait", "turns back: the body hardly presses any more")
+
+
+def test_what_leaves_the_pad_on_a_way_that_it_was_followed_down_has_not_come_to_its_end(touched):
+    low = replace(FELT, z=FELT.z - 4e-3)
+    touched.look(replace(low, force=1.9), (low.x, low.z), False)
+    gone = replace(IN_AIR, t=1.0, z=low.z)
+    touched.look(gone, (low.x, low.z), True)
+    step = touched.look(replace(gone, t=1.5), (low.x, low.z), True)
+    assert "left the pad" in step.reason
+    assert touched.coverage == 0.25

@@ -17,12 +17,11 @@ from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, live
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import advanced, begun, raced
+from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.reconstruct import felt_directions, near
-from palmd.observer.three_palms.search import Rival
-from palmd.observer.three_palms.smoother import BodyMotion
+from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
@@ -249,8 +248,7 @@ class Lived:
         read = readings_of(palms_at(*swung(self.t)), np.stack([points[0], *points]))
         self.events = self._said(read, np.stack([force[0], *force]), rng)
         with pytest.MonkeyPatch.context() as led:
-            led.setattr(growing, "rivals", self._right)
-            led.setattr(growing, "begun_in_ways", lambda task, found: [begun(task, each) for each in found])
+            led.setattr(growing, "anew", lambda task, record, _: self._right(task, record))
             led.setattr(growing, "raced", self._followed)
             smoother = self.smoother = GrowingBody(self.rig)
             smoother.add([event for event in self.events if event.t_sample < 2.9])
@@ -286,19 +284,20 @@ class Lived:
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
 
     def _followed(self, task, running):
-        self.raced = task, raced(task, running)
+        self.raced = task, [replace(each, confirmed=each.intervals) for each in raced(task, running)]
         return self.raced[1]
 
-    def _right(self, task, seconds):
-        record = task.record(seconds)
+    def _right(self, task, record):
         x = self.states[np.round(record.t / self.STEP).astype(int)]
         R, omega = x[:, 6:15].reshape(-1, 3, 3), x[:, 15:]
         self.gauge = R[0].T
         # R = 1 at the first node: the body's frame is turned
-        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, 6)
-        prior = beliefs.prior(Y00 * p[0], 6, task.spin_sd)
-        fit = task.fitted(record, prior, None, BodyMotion(R @ R[0].T, omega, p), 12)
-        return [Rival(Y00 * p[0], record, fit)]
+        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, 8)
+        prior = beliefs.prior(Y00 * p[0], 8, task.spin_sd)
+        smoother = BodySmoother(record, prior, task.noise, self.rig.gravity)
+        fit = smoother.fit(BodyMotion(R @ R[0].T, omega, p), 12)
+        now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
+        return [now]
 
     def told(self, observer, stub, until, answer_at):
         said, waiting, t = [], iter(self.events), self.END - 0.4
@@ -325,6 +324,14 @@ def test_the_smoother_goes_on_with_what_it_has(lived):
     assert lived.answer.claimed, lived.answer.reason
     assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
     assert lived.answer.t > lived.first.t + 1.0
+
+
+def test_what_was_found_but_once_is_not_claimed(lived):
+    task, (first, *_) = lived.raced
+    enough = -(-2 * first.intervals // 3)
+    assert lived.smoother._answer(task, [replace(first, confirmed=enough)]).claimed
+    said = lived.smoother._answer(task, [replace(first, confirmed=enough - 1)])
+    assert (said.claimed, said.reason) == (False, "no second start has come to the same motion yet")
 
 
 def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
@@ -409,11 +416,15 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     R = lived.truth(told.t)[6:15].reshape(3, 3)
     assert (told.claimed, told.begun) == (True, lived.answer.begun)
     assert np.abs(told.R - R @ lived.gauge).max() < 0.02
+    assert told.covariance.shape == lived.answer.covariance.shape
     assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
     since = (4.6 - lived.answer.t) / live.SEEN_S
     assert len(told.since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
     normal = palms_at(*swung(np.array([4.6]))).normal[0]
     assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
+    observer._filter._body[12] = 1.1 * live.NIS_MOST  # what was claimed is contradicted a little
+    assert observer.foresees
+    assert not observer.outlook(4.6).claimed
     stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
     said = go_on(lived, observer, 4.6, 4.65)
     assert (said.valid, observer.foresees, observer.outlook(4.65).claimed) == (False, True, False)

@@ -1,18 +1,20 @@
 """A body between three palms followed along a record: blind to the right form, window by window as well as at once."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
 from palmd.lab.space import errors
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import evaluator
-from palmd.observer.three_palms import growth
+from palmd.model.spherical import Y00, evaluator
+from palmd.observer.three_palms import beliefs, growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, within, without_turns
-from palmd.observer.three_palms.search import Task, rivals
+from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
+from palmd.observer.three_palms.search import Task
+from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
 
@@ -36,6 +38,11 @@ def task(run):
     return Task(path, readings, ContactCurves.smoothed(readings), rig, 0.0, SECONDS - 0.02)
 
 
+def started(task):
+    """A rival of the first 1.3 s."""
+    return growth.anew(task, task.record(1.3), beliefs.hypotheses())[0]
+
+
 def test_a_body_is_found_blind_from_starts_that_meet(run):
     path, readings, rig, truth = run
     found = reconstruct(path, readings, rig)
@@ -46,8 +53,7 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
 
 
 def test_windows_lead_to_what_all_at_once_leads_to(task):
-    start = rivals(task, 1.3)[0]
-    ahead = growth.advanced(task, growth.begun(task, start), task.intervals(SECONDS))
+    ahead = growth.advanced(task, started(task), task.intervals(SECONDS))
     whole = growth.smoothed(task, ahead, 20)
     assert ahead.since_whole > 1.0
     assert ahead.cost == pytest.approx(whole.cost, rel=0.02)
@@ -56,8 +62,50 @@ def test_windows_lead_to_what_all_at_once_leads_to(task):
     assert ahead.per_number < 1.15
 
 
+@pytest.fixture(scope="module")
+def right(task):
+    """What two blind starts of all of it meet in."""
+    return growth.anew(task, task.record(SECONDS), beliefs.hypotheses())[0]
+
+
+def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_one(task, right):
+    assert right.met > 1
+    assert right.confirmed == right.intervals
+    beside = replace(
+        right, motion=replace(right.motion, omega=right.motion.omega + 0.1), cost=right.cost + 30.0, confirmed=0
+    )
+    assert not beside.found_twice
+    first, *others = growth.found_again(task, [beside], beliefs.hypotheses())
+    assert first.same_as(right)
+    assert first.found_twice
+    assert beside in others
+    (alone, *_) = growth.found_again(task, [beside], islice(beliefs.hypotheses(), 1))
+    assert alone.same_as(right)
+    assert not alone.found_twice  # nobody else has come there, and another is near
+
+
+def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, right):
+    (alone,) = growth.found_again(task, [replace(right, confirmed=0)], ())
+    assert alone.found_twice
+    assert alone.same_as(right)
+    beside = replace(right, motion=replace(right.motion, omega=right.motion.omega + 0.1), cost=right.cost + 90.0)
+    back, *others = growth.found_again(task, [replace(beside, confirmed=0)], ())
+    assert back.same_as(right)
+    assert not back.found_twice
+    assert others
+
+
+def test_nodes_alone_are_fitted_by_the_same_equations(task):
+    now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    moved = replace(now.motion, omega=now.motion.omega + 0.01)
+    whole, alone = smoother.evaluate(moved), smoother.evaluate(moved, nodes_alone=True)
+    assert alone.cost == whole.cost
+    np.testing.assert_array_equal(alone.arrow.nodes_step(1e-6), whole.arrow.nodes_step(1e-6))
+
+
 def test_a_fit_ends_where_no_step_promises_anything(task):
-    fit = growth.begun(task, rivals(task, 1.3)[0]).whole
+    fit = started(task).whole
     nodes, step = fit.arrow.solve(1e-9)
     assert fit.arrow.promise(nodes, step) < 1.0  # in cost, where one number read adds 1
 
@@ -76,7 +124,7 @@ def test_an_arrow_promises_what_a_step_gains():
 
 
 def test_a_rival_that_foretells_nothing_is_lost(task):
-    now = growth.begun(task, rivals(task, 1.3)[0])
+    now = started(task)
     assert not now.lost
     assert replace(now, windows=((25, 1.0), (25, 9.0), (25, 9.0))).lost
     assert not replace(now, windows=((25, 9.0), (25, 1.0), (25, 1.0))).lost
@@ -96,10 +144,20 @@ def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
 
 
 def test_a_rival_that_ends_early_is_refused(task):
-    now = growth.begun(task, rivals(task, 1.3)[0])
+    now = started(task)
     told = answer(task, [now], 0.0)
     assert not told.converged
     assert "fails after 1.3 s" in told.reason
+
+
+def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out():
+    p, touched = np.zeros(90), np.arange(len(icosphere()[0])) < 100
+    p[0] = 0.02 / Y00
+    fitted, short, missed = (surface(p, 1e-14 * np.eye(90), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
+    assert fitted[0] == pytest.approx(0.2 * fitted[-1], rel=0.01)
+    assert short[0] == pytest.approx(0.6 * fitted[-1], rel=0.01)
+    assert missed[0] == pytest.approx(fitted[-1], rel=0.01)
+    assert missed[-1] == pytest.approx(fitted[-1], rel=0.01)
 
 
 def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
@@ -112,7 +170,7 @@ def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
 
 
 def test_an_answer_is_refused_beside_another_that_costs_as_little(task):
-    now = growth.begun(task, rivals(task, 1.3)[0])
+    now = started(task)
     spun = replace(now, motion=replace(now.motion, omega=now.motion.omega + 0.2))
     short = replace(task, end=float(now.record.t[-1]))
     assert "another motion" in doubt(short, [now, spun], np.full(3, 1e-5))

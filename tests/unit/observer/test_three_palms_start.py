@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
+from scipy.interpolate import make_smoothing_spline
 
 from palmd.observer.three_palms import kernels
-from palmd.observer.three_palms.driven import ContactCurves, ball_of
+from palmd.observer.three_palms.driven import ContactCurves, ball_of, smoothing_spline
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
@@ -21,6 +22,17 @@ def test_a_ball_is_found_by_its_contacts():
     found, radii = ball_of(centre - radius * normal, normal)
     np.testing.assert_allclose(found, [centre], atol=1e-15)
     np.testing.assert_allclose(radii, radius, atol=1e-15)
+
+
+def test_a_smoothing_spline_is_scipys():
+    random = np.random.default_rng(0)
+    t = np.cumsum(random.uniform(5e-3, 15e-3, 300))
+    y = np.sin(3 * t) + 0.1 * random.normal(size=len(t))
+    between = np.linspace(t[0] - 0.01, t[-1] + 0.01, 500)
+    for lam in (1e-8, 1e-5, 1e-2):
+        mine, scipys = smoothing_spline(t, y, lam), make_smoothing_spline(t, y, lam=lam)
+        np.testing.assert_allclose(mine(between), scipys(between), atol=1e-9)
+        np.testing.assert_allclose(mine.derivative()(between), scipys.derivative()(between), atol=1e-8)
 
 
 def test_given_contacts_tell_how_centre_and_spin_go_on():

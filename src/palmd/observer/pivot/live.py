@@ -76,6 +76,7 @@ class PivotObserver:
         self._body: ClaimedOutline | None = None
         self._gripper: Gripper | None = None
         self._felt: deque[PadSample] = deque()
+        self._levers: deque[float] = deque()  # of each that is in `_felt`
         self._touching = False
         self._psi: float | None = None
         self._nis = NIS_BEGIN
@@ -174,7 +175,7 @@ class PivotObserver:
         (x, _, _), (z, _, _) = self._gripper.at(t)
         e = force = math.nan
         if self._touching and len(self._felt) >= LEAST_FELT:
-            e = float(np.mean([each.s for each in self._felt])) - x
+            e = float(np.mean(self._levers))
             force = float(np.mean([math.nan if each.force is None else each.force for each in self._felt]))
         band = touched = math.nan
         if self._body is not None:
@@ -231,6 +232,7 @@ class PivotObserver:
 
     def _lift(self) -> None:
         self._felt.clear()
+        self._levers.clear()
         self._touching = False
         self._psi = None
         self._nis = NIS_BEGIN
@@ -240,8 +242,10 @@ class PivotObserver:
         if not self._felt:
             self._t_touched = t
         self._felt.append(sample)
+        self._levers.append(math.nan if self._gripper is None else sample.s - self._gripper.at(t)[0][0])
         while self._felt[0].t_sample < t - FELT_S:
             self._felt.popleft()
+            self._levers.popleft()
         self._touching = True
 
     def _follow(self, sample: PadSample, step: float) -> None:

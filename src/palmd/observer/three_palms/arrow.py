@@ -76,7 +76,7 @@ class Arrow:
         return before.marginal()
 
     def _share(self, r: FloatArray, by: FloatArray) -> None:
-        flat = by.reshape(-1, by.shape[-1])
+        flat = by.reshape(r.size, by.shape[-1])
         self.corner += flat.T @ flat
         self.gradient += flat.T @ r.reshape(-1)
 
@@ -87,12 +87,13 @@ class Arrow:
         """
         chain, corner = self._factor(damping)
         K, _, m = self.border.shape
-        sides = np.concatenate([self.border, self.nodes_gradient[..., None]], axis=2).reshape(K * STATES, m + 1)
-        solved = linalg.cho_solve_banded((chain, True), sides, check_finite=False)
-        across = self.border.reshape(K * STATES, m)
-        schur = corner - across.T @ solved[:, :m]
-        step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), self.gradient - across.T @ solved[:, m])
-        return -(solved[:, m] + solved[:, :m] @ step).reshape(K, STATES), step
+        sides = np.empty((K * STATES, m + 1), order="F")
+        sides[:, :m], sides[:, m] = self.border.reshape(-1, m), self.nodes_gradient.reshape(-1)
+        half = _forward(chain, sides)
+        left = half.T @ half
+        schur, side = corner - left[:m, :m], self.gradient - left[:m, m]
+        step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), side)
+        return _forward(chain, -(half[:, m] + half[:, :m] @ step), "T").reshape(K, STATES), step
 
     def nodes_step(self, damping: float) -> FloatArray:
         """The step of the nodes (K, 6) alone, the parameters staying as they are; raises as `solve`."""
@@ -111,10 +112,11 @@ class Arrow:
         """The quadratic in the parameters that is left, whatever the nodes are: (m, m), half gradient (m,)."""
         chain, corner = self._factor(0.0)
         K, _, m = self.border.shape
-        across = self.border.reshape(K * STATES, m)
-        solved = linalg.cho_solve_banded((chain, True), across, check_finite=False)
-        left = corner - across.T @ solved
-        return 0.5 * (left + left.T), self.gradient - solved.T @ self.nodes_gradient.reshape(-1)
+        sides = np.empty((K * STATES, m + 1), order="F")
+        sides[:, :m], sides[:, m] = self.border.reshape(-1, m), self.nodes_gradient.reshape(-1)
+        half = _forward(chain, sides)
+        left = half.T @ half
+        return corner - left[:m, :m], self.gradient - left[:m, m]
 
     def information(self) -> FloatArray:
         """Of the parameters, whatever the nodes are (m, m)."""
@@ -134,3 +136,9 @@ class Arrow:
         corner[np.diag_indices_from(corner)] *= 1.0 + damping
         flat = band.reshape(2 * STATES, K * STATES)
         return linalg.cholesky_banded(flat, lower=True, overwrite_ab=True, check_finite=False), corner
+
+
+def _forward(chain: FloatArray, sides: FloatArray, transposed: str = "N") -> FloatArray:
+    """L⁻¹ sides, or L⁻ᵀ sides, L being the banded factor `chain`; half of what solving by LLᵀ takes."""
+    solved, _ = linalg.lapack.dtbtrs(chain, sides, uplo="L", trans=transposed, overwrite_b=True)
+    return np.asarray(solved, np.float64)

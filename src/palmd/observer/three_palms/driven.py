@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.interpolate import PPoly
+from scipy.linalg import solveh_banded
 
 from palmd.events import FloatArray
 from palmd.model import rotation
@@ -37,7 +38,7 @@ ITERATIONS = 25
 class ContactCurves:
     """Smoothed readings: for each pad the courses of a and b (m)."""
 
-    curves: tuple[tuple[BSpline, BSpline], ...]
+    curves: tuple[tuple[PPoly, PPoly], ...]
 
     @classmethod
     def smoothed(cls, readings: PadReadings) -> ContactCurves:
@@ -61,20 +62,41 @@ class ContactCurves:
         return np.concatenate([points.reshape(-1, 9), moving.reshape(-1, 9)], axis=1)
 
 
-def _smooth(t: FloatArray, value: FloatArray) -> BSpline:
+def _smooth(t: FloatArray, value: FloatArray) -> PPoly:
     """The penalty is chosen on the middle of a long record: it does not depend on the length."""
     most = min(len(t), TRIED)
     first = (len(t) - most) // 2
     part = slice(first, first + most)
     scores = [(_missed(t[part], value[part], lam), lam) for lam in PENALTIES]
-    return make_smoothing_spline(t, value, lam=min(scores)[1])
+    return smoothing_spline(t, value, min(scores)[1])
 
 
 def _missed(t: FloatArray, value: FloatArray, lam: float) -> float:
     """How badly one half of the values is told by the other."""
-    odd = make_smoothing_spline(t[::2], value[::2], lam=lam)
-    even = make_smoothing_spline(t[1::2], value[1::2], lam=lam)
+    odd = smoothing_spline(t[::2], value[::2], lam)
+    even = smoothing_spline(t[1::2], value[1::2], lam)
     return float(((odd(t[1:-1:2]) - value[1:-1:2]) ** 2).sum() + ((even(t[2::2]) - value[2::2]) ** 2).sum())
+
+
+def smoothing_spline(t: FloatArray, y: FloatArray, lam: float) -> PPoly:
+    """The natural cubic spline f that minimises Σ(f(tᵢ) − yᵢ)² + lam ∫f″² (Reinsch 1967); t (T,) increasing, y (T,).
+
+    (R + lam QᵀQ)γ = Qᵀy, f = y − lam Qγ at the knots, γ its second derivatives between the ends. SciPy's
+    `make_smoothing_spline` is the same and spends most of its time in Python.
+    """
+    h = np.diff(t)
+    before, after = 1.0 / h[:-1], 1.0 / h[1:]
+    at = -before - after
+    band = np.zeros((3, len(h) - 1))  # lower form: band[i − j, j]
+    band[0] = (h[:-1] + h[1:]) / 3 + lam * (before**2 + at**2 + after**2)
+    band[1, :-1] = h[1:-1] / 6 + lam * (at[:-1] * after[:-1] + before[1:] * at[1:])
+    band[2, :-2] = lam * after[:-2] * before[2:]
+    bends = np.zeros(len(t))
+    bends[1:-1] = solveh_banded(band, np.diff(np.diff(y) / h), lower=True, check_finite=False)
+    moments = np.diff(bends) / h
+    f = y - lam * np.diff(moments, prepend=0.0, append=0.0)
+    slope = np.diff(f) / h - h * (2 * bends[:-1] + bends[1:]) / 6
+    return PPoly(np.stack([moments / 6, bends[:-1] / 2, slope, f[:-1]]), t)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -17,8 +18,19 @@ from palmd.blas import one_thread
 from palmd.config import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.icosphere import icosphere
+from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import BEHIND, FORK_S, STARTS_S, Grown, begun_in_ways, folded, raced, smoothed
+from palmd.observer.three_palms.growth import (
+    BEHIND,
+    Grown,
+    anew,
+    apart,
+    begun_in_ways,
+    folded,
+    found_again,
+    raced,
+    smoothed,
+)
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
@@ -27,15 +39,19 @@ from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
 STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
-LEAST_S = REST_S + STARTS_S[0] + FORK_S + 0.1  # of a record, before anything is tried
+STARTS_S = (3.0, 1.8, 8.0)  # of a record, as far as there is so much, that it is begun with
+LEAST_S = 2.2  # of a record, before anything is tried
 NEWS_S = 0.4  # of readings, before another lap
 LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
 WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
-MOST_RIVALS = 3
+MOST_RIVALS = 2
+OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
+STRANGE = 1.5  # one-sigmas of the cost, beyond which more is tried
+SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
 PROVEN_S = 5.0  # of going on since it was first believed: whoever is wrong is lost by then
-LATENCY_S = 1.1  # that a simulated one takes; its first answer takes longer
-FIRST_LATENCY_S = 3.0
+LATENCY_S = 0.7  # that a simulated one takes; its first answer takes longer
+FIRST_LATENCY_S = 1.5
 
 
 @dataclass(slots=True)
@@ -65,6 +81,7 @@ class GrowingBody:
         self._running: list[Grown] = []
         self._attempt = 0
         self._reached = -math.inf
+        self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
         self._believed_since = math.inf
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
@@ -94,10 +111,17 @@ class GrowingBody:
             return _unknown(task, begun, "what explained the readings does so no more")
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
+        grown, ended = first, self._found_again(task, ended)
+        first = ended[0]
+        if not first.same_as(grown):
+            self._believed_since = math.inf
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
-        if first.intervals * SPACING_S > LONGEST_S:
+        if first.intervals * SPACING_S > LONGEST_S and not first.confirmed:
+            self._begin_anew(task.end - KEPT_S)
+        elif first.intervals * SPACING_S > LONGEST_S:
+            self._folded = True
             more = first.intervals - round(KEPT_S / SPACING_S)
             self._before |= near(felt_directions(first)[: len(PALMS) * more])
             self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more)]
@@ -159,15 +183,30 @@ class GrowingBody:
 
     def _try(self, task: Task) -> bool:
         """Begin from nothing with one length of start; whether there is a rival."""
-        seconds = STARTS_S[self._attempt]
-        if task.end - task.start < REST_S + seconds + FORK_S + 0.1:
-            return False
+        record = task.record(STARTS_S[self._attempt])
         self._attempt = (self._attempt + 1) % len(STARTS_S)
-        found = [each for each in rivals(task, REST_S + seconds) if each.per_number < HOPELESS]
-        self._running = begun_in_ways(task, found) if found else []
+        found = [each for each in anew(task, record, beliefs.hypotheses()) if each.per_number < HOPELESS]
+        self._running = [replace(each, confirmed=0) for each in found[:MOST_RIVALS]]  # of a longer record it may be
+        self._looked = len(record.middle_palms)
         if not self._running and self._attempt == 0:
             self._begin_anew(task.end - LEAST_S)
         return bool(self._running)
+
+    def _found_again(self, task: Task, ended: list[Grown]) -> list[Grown]:
+        """The rivals with what other blind starts lead to, where it is time to look for some."""
+        first = ended[0]
+        strange = first.strange > STRANGE
+        if self._folded or first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and not strange):
+            return ended
+        self._looked = first.intervals
+        together = [each for each in ended if each.intervals == first.intervals and not each.lost]
+        if strange and first.intervals * SPACING_S < SHORT_UNTIL_S:
+            # contacts of all the record may lead nowhere right: many ways from its first second
+            whole = replace(task, contacts=ContactCurves.smoothed(task.readings))
+            short = raced(whole, begun_in_ways(whole, rivals(whole, REST_S + SHORT_S)))
+            together += [each for each in short if each.intervals == first.intervals and not each.lost]
+            together = apart(sorted(together, key=lambda each: each.cost))
+        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS))
 
     def _give_up(self, first: Grown, task: Task) -> None:
         """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
@@ -188,6 +227,8 @@ class GrowingBody:
         h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], proven=proven)
+        if not reason and not first.found_twice:
+            reason = "no second start has come to the same motion yet"
         if not reason:
             self._believed_since = min(self._believed_since, float(first.record.t[-1]))
         mass, mass_sd = mass_of(rig, first)

@@ -8,6 +8,7 @@ all of it is smoothed as a whole, and the belief is made anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +19,21 @@ from palmd.model.spherical import Y00
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
+from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.body import centres_of, curvatures, inertia
-from palmd.observer.three_palms.driven import BallBelief, course
+from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
-from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Rival, Task, rivals
+from palmd.observer.three_palms.search import (
+    EXPLAINED,
+    HOPELESS,
+    SPACING_S,
+    ContactBall,
+    Rival,
+    Task,
+    loosely,
+    loosened,
+    rivals,
+)
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
 ORDER = 8
@@ -30,6 +42,7 @@ LAP_S = 1.5
 """After how long a time rivals are compared."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
+TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
 DECISIVE, OTHER_RAD_S = 12.0, 0.05
 """By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
 SURE = 1.35  # cost per number read at the end, below which no other start is asked for: truncation costs so much
@@ -47,7 +60,7 @@ TRIES = (4, 12)
 """Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
-LATELY_S, LOST = 1.0, 2.5
+LATELY_S, LOST = 1.0, 6.0
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
 """By which factor a record has grown when all of it is smoothed again; early the valley that is left open is bent."""
@@ -58,10 +71,9 @@ class Grown:
     """A rival as far as it has come: its motion at all nodes of `record`, what is believed of the last, what it cost.
 
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
-    met: how many starts led to it.
+    met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
     """
 
-    rival: Rival
     prior: BodyPrior
     record: BodyRecord
     motion: BodyMotion
@@ -70,6 +82,7 @@ class Grown:
     whole: BodyFit
     windows: tuple[tuple[int, float], ...] = ()
     met: int = 1
+    confirmed: int = 0
 
     @property
     def intervals(self) -> int:
@@ -82,9 +95,20 @@ class Grown:
         return self.cost / (2 * len(self.record.readings.t))
 
     @property
+    def strange(self) -> float:
+        """By how many of its one-sigmas the cost is more than it should be."""
+        numbers = 2 * len(self.record.readings.t)
+        return (self.cost / numbers - 1.0) * math.sqrt(numbers / 2)
+
+    @property
     def since_whole(self) -> float:
         """By which factor the record has grown since all of it was fitted."""
         return self.intervals / (len(self.whole.motion.R) - 1)
+
+    @property
+    def found_twice(self) -> bool:
+        """Whether another start has come to the same, of no less than two thirds of it."""
+        return 3 * self.confirmed >= 2 * self.intervals
 
     @property
     def surprise(self) -> float:
@@ -126,7 +150,7 @@ def best(task: Task) -> list[Grown]:
     ended: list[Grown] = []
     for seconds in STARTS_S:
         found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
-        ended += raced(task, begun_in_ways(task, found)) if found else []
+        ended += raced(task, begun_in_ways(task, found))
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
@@ -137,12 +161,14 @@ def best(task: Task) -> list[Grown]:
 
 def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
     """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
+    if not found:
+        return []
     started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
     near = [each for each in started if each.cost < started[0].cost + BEHIND]
     until = near[0].intervals + round(FORK_S / SPACING_S)
     ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
     further = [advanced(task, each, until) for each in (*ways, *near[FORKED_STARTS:])]
-    return _apart(sorted(further, key=lambda each: each.cost))
+    return apart(sorted(further, key=lambda each: each.cost))
 
 
 def raced(task: Task, running: list[Grown]) -> list[Grown]:
@@ -162,11 +188,11 @@ def raced(task: Task, running: list[Grown]) -> list[Grown]:
         running = [each for each in running if not each.lost]
         most = min((each.cost for each in running if each.intervals == until), default=0.0) + BEHIND
         ended += [each for each in running if each.cost > most]
-        running = _apart(sorted((each for each in running if each.cost <= most), key=lambda each: each.cost))
-    return ended + _apart([smoothed(task, each, 15) for each in running])
+        running = apart(sorted((each for each in running if each.cost <= most), key=lambda each: each.cost))
+    return ended + apart([smoothed(task, each, 15) for each in running])
 
 
-def _apart(rivals: list[Grown]) -> list[Grown]:
+def apart(rivals: list[Grown]) -> list[Grown]:
     """Those that have met as one, in their order."""
     kept: list[Grown] = []
     for each in rivals:
@@ -174,7 +200,9 @@ def _apart(rivals: list[Grown]) -> list[Grown]:
         if twin is None:
             kept.append(each)
         else:
-            kept[twin] = replace(kept[twin], met=kept[twin].met + each.met)
+            kept[twin] = replace(
+                kept[twin], met=kept[twin].met + each.met, confirmed=max(kept[twin].confirmed, each.confirmed)
+            )
     return kept
 
 
@@ -182,9 +210,7 @@ def begun(task: Task, rival: Rival) -> Grown:
     """The rival with an outline up to degree `ORDER`."""
     prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
     motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
-    return smoothed(
-        task, Grown(rival, prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15
-    )
+    return smoothed(task, Grown(prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15)
 
 
 def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
@@ -196,6 +222,62 @@ def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
     fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
+
+
+def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float = math.inf) -> list[Grown]:
+    """All of a record from its beginning explained blindly, the cheapest first, each way but once.
+
+    Contacts of many seconds lead to where rivals that grow from a short start do not come: those keep to their valley.
+    Ends where two ways have met in the cheapest; none is gone on with that costs far more than `most`.
+    """
+    contacts = ContactCurves.smoothed(record.readings)
+    ball = ContactBall.of(task.path, contacts, record)
+    prior = beliefs.prior(ball.radius, ORDER, task.spin_sd)
+    smoother = BodySmoother(record, prior, task.noise, task.rig.gravity)
+    found: list[Grown] = []
+    for way in ways:
+        if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
+            break
+        loose = loosely(task, record, prior, contacts, ball, way)
+        fit = smoother.fit(loose.motion, TRIES[0])
+        if fit.cost > most + TOO_FAR:
+            continue
+        fit = smoother.fit(fit.motion)
+        most = min(most, fit.cost)
+        now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
+        found = apart(sorted([*found, now], key=lambda each: each.cost))
+        if found[0].met > 1:
+            found[0] = replace(found[0], confirmed=found[0].intervals)
+            break
+    return found
+
+
+def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis]) -> list[Grown]:
+    """The rivals, the cheapest first, with what other starts of the same record lead to, until one meets the cheapest.
+
+    That one is `confirmed`; so it is where all blind starts end far away, and one from itself, with much noise allowed
+    to the equations at first, comes back. All of `rivals` are of one record, from its beginning.
+    """
+    for way in ways:
+        first = rivals[0]
+        for again in anew(task, first.record, [way], first.cost):
+            if again.same_as(first):
+                return [replace(first, confirmed=first.intervals), *rivals[1:]]
+            rivals = sorted([again, *rivals], key=lambda each: each.cost)
+    first, *others = rivals
+    if all(each.cost > first.cost + BEHIND for each in others):
+        again = _tightened(task, first, loosened(task, first.record, first.prior, first.motion).motion)
+        if again.same_as(first):
+            first = replace(first, confirmed=first.intervals)
+        return sorted([first, *others] if again.same_as(first) else [again, first, *others], key=lambda each: each.cost)
+    return rivals
+
+
+def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
+    """The same record explained by what `motion` leads to."""
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    fit = smoother.fit(motion)
+    return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, confirmed=0)
 
 
 def folded(task: Task, now: Grown, intervals: int) -> Grown:
@@ -236,7 +318,7 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grow
 
 def _forked(task: Task, now: Grown, until: int) -> Grown:
     """One window further by the cheapest of several ways, each fitted as a whole from another spin at its beginning."""
-    return min(_ways(task, now, until), key=lambda each: (-each.intervals, each.cost))
+    return replace(min(_ways(task, now, until), key=lambda each: (-each.intervals, each.cost)), confirmed=0)
 
 
 def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
@@ -245,7 +327,7 @@ def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
     for iterations in TRIES:
         tried.sort(key=lambda each: (-each.intervals, each.cost))
         cheapest = min(each.cost for each in tried)
-        tried = [smoothed(task, each, iterations) for each in _apart(tried) if each.cost < cheapest + BEHIND]
+        tried = [smoothed(task, each, iterations) for each in apart(tried) if each.cost < cheapest + BEHIND]
     return tried
 
 

@@ -165,7 +165,7 @@ class BodyObserver:
         now = self._ahead(filtered, t)
         felt = [normals for at, normals in self._seen if at > answer.t]
         return BodyOutlook(
-            t, self.object_count, answer.begun, answer.claimed, answer.mass, now.R, now.omega, now.p,
+            t, self.object_count, answer.begun, not self._doubt(t), answer.mass, now.R, now.omega, now.p, now.P,
             answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3),
         )  # fmt: skip
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,7 @@ from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
 NEAR = math.cos(math.radians(4.0))
-MOST_CHI2 = 1.15
+MOST_CHI2 = beliefs.EXPLAINED_CHI2
 MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 7e-5
 MOST_LAMBDA = 0.5
@@ -105,7 +106,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     fit, record, p = first.whole, first.record, first.motion.p
     n = count(ORDER)
     directions, triangles = icosphere()
-    point_rows = evaluator(ORDER)(directions)[1]
+    point_rows = _everywhere()[1]
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
@@ -151,12 +152,18 @@ def surface(
     covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1.
     """
     directions, _ = icosphere()
-    rows, point_rows = evaluator(ORDER)(directions)
+    rows, point_rows = _everywhere()
     n = count(ORDER)
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
-    sd = np.sqrt(np.maximum(np.einsum("di,ij,dj->d", form, covariance[:n, :n], form), 0.0))
-    beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched)
+    sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
+    beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched, chi2)
     return rows @ p[:n], np.asarray(np.sqrt(max(chi2, 1.0) * sd**2 + beyond**2), np.float64)
+
+
+@cache
+def _everywhere() -> tuple[FloatArray, FloatArray]:
+    """As `evaluator`, of all directions."""
+    return evaluator(ORDER)(icosphere()[0])
 
 
 def within(points: FloatArray, directions: FloatArray, h: FloatArray) -> FloatArray:

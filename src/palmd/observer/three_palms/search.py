@@ -12,6 +12,7 @@ from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count
 from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.arrow import STATES
+from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.driven import ContactCurves, DrivenCourse, ball_of, course
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
@@ -27,6 +28,7 @@ STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the mo
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
 LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
+LEAST_RADIUS_M = 3e-3  # of a ball: contacts that contradict each other may tell a smaller one, or none
 HOPELESS = 2.5  # cost per number read above which a start is not followed at all
 EXPLAINED = 1.35  # of the same, below which bodies that rub explain the record, and none that do not are tried
 STEPS = 12
@@ -116,25 +118,48 @@ class Rival:
 def rivals(task: Task, seconds: float) -> list[Rival]:
     """What the starts lead to in the first `seconds`, the cheapest first, each but once."""
     record = task.record(seconds)
-    given = task.contacts.at(task.path, record.t)
-    centres, radii = ball_of(given[:, :9].reshape(-1, 3, 3), record.node_palms[:, :9].reshape(-1, 3, 3))
-    radius = float(np.median(radii))
-    prior = beliefs.prior(radius, START_ORDER, task.spin_sd)
-    stiff = beliefs.with_inertia(prior, STIFF)
+    ball = ContactBall.of(task.path, task.contacts, record)
+    prior = beliefs.prior(ball.radius, START_ORDER, task.spin_sd)
     found: list[Rival] = []
     for hypothesis in beliefs.hypotheses():
         if hypothesis.mu == beliefs.FRICTIONLESS and found and min(each.per_number for each in found) < EXPLAINED:
             break
-        belief = hypothesis.belief(radius, centres[0], task.spin_sd, task.rest)
-        driven = course(task.path, task.contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
-        motion = first_motion(record, driven, prior, radius * (1.0 + hypothesis.larger))
-        for strengths in LOOSE:
-            fit = task.fitted(record, stiff, strengths, motion, STEPS)
-            motion = fit.motion
-        found.append(Rival(radius, record, fit))
+        found.append(Rival(ball.radius, record, loosely(task, record, prior, task.contacts, ball, hypothesis)))
     kept = [each for each in met(found) if each.per_number < HOPELESS]
     kept = [each for each in kept if each.fit.cost < kept[0].fit.cost + TOO_FAR][:KEPT]
     return met([replace(each, fit=task.fitted(record, prior, None, each.fit.motion, 25)) for each in kept])
+
+
+@dataclass(frozen=True, slots=True)
+class ContactBall:
+    """The ball nearest to a record's contacts: its first centre (m) and its median radius (m)."""
+
+    centre: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, path: JointPath, contacts: ContactCurves, record: BodyRecord) -> ContactBall:
+        """By smoothed contacts at the record's nodes."""
+        points = contacts.at(path, record.t)[:, :9].reshape(-1, 3, 3)
+        centres, radii = ball_of(points, record.node_palms[:, :9].reshape(-1, 3, 3))
+        return cls(centres[0], max(float(np.median(radii)), LEAST_RADIUS_M))
+
+
+def loosely(
+    task: Task, record: BodyRecord, prior: BodyPrior, contacts: ContactCurves, ball: ContactBall, hypothesis: Hypothesis
+) -> BodyFit:
+    """What a blind start leads to while much noise is allowed to the equations."""
+    belief = hypothesis.belief(ball.radius, ball.centre, task.spin_sd, task.rest)
+    driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
+    return loosened(task, record, prior, first_motion(record, driven, prior, ball.radius * (1.0 + hypothesis.larger)))
+
+
+def loosened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
+    """What leads on from a motion while much noise is allowed to the equations, then less, and the inertia is held."""
+    stiff = beliefs.with_inertia(prior, STIFF)
+    first, second = LOOSE
+    begun = task.fitted(record, stiff, first, motion, STEPS)
+    return task.fitted(record, stiff, second, begun.motion, STEPS)
 
 
 def met(found: Sequence[Rival]) -> list[Rival]:

@@ -125,10 +125,11 @@ class BodySmoother:
         self._shape = slice(0, count(order))
         self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
 
-    def evaluate(self, motion: BodyMotion) -> BodyFit:
-        """Cost and normal equations at `motion`."""
+    def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
+        """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, at half the time."""
         record, prior, noise, p = self._record, self._prior, self._noise, motion.p
-        K, m, h = len(record.middle_palms), len(p), record.spacing
+        K, h = len(record.middle_palms), record.spacing
+        m = 0 if nodes_alone else len(p)
         R, omega = motion.R, motion.omega
         shared = (p, self._gravity)
         f, force, f_turn, f_omega, f_p = self._acceleration((by_columns(R), omega, record.node_palms), shared)
@@ -137,7 +138,8 @@ class BodySmoother:
         w_mid = 0.5 * (w0 + w1) + h / 8 * (f0 - f1)
         R_mid = rotation.exp(0.5 * phi + h / 8 * (w0 - ending)) @ R[:-1]
         mid = self._acceleration((by_columns(R_mid), w_mid, record.middle_palms), shared)
-        fm, fm_turn, fm_omega, fm_p = mid[0], mid[2], mid[3], mid[4]
+        fm, fm_turn, fm_omega, fm_p = mid[0], mid[2], mid[3], mid[4][..., :m]
+        f_p = f_p[..., :m]
 
         rows = 6 + 2 * record.slots
         r, by = np.zeros((K, rows)), np.zeros((K, rows, m))
@@ -173,7 +175,8 @@ class BodySmoother:
         arrow = Arrow.empty(K + 1, m)
         arrow.couple(r, left, right, by)
         off = np.concatenate([rotation.log(R[0] @ prior.R.T), omega[0] - prior.spin, p - prior.mean])
-        arrow.believe(prior.information, prior.information @ off)
+        known = slice(0, STATES + m)
+        arrow.believe(prior.information[known, known], (prior.information @ off)[known])
         cost = float((r**2).sum() + off @ prior.information @ off)
         chi2 = float((residual**2).mean()) / noise.reading**2
         return BodyFit(motion, cost, chi2, force, arrow, residual, 0)
@@ -196,7 +199,8 @@ class BodySmoother:
         turn = weight * by_turn
         left[at] = np.concatenate([(1 - there) * turn, h * out * turn], axis=2)
         right[at] = np.concatenate([there * turn, h * back * turn], axis=2)
-        by[k[:, None], rows, self._shape] = weight * by_c
+        if by.shape[2]:
+            by[k[:, None], rows, self._shape] = weight * by_c
         return residual
 
     def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = DAMPING) -> BodyFit:
@@ -230,14 +234,15 @@ class BodySmoother:
 
     def settled(self, guess: BodyMotion, iterations: int = 5) -> BodyFit:
         """The guess with its nodes moved to where its parameters want them."""
-        best = self.evaluate(guess)
+        best = self.evaluate(guess, nodes_alone=True)
         for _ in range(iterations):
             try:
                 nodes = best.arrow.nodes_step(DAMPING)
             except np.linalg.LinAlgError:
                 break
             shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
-            trial = self.evaluate(best.motion.moved(shrink * nodes, np.zeros(len(guess.p))))
+            moved = best.motion.moved(shrink * nodes, np.zeros(len(guess.p)))
+            trial = self.evaluate(moved, nodes_alone=True)
             gained = best.cost - trial.cost
             if gained > 0.0:
                 best = trial
