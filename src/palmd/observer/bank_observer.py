@@ -303,15 +303,15 @@ class BankObserver:
     def _may_ride(self, track: Track) -> bool:
         """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
 
-        A bank takes that for a smooth object, however far off, and so may a smoother. Where constants of the rig are
-        open a second blind search has agreed: of a disc it may all the same. What has been felt to have a corner no
-        smooth outline is of, whoever tells it.
+        A bank takes that for a smooth object, however far off, and so may a smoother that no second search has agreed
+        with or, on a rig that is known exactly, that has not weighed its answer against a ride: of a disc it may all
+        the same. What has been felt to have a corner no smooth outline is of, whoever tells it.
         """
         if self._link is None or self._rig.curved:
             return False
         riding = track.riding
-        twice_found = self._fusion.allows_for_rig and not self._exact
-        return riding.cornered or (riding.disc if twice_found else not riding.excluded)
+        told = self._link.vouches(self._session.begun) if self._exact else self._fusion.allows_for_rig
+        return riding.cornered or (riding.disc if told else not riding.excluded)
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

@@ -35,11 +35,12 @@ BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
+LITTLE = 0.1  # of the cost: where no step lowers it and none promises more, outliers that come and go are in the way
 MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
 CHANGE_COST = 12.0
 _STEP = 1e-6
 _STANDOFFS = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
-_TILT, _TURN, _ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
+_TILT, _TURN, ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +104,17 @@ class DryModel:
         self._weight = (moving & (apart > BLIND_S)) * record.force_weight
         self.size = TURNS + len(phases) - 1
 
-    def begun(self, shape_of: FloatArray, mass: float, mu: float) -> FloatArray:
-        """z of an object of this outline."""
+    def begun(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
+        """z of an object of this outline, on palms that rub so unequally."""
         z = np.zeros(self.size)
-        z[SHAPE], z[LN_MASS], z[MU] = shape_of, math.log(mass), mu
+        z[SHAPE], z[LN_MASS], z[MU], z[ASYMMETRY] = shape_of, math.log(mass), mu, asymmetry
         z[LN_RHO] = self.prior.mean[C.LN_RHO] + math.log(shape_of[0])
+        return z
+
+    def begun_from(self, other: DryFit) -> FloatArray:
+        """z of the object and the rig of a fit to other phases."""
+        z = np.zeros(self.size)
+        z[:TURNS] = other.z[:TURNS]
         return z
 
     def fit(self, z: FloatArray) -> DryFit:
@@ -122,6 +129,7 @@ class DryModel:
                     break
                 damping *= 8.0
             else:
+                settled = float(side @ np.linalg.solve(matrix, side)) < LITTLE
                 break
             settled = now.cost - then.cost < WORTH
             z, now, damping = z + step, then, max(0.1 * damping, LEAST_DAMPING)
@@ -255,7 +263,7 @@ class DryModel:
             z[LN_RHO],
             0.0,
             0.0,
-            z[_ASYMMETRY],
+            z[ASYMMETRY],
         ]
 
         def told(values: list[Any]) -> FloatArray:
@@ -278,7 +286,7 @@ class DryModel:
         jacobian[:, _TILT], jacobian[:, _TURN] = gains[6] + both, gains[7] + turned[1]
         jacobian -= both[:, None] * slope[at]
         jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = gains[4], gains[5], value
-        jacobian[:, _ASYMMETRY] = gains[8]
+        jacobian[:, ASYMMETRY] = gains[8]
         sd = np.sqrt(record.force_variance)
         return _gated((record.force_value - value) / sd, jacobian / sd[:, None], self._weight)
 
@@ -328,7 +336,7 @@ class DryModel:
 
     def _ratio(self, z: FloatArray, stuck: Palms) -> FloatArray:
         """Of friction to normal force where it slips, against t."""
-        ratio: FloatArray = z[MU] * (1.0 + z[_ASYMMETRY] * np.where(stuck, 1.0, -1.0)) * _signs(self._reported, stuck)
+        ratio: FloatArray = z[MU] * (1.0 + z[ASYMMETRY] * np.where(stuck, 1.0, -1.0)) * _signs(self._reported, stuck)
         return ratio
 
 

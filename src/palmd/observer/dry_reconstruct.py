@@ -11,7 +11,7 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.rolling import Lying
 from palmd.model.smoothing import ORDER, C
-from palmd.observer.dry_fit import LN_MASS, LN_RHO, MU, RIG, SHAPE, DryFit, DryModel, phases_of
+from palmd.observer.dry_fit import ASYMMETRY, LN_MASS, LN_RHO, MU, RIG, SHAPE, DryFit, DryModel, phases_of
 from palmd.observer.factor import given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import felt_normals, made_convex, outline_of
@@ -48,19 +48,19 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
     record, prior = search.record, search.prior
-    guess = stuck_guess(record)
+    guess = stuck_guess(record, search.rig.friction_sd)
     if guess is None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
-    fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu))
+    fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu, guess.asymmetry))
     if max(fit.chi2, fit.force_chi2) > HOPELESS:
         return None
     for _ in range(ROUNDS):
-        for phases in (model.without_the_strained(fit), model.stuck_anew(fit)):
+        for phases in (model.stuck_anew(fit), model.without_the_strained(fit)):
             if phases == model.phases:
                 continue
             other = DryModel(record, search.path, prior, phases)
-            then = other.fit(other.begun(fit.z[SHAPE], math.exp(fit.z[LN_MASS]), fit.z[MU]))
+            then = other.fit(other.begun_from(fit))
             if then.cost < fit.cost - WORTH:
                 model, fit = other, then
                 break
@@ -82,7 +82,7 @@ def _rivalled(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
     drawn = np.random.default_rng(seed).normal(size=SHAPE.stop)
     begun = prior.mean[C.SHAPE :] + RIVAL_SHAPE * prior.sd[C.SHAPE :] * drawn
     begun[0] = RIVAL_RADIUS * prior.mean[C.SHAPE]
-    other = model.fit(model.begun(begun, math.exp(fit.z[LN_MASS]), fit.z[MU]))
+    other = model.fit(model.begun(begun, math.exp(fit.z[LN_MASS]), fit.z[MU], fit.z[ASYMMETRY]))
     theta = felt_normals(model.record, fit.psi, fit.z[SHAPE]).ravel()
     miss = shape.basis(theta, ORDER) @ (other.z[SHAPE] - fit.z[SHAPE])
     return other.cost < fit.cost + DOUBT and float(np.sqrt(np.mean(miss**2))) > DIFFERENT_M

@@ -42,9 +42,12 @@ NOISE = ProcessNoise(1e-8, 1e-5)
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
 HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
+TURNS: FloatArray = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])  # with φ1, with φ1 + φ2, not at all
+RIDE_ITERATIONS = 30  # that one of these motions is worth
 ASTRAY_SIGMAS, ASTRAY_READINGS = 8.0, 5  # a prediction that misses so many readings in a row by so much is lost
 RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is carried along
 DOUBT = 9.0  # and up to which it makes the answer ambiguous
+LIKELIER = 5.0  # in log evidence, from which on one minimum is taken for right and not another
 DIFFERENT_M = 1e-4  # RMS of the outlines' difference from which two fits are rivals rather than the same
 CHI2_SIGMAS, CHI2_SLACK = 3.0, 0.02
 SECOND_OPINION_SIGMAS = 0.5
@@ -235,6 +238,35 @@ class Search:
 
     def _minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
         return minima(self.library, record, self.known, guesses, self.noise, rejections)
+
+    def likeliest(self, finding: Minima) -> tuple[Minima, bool]:
+        """`finding` or, where likelier, what turns as a palm does, or not at all; and whether the readings decide.
+
+        Readings that hardly tell how an object turns are explained a little better by one of many motions, about which
+        everything looks sharp, than by the right one, about which little does. So it is the evidence that is compared:
+        the cost, and how wide each minimum is.
+        """
+        smoother, best = Smoother(self.library, finding.record, self.known), finding.fits[0]
+        posterior = smoother.posterior_if_any(best)
+        if posterior is None:
+            return finding, False
+        most, rival = -math.inf, best
+        for start in self._riding(best.guess.p):
+            fit = smoother.fit(start, self.noise, RIDE_ITERATIONS)
+            found = smoother.posterior_if_any(fit)
+            another = explained(fit, finding.record) and _difference(fit, best) > DIFFERENT_M
+            if another and found is not None and found.evidence > most:
+                most, rival = found.evidence, fit
+        decided = most < posterior.evidence - LIKELIER
+        return (Minima(finding.record, (rival,)) if most > posterior.evidence + LIKELIER else finding), decided
+
+    def _riding(self, p: FloatArray) -> list[Guess]:
+        """A circle that turns with palm 1, with palm 2, as what lies on a flat side does, or not at all."""
+        begun = p.copy()
+        begun[C.SHAPE :] = self.prior.mean[C.SHAPE :]
+        angles, rates, _ = np.split(self.record.palms, 3, axis=1)
+        moved = np.stack([angles - angles[0], rates], axis=1)
+        return [Guess(moved @ with_palms, begun) for with_palms in TURNS]
 
     def merged(self, one: Minima | None, other: Minima | None) -> Minima | None:
         """What two searches of the whole segment have found between them."""

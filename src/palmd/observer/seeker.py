@@ -42,7 +42,8 @@ class Seeker:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long. On a
+    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long. Where
+    none are, on flat palms, it is what is likelier than an object that rides on a palm or hangs between both. On a
     fixed hinge it takes two that begin with palms that rub unequally, one way and the other, and no rival that explains
     the readings nearly as well.
     """
@@ -56,6 +57,7 @@ class Seeker:
         self._belief = RigBelief.of(rig)
         self._challenge_s = 0.0
         self._exact = declared_exact(rig)
+        self._rolls = False
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True
@@ -80,7 +82,7 @@ class Seeker:
         if self._guesses and segment.start == self._start:
             finding = search.resumed(self._guesses)
         else:
-            self._challenge_s, self._survived = 0.0, 0
+            self._challenge_s, self._survived, self._rolls = 0.0, 0, False
         if finding is None and hint is not None:
             finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
         challenged = seconds >= self._challenge_s or not self.sure
@@ -96,6 +98,8 @@ class Seeker:
             self._survived = self._challenges_survived(finding, blind, merged, seconds)
             finding = merged
             self._challenge_s = CHALLENGE * seconds
+            if finding is not None and self._exact and not self._rig.curved:
+                finding, self._rolls = search.likeliest(finding)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -137,7 +141,9 @@ class Seeker:
     @property
     def sure(self) -> bool:
         """Whether the last answer is one to vouch for."""
-        return self._exact or self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
+        if self._exact:
+            return self._rolls or self._rig.curved
+        return self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
 
     def _criticised(self, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""

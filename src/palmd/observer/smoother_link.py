@@ -31,7 +31,7 @@ class SmootherLink:
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
         self._awaited: Improvement | None = None
-        self._refused_at = -math.inf
+        self._refused_at = self._vouched_at = -math.inf
         self.improvements = 0
 
     def reset(self) -> None:
@@ -40,7 +40,7 @@ class SmootherLink:
         self._recent.clear()
         self._batch.clear()
         self._awaited = None
-        self._refused_at = -math.inf
+        self._refused_at = self._vouched_at = -math.inf
 
     def refuses(self, begun: float) -> bool:
         """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it.
@@ -48,6 +48,10 @@ class SmootherLink:
         Or that something may, which is not vouched for: what has been found contradicts the rig, or is not sure.
         """
         return self._refused_at > begun
+
+    def vouches(self, begun: float) -> bool:
+        """Whether it has told the outline of the object that lies there since `begun` (s), and vouches for it."""
+        return self._vouched_at > begun
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells, as far as the smoother knows its lag."""
@@ -73,11 +77,12 @@ class SmootherLink:
         self._batch.clear()
         improvement = self._smoothing.collect(t)
         if isinstance(improvement, Unexplained):
-            self._refused_at = improvement.t
+            self._refused_at, self._vouched_at = improvement.t, -math.inf
             return improvement
         if improvement is not None:
             vouches = improvement.established or bool(improvement.touched.any())
-            self._refused_at = -math.inf if vouches else improvement.t
+            never, now = -math.inf, improvement.t
+            self._refused_at, self._vouched_at = (never, now) if vouches else (now, never)
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement

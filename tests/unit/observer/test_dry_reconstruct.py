@@ -97,18 +97,45 @@ def test_the_likeliest_sequence_is_the_best_of_all():
 def test_forces_alone_tell_which_palm_it_sticks_to_its_mass_and_its_friction(dry):
     log, truth = dry
     search = searched(log)
-    guess = stuck_guess(search.record)
+    guess = stuck_guess(search.record, 0.0)
     assert guess.mass == pytest.approx(truth["mass_kg"], rel=0.02)
     assert guess.mu == pytest.approx(DRY.mu, abs=0.03)
-    outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
-    t = np.array(truth["t"])
+    truly = truly_stuck(search.record, truth)
+    moving = search.record.t > 1.0  # at first the palms hardly turn, and forces tell nothing
+    assert np.mean((truly != guess.palms)[moving]) < 0.03
+
+
+def test_palms_that_rub_unequally_are_told_apart_by_their_forces(dry):
+    """Forces ask for a friction of each: with one for both, which palm is stuck to is taken wrongly."""
+    record = searched(dry[0]).record
+    mu1, mu2, mass = 0.12, 0.28, 0.1
+    truly = np.arange(len(record.t)) // 250 % 3 == 0
+    phi1, phi2, _, opens = record.palms[:, :4].T
+    across = [mu * np.sign(opens) * np.sin(phi2) - np.cos(phi2) for mu in (mu1, mu2)]
+    two = mass * 9.81 * (np.cos(phi1) * np.cos(phi2) - np.cos(phi1 + phi2)) / np.sin(phi2) ** 2
+    one = np.where(
+        truly,
+        (-mass * 9.81 * np.cos(phi1 + phi2) - two) / across[0],
+        mass * 9.81 * np.cos(phi1) - two * across[1],
+    )
+    t = record.t[record.force_step] + record.force_offset
+    forces = np.where(record.force_pad == 1, np.interp(t, record.t, one), np.interp(t, record.t, two))
+    record = replace(record, force_value=forces)
+    guess = stuck_guess(record, AS_CALIBRATED["friction_sd"])
+    assert guess.mu * (1.0 + guess.asymmetry) == pytest.approx(mu1, abs=0.03)
+    assert guess.mu * (1.0 - guess.asymmetry) == pytest.approx(mu2, abs=0.03)
+    assert np.mean(truly != guess.palms) < 0.05
+    assert np.mean(truly != stuck_guess(record, 0.0).palms) > 0.1
+
+
+def truly_stuck(record, truth):
+    """The palm that was stuck to at the record's nodes."""
+    outline, t = shape.coefficients_of(np.array(truth["h_m"]), ORDER), np.array(truth["t"])
     palms = np.zeros((len(t), 6))
     palms[:, 0], palms[:, 1] = truth["phi1_rad"], truth["phi2_rad"]
     lying = Lying.at(palms, np.array(truth["psi_rad"]), ORDER)
     slips = [np.abs(np.gradient(lying.kept(palm) @ outline, t)) for palm in (0, 1)]
-    truly = np.interp(search.record.t, t, np.argmin(slips, axis=0).astype(float)) > 0.5
-    moving = search.record.t > 1.0  # at first the palms hardly turn, and forces tell nothing
-    assert np.mean((truly != guess.palms.astype(bool))[moving]) < 0.03
+    return np.interp(record.t, t, np.argmin(slips, axis=0).astype(float)) > 0.5
 
 
 def test_a_lump_that_sticks_is_reconstructed_blind(dry):
@@ -148,7 +175,9 @@ def drawn(search):
     palms = (np.arange(len(search.record.t)) // 300 % 2).astype(np.intp)
     model = DryModel(search.record, search.path, search.prior, phases_of(palms, search.record.t))
     random = np.random.default_rng(5)
-    z = model.begun(search.prior.mean[C.SHAPE :] + 0.3 * search.prior.sd[C.SHAPE :] * random.normal(size=25), 0.1, 0.2)
+    z = model.begun(
+        search.prior.mean[C.SHAPE :] + 0.3 * search.prior.sd[C.SHAPE :] * random.normal(size=25), 0.1, 0.2, 0.0
+    )
     z[RIG] = prior_sds(RigDescription().known_to(AS_CALIBRATED)) * random.normal(size=RIG_CONSTANTS)
     return model, z
 

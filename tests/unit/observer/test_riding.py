@@ -111,13 +111,21 @@ def watched(run, smoother_takes_s: float) -> int:
     return valid
 
 
-@pytest.mark.parametrize("smoother_takes_s", [0.2, NEVER])
-@pytest.mark.parametrize(("excluded", "sharp", "ticks"), [(True, False, 20), (False, False, 0), (True, True, 0)])
-def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s, excluded, sharp, ticks):
+@pytest.mark.parametrize(
+    ("smoother_takes_s", "excluded", "disc", "sharp", "ticks"),
+    [
+        (NEVER, True, False, False, 20), (NEVER, False, False, False, 0), (NEVER, True, False, True, 0),
+        (0.2, True, False, False, 20), (0.2, False, False, False, 20), (0.2, False, True, False, 0),
+        (0.2, True, False, True, 0),
+    ],
+)  # fmt: skip
+def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s, excluded, disc, sharp, ticks):
+    """By both pads, or by one and a smoother that has weighed its answer against a ride."""
     monkeypatch.setattr(Riding, "excluded", excluded)
+    monkeypatch.setattr(Riding, "disc", disc)
     monkeypatch.setattr(Riding, "_sharp", lambda *_: sharp)
     monkeypatch.setattr("palmd.observer.riding.TELLING_RAD", 0.0)
-    valid = watched(simulated("nominal", 9500, 1.6), smoother_takes_s)
+    valid = watched(simulated("nominal", 9500, 2.0), smoother_takes_s)
     assert (valid > ticks) if ticks else (valid == 0)
 
 

@@ -3,17 +3,25 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from simulated import simulated
 
 from palmd.events import PadSample, PalmSample
+from palmd.lab.simulated import written
 from palmd.model.shape_map import Z
+from palmd.model.smoothing import C
 from palmd.observer import seeker
-from palmd.observer.data_segment import data_segments
+from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.incremental import IncrementalSmoother
-from palmd.observer.search import Search
+from palmd.observer.noise import with_scatter
+from palmd.observer.normal_equations import Guess
+from palmd.observer.search import Search, explained, minima
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
+from palmd.record.eventlog import read_log
+from palmd.rig.shapes import Body, Support
+from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
 
 RUN = ("friction", 107, 3.0)
@@ -34,6 +42,37 @@ def rig():
 
 def test_on_a_rig_that_is_as_described_the_first_search_is_believed(rig):
     assert sought(rig, 1) == [True]
+
+
+def spinning_disc():
+    """A search, and what it explains as well by a disc that spins as by the true one, which hardly turns."""
+    lines, _ = simulate_log("friction", 3, 3.0, body=Body("disc", Support.from_coefficients((16e-3, 0.0)), 10e-3, 0.1))
+    with written(lines) as path:
+        log = read_log(path)
+    segment = longest_segment(log.events)
+    search = Search(segment, with_scatter(log.rig, segment.pads))
+    t, spin, p = search.record.t - search.record.t[0], 1.5, search.prior.mean.copy()
+    dither = math.exp(p[C.SATURATION])
+    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = p[C.LN_RHO] + math.log(16e-3), p[C.DRAG] / dither, dither**-2.0
+    start = Guess(np.stack([spin * t, np.full(len(t), spin)], axis=1), p)
+    return search, minima(search.library, search.record, search.known, [start], search.noise)
+
+
+def test_a_wide_minimum_outweighs_one_of_less_cost_in_which_all_looks_sharp():
+    """What readings hardly tell is explained best by one of many motions, which need not be the right one."""
+    search, spun = spinning_disc()
+    turn = float(np.ptp(spun.fits[0].guess.x[:, 0]))
+    likelier, decided = search.likeliest(spun)
+    assert turn > 4.0
+    assert explained(spun.fits[0], spun.record)
+    assert spun.fits[0].cost < likelier.fits[0].cost - 9.0
+    assert np.ptp(likelier.fits[0].guess.x[:, 0]) < 1.0
+    assert not decided
+
+
+def test_on_an_exact_rig_only_what_is_likelier_than_a_ride_is_sure(rig, monkeypatch):
+    monkeypatch.setattr(Search, "likeliest", lambda _, finding: (finding, False))
+    assert sought(rig) == [False, False]
 
 
 def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, monkeypatch):
