@@ -40,7 +40,7 @@ LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a 
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
 # Of the limit, what the force may be foreseen to come to; it is seen late, and lowering goes on as long.
 FORESEEN_SHARE, SEEN_LATE_S, FADING = 0.75, 0.08, 0.9
-RAISED_SHARE = 0.6  # the same where a lift begins, which needs a run-up: beyond, the lever may shorten to nothing
+RAISED_SHARE = 0.5  # the same where a lift begins, which needs a run-up: beyond, the lever may shorten to nothing
 PAD_END_M = 5e-3
 RETREAT_M = 8e-4
 FARTHEST_M = 0.012  # of the pivot from the body's middle
@@ -292,7 +292,8 @@ class Drags:
 
     @property
     def _least(self) -> float:
-        return max(LEAST_LEVER_M, LEVER_SHARE * self._most)
+        """|e| (m) where it turns back; raised, e² falls by no more than is known, and the force alone is in the way."""
+        return LEAST_LEVER_M if self.phase == "up" else max(LEAST_LEVER_M, LEVER_SHARE * self._most)
 
     def _learn(self, felt: Touching) -> None:
         square = felt.e**2

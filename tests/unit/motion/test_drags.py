@@ -100,7 +100,7 @@ def test_the_force_at_rest_is_foreseen(touched, raised, monkeypatch):
     """Friction that trails takes from the force: what is felt on the way is less than where the body stands."""
     monkeypatch.setattr(drags, "TAMED_SHARE", math.inf)
     felt = list(pressed(touched, raised=raised))
-    assert len(felt) > 2
+    assert len(felt) > 1
     assert max(felt) < LIMITS.force
 
 
@@ -143,10 +143,20 @@ def test_a_body_that_leans_on_its_top_is_raised_no_farther(touched):
     assert touched.phase == "up"
     here, e = (FELT.x, FELT.z), 0.008
     for k in range(4):  # the lever shortens as it is raised, and the force is far from its limit
-        felt = replace(FELT, z=FELT.z + 5e-4 * k, e=e - 6e-4 * k, force=1.0)
+        felt = replace(FELT, z=FELT.z + 5e-4 * k, e=e - 6e-4 * k, force=0.8)
         here = settled(touched, replace(felt, t=float(k)), here).move.end
-    step = settled(touched, replace(felt, t=9.0, z=felt.z + 5e-4, e=felt.e - 6e-4, force=1.15), here)
+    step = settled(touched, replace(felt, t=9.0, z=felt.z + 5e-4, e=felt.e - 6e-4, force=0.95), here)
     assert step.reason == "this side is done: lifted off"
+
+
+def test_raised_it_goes_on_while_the_force_allows_however_short_the_lever_was_on_the_way_down(touched):
+    touched.look(replace(FELT, e=0.0015), (FELT.x, FELT.z), False)
+    here = (FELT.x, FELT.z)
+    for k, e in enumerate((0.0100, 0.0060, 0.0036, 0.0032)):  # a third of the longest
+        felt = replace(FELT, t=float(k), z=FELT.z + 5e-4 * k, e=e, force=2e-3 / e)
+        here = settled(touched, felt, here).move.end
+    step = settled(touched, replace(felt, t=9.0, z=felt.z + 5e-4, e=0.0021, force=0.8), here)
+    assert step.reason == "this side is done: lifted off"  # it would come to the dead centre
 
 
 def test_a_pad_that_is_silent_for_a_moment_does_not_end_the_touch(touched):
