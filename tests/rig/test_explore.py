@@ -73,7 +73,7 @@ def test_without_its_explorer_the_arm_stands_until_there_is_another_one(own_benc
     bench.at_rest()
     assert bench.heard.state == "tracking"
     os.kill(number, signal.SIGKILL)
-    bench.until(lambda heard: heard.latest["palm/loop"]["explorer_starts"] == 2, "another explorer")
+    until(bench, lambda heard: heard.latest["palm/loop"]["explorer_starts"] == 2, "another explorer")
     assert explorer_number(bench) != number
     bench.moving()
     bench.until_gone("explorer-silent")
