@@ -85,15 +85,10 @@ class Arrow:
 
         Raises numpy.linalg.LinAlgError where the matrix is not positive definite.
         """
-        chain, corner = self._factor(damping)
-        K, _, m = self.border.shape
-        sides = np.empty((K * STATES, m + 1), order="F")
-        sides[:, :m], sides[:, m] = self.border.reshape(-1, m), self.nodes_gradient.reshape(-1)
-        half = _forward(chain, sides)
-        left = half.T @ half
-        schur, side = corner - left[:m, :m], self.gradient - left[:m, m]
-        step = -linalg.cho_solve(linalg.cho_factor(schur, check_finite=False), side)
-        return _forward(chain, -(half[:, m] + half[:, :m] @ step), "T").reshape(K, STATES), step
+        chain, half, left, side = self._reduced(damping)
+        step = -linalg.cho_solve(linalg.cho_factor(left, check_finite=False), side)
+        nodes = _forward(chain, -(half[:, -1] + half[:, :-1] @ step), "T")
+        return nodes.reshape(-1, STATES), step
 
     def nodes_step(self, damping: float) -> FloatArray:
         """The step of the nodes (K, 6) alone, the parameters staying as they are; raises as `solve`."""
@@ -110,17 +105,22 @@ class Arrow:
 
     def marginal(self) -> tuple[FloatArray, FloatArray]:
         """The quadratic in the parameters that is left, whatever the nodes are: (m, m), half gradient (m,)."""
-        chain, corner = self._factor(0.0)
-        K, _, m = self.border.shape
-        sides = np.empty((K * STATES, m + 1), order="F")
-        sides[:, :m], sides[:, m] = self.border.reshape(-1, m), self.nodes_gradient.reshape(-1)
-        half = _forward(chain, sides)
-        left = half.T @ half
-        return corner - left[:m, :m], self.gradient - left[:m, m]
+        _, _, left, side = self._reduced(0.0)
+        return left, side
 
     def information(self) -> FloatArray:
         """Of the parameters, whatever the nodes are (m, m)."""
         return self.marginal()[0]
+
+    def _reduced(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(the chain's factor L, L⁻¹ (border, gradient of the nodes), and what is left: corner, half gradient)."""
+        chain, corner = self._factor(damping)
+        K, _, m = self.border.shape
+        sides = np.empty((K * STATES, m + 1), order="F")
+        sides[:, :m], sides[:, m] = self.border.reshape(-1, m), self.nodes_gradient.reshape(-1)
+        half = _forward(chain, sides)
+        product = half.T @ half
+        return chain, half, corner - product[:m, :m], self.gradient - product[:m, m]
 
     def _factor(self, damping: float) -> tuple[FloatArray, FloatArray]:
         """(banded Cholesky factor of the chain, corner), both damped."""
