@@ -29,7 +29,7 @@ from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
-from palmd.system.arcs import FLAT, opening_at, tangents
+from palmd.system.arcs import FLAT, MOST_LYING, opening_at, tangents
 from palmd.system.mechanism import PALMS
 
 PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
@@ -203,6 +203,8 @@ def _too_little(radius_m: float, limits: MotionLimits, travel_m: float) -> str:
         f"a cylinder of {radius_m * 1e3:g} mm radius can be moved by {travel_m * 1e3:.1f} mm along the pads;"
         f" {LEAST_TRAVEL_M * 1e3:g} mm is the least"
     )
+    if max(limits.curvatures) * radius_m >= MOST_LYING:
+        return f"{told}: it would lie in the palms rather than on them, the radius is too large"
     if (
         float(contacts_m(radius_m, np.array([limits.angles[1][1]]), limits.curvatures).min())
         > limits.pad_length - PAD_MARGIN_M - LEAST_TRAVEL_M

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,13 @@ def test_every_rest_is_come_to_from_both_sides_and_both_palms_bear_the_weight(ra
 def test_cylinders_that_cannot_be_moved_along_the_pads(radius_mm, words):
     with pytest.raises(CylinderError, match=words):
         turning_plan(radius_mm * 1e-3, NARROW)
+
+
+@pytest.mark.parametrize("radius_m", [0.074, 0.5])
+def test_a_cylinder_that_would_lie_in_concave_palms_is_too_large(radius_m):
+    concave = replace(LIMITS, curvatures=(1 / 0.075, 1 / 0.075))
+    with pytest.raises(CylinderError, match="lie in the palms rather than on them, the radius is too large"):
+        tipping_plan(radius_m, concave, 2)
 
 
 def test_limits_that_do_not_let_the_v_be_tipped():
