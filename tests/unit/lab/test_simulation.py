@@ -45,7 +45,7 @@ FOUND = {
 
 STOPPED = 255
 """A seed whose object was lost by a stop: the palms were told to stand while they still turned."""
-FRESH_S = 8.0
+FRESH_S = 20.0
 
 
 def told(t, command, client=0, **args):
