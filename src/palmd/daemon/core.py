@@ -399,6 +399,7 @@ class Core:
             known=self._observer.foresees,
             object_count=self._observer.object_count,
             look=lambda: self._observer.outlook(t),
+            sticking=self._system.sticking,
         )
 
     def _conditions(self, t: float, under_way: bool) -> set[str]:

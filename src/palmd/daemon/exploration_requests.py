@@ -29,7 +29,8 @@ class ExplorationTask:
 class Question:
     """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one.
 
-    `outlook`: as the system's observer gives it. Without `choose`: only whether that move may go on.
+    `outlook`: as the system's observer gives it. Without `choose`: only whether that move may go on. `sticking`: of an
+    object that sticks, where its contacts are (m).
     """
 
     t: float
@@ -37,6 +38,7 @@ class Question:
     outlook: object | None
     under_way: UnderWay
     choose: bool = True
+    sticking: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,7 @@ class Source(Protocol):
 
 
 class Decider:
-    """Answers questions of two palms: the explorer's work, rocking while nothing is known. Not for the loop."""
+    """Answers for two palms: explores, rocks while nothing is known, provokes what sticks. Not for the loop."""
 
     def __init__(self, rig: RigDescription, seed: int = 0) -> None:
         self._rig = rig
@@ -87,8 +89,14 @@ class Decider:
             self._run = task.run
             self._explorer = Explorer(self._rig, task.limits, task.goal, self._seed)
             self._centre: Angles | None = None  # of the rocking
+            self._corners: tuple[Angles, ...] = ()  # that are still to come of the rounds that provoke slips
         if outlook is not None:
             assert isinstance(outlook, Outlook), "it is of two palms"
+        if question.sticking is None or (outlook is not None and outlook.vouched_for):
+            self._corners = ()
+        if question.sticking is not None and (outlook is None or not outlook.vouched_for):
+            decision = self._provoked(question.sticking, move, task.limits, question.choose)
+        elif outlook is not None:
             self._centre = None
             decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
         else:
@@ -96,6 +104,21 @@ class Decider:
         return ExplorationAnswer(
             question.t, task.run, move, None if outlook is None else outlook.object_count, decision
         )
+
+    def _provoked(self, contacts: tuple[float, ...], last: Move, limits: MotionLimits, choose: bool) -> Decision:
+        """The move after `last` of an object that sticks, its contacts (m) being there: no belief foresees any."""
+        if not choose:
+            return Decision("safe")
+        from palmd.motion.provocation import provoke, rounds  # as above
+
+        here = last.end
+        if self._corners and here == self._corners[0]:
+            self._corners = self._corners[1:]
+        self._corners = self._corners or rounds(contacts, here, limits)
+        move = provoke(here, self._corners, limits)
+        if move is None:
+            return Decision("wait", reason="the object sticks, and there is no room to make it slip")
+        return Decision("move", move, "the object sticks: it is made to slip along either palm in turn", blind=True)
 
     def _until_known(self, here: Angles, limits: MotionLimits) -> Decision:
         """The next move of the palms, which stand at `here` (rad), when it is not known where the object is."""

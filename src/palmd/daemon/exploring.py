@@ -38,13 +38,14 @@ SILENT_S = 2.0  # of standing with one, before it is said that no decision comes
 class Senses:
     """What is known at a tick: whether the palms may move by themselves, whether both pads are touched,
     whether the object is known well enough to foresee motions and which it is; `look` gets the outlook, which costs
-    time."""
+    time. sticking: of an object that sticks, where its contacts are (m)."""
 
     tracking: bool
     touching: bool
     known: bool
     object_count: int
     look: Callable[[], object]
+    sticking: tuple[float, ...] | None = None
 
 
 class Explores(ABC):
@@ -218,7 +219,7 @@ class Exploring(Explores):
         elif decision.kind == "move" and not self._ending:
             move = decision.move
             if move is not None and move.start == exploration.last.end:
-                self._next = move, blind
+                self._next = move, blind or decision.blind
 
     def _ask(self, source: Source, exploration: Exploration, tau: float, t: float, senses: Senses) -> None:
         move, elapsed = exploration.under_way(tau)
@@ -231,7 +232,7 @@ class Exploring(Explores):
         if outlook is None and (senses.known or not may_rock):
             return
         choose = self._next is None and to_go <= 0.0
-        source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed), choose))
+        source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed), choose, senses.sticking))
 
     def _halt(self, reason: str) -> None:
         self._halting = True

@@ -105,6 +105,11 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Codes of the fault table that hold by what only this system knows."""
 
+    @property
+    def sticking(self) -> tuple[float, ...] | None:
+        """Where the contacts of an object are that friction without dither holds (m); None: of none that is known."""
+        return None
+
     def excused(self, exploring: Explores) -> Collection[str]:
         """Codes that are no faults just now."""
         del exploring

@@ -17,6 +17,7 @@ from palmd.daemon.exploring import Exploring
 from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
+from palmd.daemon.sticking import StickingWatch
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
 from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
@@ -43,7 +44,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         self.poses = make_poses(config)
         self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
-        self._swap = SwapWatch()
+        self._swap, self._sticking = SwapWatch(), StickingWatch()
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
         """As configured."""
@@ -85,14 +86,21 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 
     def felt(self, sample: PadSample) -> None:
-        """Are the pads swapped?"""
+        """Are the pads swapped, does the object stick?"""
         self._swap.feed(sample)
+        self._sticking.feed(sample)
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """Pads that are swapped."""
+        """Pads that are swapped. Whether the object sticks is judged as well, and is no fault."""
         self._swap.look(t, actual)
+        self._sticking.look(t, actual)
         if self._swap.swapped:
             yield "pads-swapped"
+
+    @property
+    def sticking(self) -> tuple[float, ...] | None:
+        """By the pads' forces."""
+        return self._sticking.contacts
 
     def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
         """`palm/improvement`, or `palm/unexplained`."""

@@ -24,7 +24,8 @@ class Decision:
     """What to do next; `safe` says no more than that the move under way may go on.
 
     move: from where the one under way ends, from rest to rest. reason: in words. coverage: the share touched of the
-    normals that can be reached; reachable: their share of all.
+    normals that can be reached; reachable: their share of all. blind: nothing was foreseen,
+    so that the move goes on whether or not the object is known.
     """
 
     kind: Kind
@@ -32,3 +33,4 @@ class Decision:
     reason: str = ""
     coverage: float = math.nan
     reachable: float = math.nan
+    blind: bool = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,7 @@ class Stage:
         self.steps = 5000
         self.valid = self.touching = self.tracking = True
         self.object_count = 1
+        self.sticking: tuple[float, ...] | None = None
         self.motions: list[PalmMotion] = []
         self.spec = PlanSpec.model_validate(
             {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
@@ -115,7 +117,8 @@ class Stage:
         for _ in range(round(seconds / STEP_S)):
             self.steps += 1
             if self.steps % TICK_STEPS == 0:
-                senses = Senses(self.tracking, self.touching, self.valid, self.object_count, self.look)
+                known = self.tracking, self.touching, self.valid
+                senses = Senses(*known, self.object_count, self.look, self.sticking)
                 self.exploring.step(self.t, senses)
             if self.steps % CYCLE_STEPS == 0:
                 assert self.setpoints.target(self.t) is not None
@@ -400,6 +403,60 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
     begun = stage.source.questions[-1].under_way.move
     assert begun.start == pytest.approx(stood.angles)
     assert moves(stage.after(0.3))
+
+
+def asked(
+    stage: Stage, outlook: Outlook | None, sticking: tuple[float, ...] | None, *, choose: bool = True
+) -> Question:
+    move = Move(HERE.angles, HERE.angles, 0.0)
+    task = ExplorationTask(1, stage.spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
+    return Question(5.0, task, outlook, UnderWay(move, 9.0), choose, sticking)
+
+
+def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known() -> None:
+    stage, decider = Stage(), Decider(rig_description(CONFIG))
+    guessed = replace(stage.look(), rig=np.zeros(15))
+    for outlook in (None, guessed):
+        answer = decider.answer(asked(stage, outlook, (0.02, 0.02)))
+        assert answer.decision.blind
+        assert "sticks" in answer.decision.reason
+        assert answer.decision.move is not None
+        assert answer.decision.move.start == HERE.angles
+    assert decider.answer(asked(stage, guessed, (0.02, 0.02), choose=False)).decision.kind == "safe"
+    told = []
+    for sticking in (None, (0.02, 0.02)):
+        decider = Decider(rig_description(CONFIG))
+        decider.answer(asked(stage, None, None))
+        decider._explorer.decide = lambda *_, **__: Decision("wait", reason="explores")  # type: ignore[method-assign]
+        told.append(decider.answer(asked(stage, stage.look(), sticking)).decision)
+    assert [decision.reason for decision in told] == ["explores", "explores"]
+
+
+def test_it_goes_from_corner_to_corner_each_once() -> None:
+    stage, decider, here = Stage(), Decider(rig_description(CONFIG)), HERE.angles
+    ends = []
+    for _ in range(6):
+        question = replace(asked(stage, None, (0.02, 0.02)), under_way=UnderWay(Move(here, here, 0.0), 9.0))
+        again = [decider.answer(question).decision.move for _ in range(2)]
+        assert again[0] is not None
+        assert again[0] == again[1]
+        here = again[0].end
+        ends.append(here)
+    assert ends[4:] == ends[:2]
+    assert len(set(ends)) == 4
+
+
+def test_a_move_that_foresaw_nothing_goes_on_though_the_object_is_lost_and_sticking_is_passed_on() -> None:
+    def provoking(question: Question) -> Decision:
+        return Decision("move", Move(question.under_way.move.end, (1.2, 1.5), 3.0), "slips", blind=True)
+
+    stage = Stage(provoking)
+    stage.sticking = (0.02, 0.03)
+    list(stage.go(0.5))
+    stage.valid = False
+    assert moves(stage.after(2.0 * LOST_S))
+    assert stage.reason() == "slips"
+    assert stage.source.questions[-1].sticking == (0.02, 0.03)
 
 
 def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> None:

@@ -1,0 +1,72 @@
+"""Whether friction sticks is told from forces, slowly turning palms and nothing else."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+
+import pytest
+
+from palmd.daemon.sticking import LIFTED_S, StickingWatch
+from palmd.events import PadSample, PalmMotion
+
+SWING, RATE = 0.15, 3.0  # rad, rad/s: the opening's
+
+
+def rocked(
+    watch: StickingWatch,
+    friction: Callable[[float], float],
+    gains: tuple[float, float] = (1.0, 1.0),
+    begin: float = 0.0,
+) -> float:
+    """Ten seconds of a round object at rest between palms that rub by `friction` of the opening's rate (rad/s)."""
+    chance, t = random.Random(3), begin
+    for i in range(1000):
+        t = begin + 0.01 * i
+        opening, opens = 1.6 + SWING * math.sin(RATE * t), SWING * RATE * math.cos(RATE * t)
+        rubs = friction(opens)
+        each = 1.0 / (1.0 - math.cos(opening) + rubs * math.sin(opening))  # both alike: Σ f (n − μ σ t) = g
+        for pad, gain in zip((1, 2), gains, strict=True):
+            watch.feed(PadSample(t, pad, 0.02 + 1e-3 * pad, gain * each * chance.gauss(1.0, 0.05)))
+        first = math.pi / 2 - opening / 2
+        watch.look(t, PalmMotion((first, opening), (-opens / 2, opens), (0.0, 0.0)))
+    return t
+
+
+@pytest.mark.parametrize("gains", [(1.0, 1.0), (0.6, 1.5)])
+def test_what_rubs_as_hard_at_any_speed_sticks_and_where_it_lies_is_told(gains: tuple[float, float]) -> None:
+    watch = StickingWatch()
+    rocked(watch, lambda opens: math.copysign(0.2, opens), gains)
+    assert watch.contacts == (0.021, 0.022)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.25])
+def test_what_dithers_does_not(mu: float) -> None:
+    watch = StickingWatch()
+    rocked(watch, lambda opens: mu * math.tanh(0.02 * opens / 8e-3))
+    assert watch.contacts is None
+
+
+def test_nothing_is_said_of_what_was_taken_away_nor_by_palms_that_stand() -> None:
+    watch = StickingWatch()
+    t = rocked(watch, lambda opens: math.copysign(0.2, opens))
+    standing = PalmMotion.at_rest((0.8, 1.6))
+    watch.look(t + 0.9 * LIFTED_S, standing)
+    assert watch.contacts is not None
+    watch.look(t + 1.1 * LIFTED_S, standing)
+    assert watch.contacts is None
+    for i in range(300):
+        for pad in (1, 2):
+            watch.feed(PadSample(t + 1.0 + 0.01 * i, pad, 0.02, 1.0 + 0.3 * (i % 2)))
+        watch.look(t + 1.0 + 0.01 * i, standing)
+    assert watch.contacts is None
+
+
+def test_readings_without_force_say_nothing() -> None:
+    watch = StickingWatch()
+    for i in range(300):
+        for pad in (1, 2):
+            watch.feed(PadSample(0.01 * i, pad, 0.02, None))
+        watch.look(0.01 * i, PalmMotion((0.8, 1.6), (0.0, 0.05), (0.0, 0.0)))
+    assert watch.contacts is None
