@@ -31,6 +31,8 @@ TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad, at a change, which is somewhere between t
 ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way from now on
 MASS_SD = 0.1  # relative, of what a frictionless object of these forces would have
 CONTACT_SD, FORCE_SD = 3e-5, 0.02  # m and relative: what the filters leave out
+UNDERWEIGHTED = 0.2  # of what a filter is unsure of a reading, as noise besides: it is linearised far from the answer
+LOST = 1.0  # in ln mass and in ln radius, from where filters begin: beyond, one has diverged
 MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does there
 HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
 
@@ -85,6 +87,7 @@ def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess
         return None
     pull = _pull(record, float(prior.mean[C.SHAPE]))
     filters = _begun(_mass(record), prior, asymmetry_sd)
+    begun = filters.x[0]
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
     read = 0
@@ -101,6 +104,9 @@ def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess
         read += part.readings
         if part.readings:
             filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
+            filters = filters.which(np.flatnonzero(_going(filters, begun)))
+            if not len(filters.cost):
+                return None
     best = filters.which(np.array([int(np.argmin(filters.cost))]))
     x = best.x[0]
     at_nodes = np.repeat(best.past[0], DECISION_STEPS * stride)[: len(record.t) - 1]
@@ -185,7 +191,9 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
     ])  # fmt: skip
     miss = np.concatenate([part.contact_value, part.force_value]) - foretold
     told = by @ covariance
-    spread = told @ by.transpose(0, 2, 1) + np.diag(noise)
+    spread = told @ by.transpose(0, 2, 1)
+    unsure = np.einsum("nmm->nm", spread)  # a view: the diagonals
+    unsure += UNDERWEIGHTED * unsure + noise
     gain = np.linalg.solve(spread, told)
     nis = np.einsum("nm,nm->n", miss, np.linalg.solve(spread, miss[:, :, None])[:, :, 0])
     nis = np.minimum(nis, MOST_NIS * part.readings)
@@ -193,6 +201,13 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
         filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance - told.transpose(0, 2, 1) @ gain,
         cost=filters.cost + nis + np.linalg.slogdet(spread)[1], nis=filters.nis + nis,
     )  # fmt: skip
+
+
+def _going(filters: _Filters, begun: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which have not diverged from x as they were `begun`."""
+    mass, radius = filters.x[:, LN_MASS] - begun[LN_MASS], filters.x[:, SHAPE.start] / begun[SHAPE.start]
+    going: npt.NDArray[np.bool_] = (np.abs(mass) < LOST) & (np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST)
+    return going & np.isfinite(filters.cost)
 
 
 def _contacts(filters: _Filters, part: Record, psi: FloatArray) -> tuple[FloatArray, FloatArray]:

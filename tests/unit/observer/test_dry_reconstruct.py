@@ -17,7 +17,7 @@ from palmd.observer.dry_fit import RIG, SHAPE, DryModel, _palms, phases_of
 from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.noise import with_scatter
 from palmd.observer.search import Search
-from palmd.observer.stuck_palms import stuck_guess
+from palmd.observer.stuck_palms import LN_MASS, _begun, _going, stuck_guess
 from palmd.record.eventlog import read_log
 from palmd.rig.dry_plant import DRY, DryPlant
 from palmd.rig.imperfections import PERFECT
@@ -105,6 +105,16 @@ def test_on_a_moving_rig_that_rubs_little_and_unequally_contacts_tell_what_force
     guess = stuck_guess(record, search.prior, AS_CALIBRATED["friction_sd"])
     assert guess.asymmetry == pytest.approx(0.3, abs=0.1)
     assert np.mean(truly_stuck(record, truth) != guess.palms) < 0.1
+
+
+def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
+    prior = searched(dry[0]).prior
+    filters = _begun(0.1, prior, 0.0)
+    x = filters.x.copy()
+    x[0, LN_MASS] += 800.0
+    assert _going(replace(filters, x=x), filters.x[0]).tolist() == [False, True]
+    lost = replace(filters, cost=np.array([0.0, math.nan]))
+    assert _going(lost, filters.x[0]).tolist() == [True, False]
 
 
 def truly_stuck(record, truth):
