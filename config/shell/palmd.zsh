@@ -211,6 +211,7 @@ _shtab_palmd_bench_off_options=(
   "--taken-for[what the rest of the rig is\: exact, calibrated (default\: both)]:WORLD:(exact calibrated)"
   "--only[what is off\: nothing\; pad 1\'s zero 0.1 mm\; pad 1\'s zero 0.3 mm\; both zeros 0.3 mm\; pad 2\'s scale 1 \%\; φ1 0.3\°\; gravity 0.5\°\; φ2 0.3\°\; φ2 1\°\; pad 1 0.5 mm high\; pad 1 bowed 0.1 mm\; pad 1 bowed 0.3 mm\; pad 1 0.1 mm\/N\; pad 1 0.3 mm\/N\; μ1 \= 2 μ2\; μ1 \= μ2 \/ 5\; pad 2 15 ms late\; stick-slip\; vibration 0.3 m\/s²\; 16 ms batches\; 5 \% outliers\; 30 \% dropped\; Student\'s noise (default\: each of them)]:WHAT:(nothing pad 1's zero 0.1 mm pad 1's zero 0.3 mm both zeros 0.3 mm pad 2's scale 1 % φ1 0.3° gravity 0.5° φ2 0.3° φ2 1° pad 1 0.5 mm high pad 1 bowed 0.1 mm pad 1 bowed 0.3 mm pad 1 0.1 mm/N pad 1 0.3 mm/N μ1 = 2 μ2 μ1 = μ2 / 5 pad 2 15 ms late stick-slip vibration 0.3 m/s² 16 ms batches 5 % outliers 30 % dropped Student's noise)"
   "--explored[explore, on a rig declared exact of which a constant is off]"
+  "--live[replay each log through the live observer too, as \`palmd estimate\` does]"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
   "--seconds[how long each lasts (default\: 20)]:S:"
   {-o,--output}"[a JSON line for each run, overwritten (default\: off.jsonl)]:FILE:_files"

@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--only", choices=_ORDER, nargs="+", default=_ORDER, metavar="WHAT",
         help=f"what is off: {'; '.join(_ORDER)} (default: each of them)".replace("%", "%%"))  # fmt: skip
     add("--explored", action="store_true", help="explore, on a rig declared exact of which a constant is off")
+    add("--live", action="store_true", help="replay each log through the live observer too, as `palmd estimate` does")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
     add("--seconds", type=seconds, default=20.0, metavar="S", help="how long each lasts (default: %(default)g)")
     add("-o", "--output", type=Path, default=Path("off.jsonl"), metavar="FILE",
@@ -56,7 +57,9 @@ def _explored(arguments: argparse.Namespace) -> int:
 
 
 def _reconstructed(arguments: argparse.Namespace) -> int:
-    tasks = off.tasks_of(arguments.only, arguments.taken_for, arguments.seed, arguments.runs, arguments.seconds)
+    tasks = off.tasks_of(
+        arguments.only, arguments.taken_for, arguments.seed, arguments.runs, arguments.seconds, arguments.live
+    )
     sink = Sink[OffRow](arguments.output, as_line)
     rows, status = collected("one thing off", tasks, off.run, off.failed, workers.asked_for(arguments), sink)
     if rows:

@@ -14,18 +14,21 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from palmd import observer
 from palmd.events import Event, PadSample
+from palmd.lab.montecarlo import answers
 from palmd.lab.off_telling import Telling, telling
 from palmd.lab.runs import with_failures
-from palmd.lab.scoring import FAR, outline_errors, truth_of
+from palmd.lab.scoring import FAR, Line, outline_errors, truth_of
 from palmd.lab.simulated import written
 from palmd.lab.table import aligned
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import read_log
+from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.imperfections import PERFECT, Imperfections, drawn
 from palmd.rig.plant import PlantOptions
 from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.simulate import PERFECTLY_KNOWN, simulate_log
+from palmd.score import WRONG_M
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 
@@ -139,6 +142,7 @@ class OffTask:
     kind: Kind
     seed: int
     seconds: float = 20.0
+    live: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +151,8 @@ class OffRow:
 
     e_h, h_sd: RMS over the touched normals (m). z: of the constants that are off, the largest error in one-sigmas.
     named, named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. bias,
-    sigmas, apart: of the latter, as `Telling` has them.
+    sigmas, apart: of the latter, as `Telling` has them. ticks, valid, live_far, live_wrong: of a causal replay, those
+    that are valid, and of these with r1 and r2 by RMS more than `FAR` one-sigmas off, or either by more than `WRONG_M`.
     """
 
     off: str
@@ -165,6 +170,10 @@ class OffRow:
     bias: float = math.nan
     sigmas: float = math.nan
     apart: float = math.nan
+    ticks: int = 0
+    valid: int = 0
+    live_far: int = 0
+    live_wrong: int = 0
 
     @property
     def astray(self) -> bool:
@@ -183,13 +192,13 @@ class OffRow:
 
 
 def tasks_of(
-    offs: Iterable[str], taken_for: Iterable[TakenFor], first: int, runs: int, seconds: float
+    offs: Iterable[str], taken_for: Iterable[TakenFor], first: int, runs: int, seconds: float, live: bool = False
 ) -> list[OffTask]:
     """So many runs of each, the kinds `friction` and `rig` in turns."""
     kinds: tuple[Kind, Kind] = ("friction", "rig")
     worlds, names = tuple(taken_for), tuple(offs)
     return [
-        OffTask(off, world, kinds[seed % 2], seed, seconds)
+        OffTask(off, world, kinds[seed % 2], seed, seconds, live)
         for world in worlds
         for off in names
         for seed in range(first, first + runs)
@@ -225,6 +234,8 @@ def run(task: OffTask) -> OffRow:
         task.off, task.taken_for, task.kind, task.seed, claimed=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
+    if task.live:
+        row = _replayed(row, replace(log, events=tuple(events)), told)
     truth, true = truth_of(told), np.array([told["rig"][name] for name in RIG_NAMES])
     if off.constants:
         best = telling(first, log.rig, truth, true, [*off.constants, *off.as_well])
@@ -241,6 +252,15 @@ def run(task: OffTask) -> OffRow:
         h_sd_m=float(np.sqrt(np.mean(scored.h_sd[at] ** 2))),
         z=float(z[which].max()) if which else math.nan,
     )
+
+
+def _replayed(row: OffRow, log: EventLog, told: Line) -> OffRow:
+    """With what the live observer says of the run, tick by tick, the smoother beside it simulated."""
+    live = answers(log, told, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig)))
+    error, sd = live.r_error[live.valid], live.r_sd[live.valid]
+    far = np.mean((error / sd) ** 2, axis=1) > FAR**2
+    wrong = (np.abs(error) > WRONG_M).any(axis=1)
+    return replace(row, ticks=len(live.t), valid=len(error), live_far=int(far.sum()), live_wrong=int(wrong.sum()))
 
 
 def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfections:
@@ -283,6 +303,9 @@ HEAD = (
     "none",
     "in the end: right",
     "with others",
+    "live: valid",
+    "> 3 sd",
+    "> 0.3 mm",
 )
 
 
@@ -305,6 +328,14 @@ def report(rows: Sequence[OffRow]) -> str:
             f"{sum(row.far for row in claimed)} of {len(claimed)} claims are more than {FAR:g} sd off, "
             f"{sum(row.far for row in plain)} of {len(plain)} where touch can tell all of what is off"
         )
+        if any(row.ticks for row in of_world):
+            valid, far, wrong = (
+                sum(getattr(row, name) for row in of_world) for name in ("valid", "live_far", "live_wrong")
+            )
+            parts.append(
+                f"live: {far} of {valid} valid ticks are more than {FAR:g} sd off, "
+                f"{wrong} by more than {1e3 * WRONG_M:g} mm; valid are {valid / sum(row.ticks for row in of_world):.0%}"
+            )
         astray = [row for row in of_world if row.astray]
         parts.append(
             f"by {NAMED_WITHIN_S:g} s, of {_counted(astray)} led astray by more than {FAR:g} sd of the clean run\n"
@@ -329,7 +360,16 @@ def _cells(off: Off, rows: Sequence[OffRow]) -> Sequence[str]:
         f"{told} of {len(claimed)}" if off.constants else "–",
         *(str(verdicts.count(each)) for each in VERDICTS),
         *(str(in_the_end.count(each)) for each in VERDICTS[:2]),
+        *_live_cells(rows),
     )
+
+
+def _live_cells(rows: Sequence[OffRow]) -> Sequence[str]:
+    ticks, valid = sum(row.ticks for row in rows), sum(row.valid for row in rows)
+    if not ticks:
+        return "–", "–", "–"
+    shares = (sum(row.live_far for row in rows), sum(row.live_wrong for row in rows))
+    return f"{valid / ticks:.0%}", *(f"{share / max(valid, 1):.1%}" for share in shares)
 
 
 def _counted(rows: Sequence[OffRow]) -> str:

@@ -45,6 +45,11 @@ class DataSegment:
         """What was before `t` (s)."""
         return DataSegment(self.start, t, tuple(sample for sample in self.pads if sample.t_sample <= t), self.palms)
 
+    def since(self, t: float) -> DataSegment:
+        """What was from `t` (s) on, with the arm's reports of a moment before."""
+        palms = tuple(sample for sample in self.palms if sample.t_sample >= t - LEAD_S)
+        return DataSegment(t, self.end, tuple(sample for sample in self.pads if sample.t_sample >= t), palms)
+
 
 def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list[DataSegment]:
     """All of them, in order of time."""

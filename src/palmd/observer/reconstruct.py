@@ -28,14 +28,17 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
+from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import (
     AMBIGUOUS,
+    DOUBT,
     NOTHING_MOVES,
     OVERFITTED,
     SECOND_OPINION_SIGMAS,
+    UNLIKELY,
     Attempt,
     Minima,
     Search,
@@ -61,6 +64,8 @@ SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been ch
 FIRST_ATTEMPTS = 2  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
+LATER_S = (0.5, 1.0)  # without which readings of its beginning an unlikely object is looked for again
+SAME = 100.0  # in sigmas squared, of some 45 constants
 Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_SUCH_RIG = "the readings are explained only by a rig that is nothing like its description: calibrate it first"
@@ -103,6 +108,9 @@ def reconstruct(
             return unlike
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER + _if_concave(rig), begun)
+    if main.reason:
+        return _result(main, (), rig, begun)
+    main = _found_again(main, seed, attempts)
     if main.reason:
         return _result(main, (), rig, begun)
     parts = [main, *(_part(_search(segment, rig), seed, attempts) for segment in found[1:MOST_PARTS])]
@@ -203,6 +211,33 @@ def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None =
         if not best.reason and (number > 0 or (best.as_described and beyond_question(best.fit, best.record))):
             break
     return best
+
+
+def _found_again(part: _Part, seed: int, attempts: Numbered) -> _Part:
+    """`part`, unless it is an unlikely object that the rest of its readings, without the first, tell otherwise.
+
+    How an object moves at first nothing foretells: where it is let go in haste the search may begin in a valley next to
+    the right one, which an unlikely object and rig explain. Where the rest tells of another it stands for the whole.
+    """
+    if part.fit.strain <= UNLIKELY:
+        return part
+    for later_s in LATER_S:
+        segment = part.segment.since(part.segment.start + later_s)
+        if _length(segment) < LEAST_S:
+            break
+        other = _part(_search(segment, part.search.rig), seed + 1, attempts)
+        if other is None or other.reason:
+            continue
+        nodes = part.fit.guess.on(part.record.t, other.record.t)
+        p = nodes.p.copy()
+        p[C.SHAPE :] = shape.turned(-float(nodes.x[0, 0]), ORDER) @ p[C.SHAPE :]  # ψ is gauge: 0 at each first node
+        smoother = Smoother(other.search.library, other.record, other.known)
+        mine = smoother.fit(Guess(nodes.x - [nodes.x[0, 0], 0.0], p), other.fit.noise)
+        told = smoother.posterior_if_any(min(mine, other.fit, key=lambda fit: fit.cost))
+        if told is not None and told.distance2(p) < SAME:
+            return part
+        return other if other.fit.cost < mine.cost + DOUBT else replace(part, reason=AMBIGUOUS)
+    return part
 
 
 def _refined(search: Search, finding: Minima) -> _Part:

@@ -77,6 +77,13 @@ class Posterior:
     evidence: float
     constants: FloatArray
 
+    def distance2(self, p: FloatArray) -> float:
+        """Squared Mahalanobis distance of constants `p` from these; those that were certain beforehand do not count."""
+        covariance = self.covariance[: len(p), : len(p)]
+        open_ = np.diagonal(covariance) > 0.0
+        away = (p - self.constants)[open_]
+        return float(away @ np.linalg.solve(covariance[np.ix_(open_, open_)], away))
+
 
 class Smoother:
     """The least-squares problem of one record; `fit` may be called with many guesses and process noises."""

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from answered import answer
 
 from palmd.events import PadSample, PalmSample
 from palmd.lab import off
 from palmd.lab.off import OFF, Off, OffRow, OffTask, report, tasks_of, verdict, with_constants
-from palmd.lab.scoring import as_line
+from palmd.lab.scoring import ObserverAnswers, as_line
 from palmd.rig.imperfections import PERFECT, drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
@@ -75,6 +76,23 @@ def test_what_is_claimed_too_sharply_is_told_with_its_seed():
     assert "φ2 1°, rig 5: too little" in text
     assert "rig 3" not in text
     assert json.loads(json.dumps(as_line(rows[2]), allow_nan=False))["reason"] == "too little"
+
+
+def test_ticks_of_the_live_observer_are_counted_where_it_was_asked(monkeypatch):
+    """Two valid ticks of four: one is 3.5 sd off by RMS and 0.4 mm, the other within its band though that is wide."""
+    said = ObserverAnswers(
+        t=np.arange(4.0), valid=np.array([False, True, True, False]), e_h=np.zeros(4),
+        r_error=1e-4 * np.array([[90.0, 90.0], [4.0, 3.0], [-4.0, 0.0], [90.0, 90.0]]),
+        r_sd=1e-4 * np.array([[1.0, 1.0], [1.0, 1.0], [4.0, 1.0], [1.0, 1.0]]),
+    )  # fmt: skip
+    monkeypatch.setattr(off, "answers", lambda *_: said)
+    monkeypatch.setattr(off, "reconstruct", lambda *_: answer(converged=False))
+    row = off.run(OffTask("nothing", "exact", "friction", 1, 0.6, live=True))
+    assert (row.error, row.ticks, row.valid, row.live_far, row.live_wrong) == ("", 4, 2, 1, 2)
+    text = report([row])
+    assert "live: 1 of 2 valid ticks are more than 3 sd off, 2 by more than 0.3 mm; valid are 50%" in text
+    assert off.run(OffTask("nothing", "exact", "friction", 1, 0.6)).ticks == 0
+    assert "live: 1" not in report([replace(row, ticks=0, valid=0)])
 
 
 def test_a_real_run_is_off_by_what_it_says_and_what_raises_becomes_a_row(monkeypatch):

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.observer.data_segment import ARM_GAP_S, PAD_GAP_S, longest_segment
+from palmd.observer.data_segment import ARM_GAP_S, LEAD_S, PAD_GAP_S, longest_segment
 
 
 def run(start=0.0, end=3.0, without=()):
@@ -52,6 +52,13 @@ def test_it_is_steady_half_a_second_after_the_arm_was_last_heard_again_when_it_m
     # an arm that is asked ten times a second
     polled = [each for k, each in enumerate(run()) if not isinstance(each, PalmSample) or k % 10 == 0]
     assert longest_segment(polled).steady_since == longest_segment(polled).start
+
+
+def test_its_later_part_has_the_arms_reports_of_a_moment_before():
+    later = longest_segment(run()).since(2.0)
+    assert (later.start, later.end) == (2.0, 3.0)
+    assert min(sample.t_sample for sample in later.pads) == 2.0
+    assert min(sample.t_sample for sample in later.palms) == pytest.approx(2.0 - LEAD_S, abs=0.011)
 
 
 def test_it_begins_with_the_last_source_that_comes_and_ends_with_the_first_that_goes():

@@ -132,6 +132,11 @@ def test_the_posterior_is_the_inverse_of_the_normal_matrix(problem):
     log_det = np.linalg.slogdet(N * np.outer(scale, scale))[1] - 2 * np.log(scale).sum()
     evidence = -0.5 * (fit.cost + log_det + steps * (np.log(NOISE.psi) + np.log(NOISE.omega0)))
     assert posterior.evidence == pytest.approx(evidence, rel=1e-9)
+    assert posterior.distance2(posterior.constants) == 0.0
+    sd = np.sqrt(np.diagonal(posterior.covariance)[:CONSTANTS])
+    off = posterior.constants + 1.0 * sd
+    correlation = posterior.covariance[:CONSTANTS, :CONSTANTS] / np.outer(sd, sd)
+    assert posterior.distance2(off) == pytest.approx(np.linalg.inv(correlation).sum(), rel=1e-6)
 
 
 def test_a_fit_has_its_own_equations_and_others_have_not(problem):
