@@ -98,7 +98,7 @@ def test_filters_tell_which_palm_it_sticks_to_and_what_it_is_like(dry):
 def test_on_a_moving_rig_that_rubs_little_and_unequally_contacts_tell_what_forces_do_not():
     """Forces tell the palm that is stuck to by what slips along the other, which is little here."""
     off = replace(PERFECT, friction=0.3)
-    lines, truth = simulate_log("rig", 1103, 5.0, PlantOptions(friction_law="coulomb"), imperfections=off)
+    lines, truth = simulate_log("rig", 1109, 5.0, PlantOptions(friction_law="coulomb"), imperfections=off)
     with written(lines) as path:
         search = searched(read_log(path))
     record = search.record
