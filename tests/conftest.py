@@ -1,5 +1,6 @@
 """For all tests: linear algebra has one thread, Ctrl-C means what it means at a terminal, none takes the processor."""
 
+import gc
 import os
 import signal
 
@@ -17,6 +18,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to SIGINT, and that is handed on to every process that a test
     # starts and interrupts. What a handler catches, other programs begin with as usual.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish():
+    """What thousands of tests are made of stays: no collection of garbage need look through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

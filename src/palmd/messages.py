@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -41,12 +42,13 @@ if TYPE_CHECKING:
 
 Fields = dict[str, Any]
 
-_TOLD = tuple((q.name, q.source) for q in ESTIMATE.quantities if q.source and not q.uncertain)
-_UNCERTAIN = tuple((q.name, q.source) for q in ESTIMATE.quantities if q.uncertain)
+_TOLD = {q.name: q.source for q in ESTIMATE.quantities if q.source and not q.uncertain}
+_UNCERTAIN = {q.name: q.source for q in ESTIMATE.quantities if q.uncertain}
+_told_of, _uncertain_of = attrgetter(*_TOLD.values()), attrgetter(*_UNCERTAIN.values())
 NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 """What must be finite, one-sigma included, in an estimate that says `valid`."""
 
-_SD_NAMES = {source: name for name, source in _UNCERTAIN}
+_SD_NAMES = {source: name for name, source in _UNCERTAIN.items()}
 _WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
 
 
@@ -82,19 +84,17 @@ def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
 
 def sound(estimate: LiveEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
     """Whether everything `named` is finite, as it must be when an estimate says `valid`."""
-    return all(
-        math.isfinite(getattr(estimate, source)) and math.isfinite(estimate.sd.get(source, math.nan))
-        for source in named
-    )
+    sds = estimate.sd
+    told = [value for each in named for value in (getattr(estimate, each), sds.get(each, math.nan))]
+    return all(map(math.isfinite, told))
 
 
 def estimate_fields(estimate: Estimate) -> Fields:
     """`palm/estimate`."""
-    fields: Fields = {name: getattr(estimate, source) for name, source in _TOLD}
+    fields: Fields = dict(zip(_TOLD, _told_of(estimate), strict=True))
     fields["valid"] = bool(estimate.valid)
     fields["sd"] = {_SD_NAMES[source]: sd for source, sd in estimate.sd.items()}
-    for name, source in _UNCERTAIN:
-        fields[name] = getattr(estimate, source)
+    fields.update(zip(_UNCERTAIN, _uncertain_of(estimate), strict=True))
     return fields
 
 
@@ -116,7 +116,7 @@ def shape_fields(shape: ShapeEstimate, h: str = "h") -> Fields:
         "theta_rad": shape.theta.tolist(),
         f"{h}_m": shape.h.tolist(),
         f"{h}_sd_m": shape.h_sd.tolist(),
-        "touched": [int(touched) for touched in shape.touched],
+        "touched": shape.touched.astype(np.int64).tolist(),
     }
 
 

@@ -70,6 +70,8 @@ def turned(
             events.append(
                 PalmSample(t, (phi1 + noise1, phi2 + phi2_error_rad + noise2), palms.rates, palms.accelerations)
             )
+        if not any(t >= pad.due for pad in pads):
+            continue
         for pad, host, contact in zip(pads, hosts, plant.contacts(), strict=True):
             if t >= pad.due:
                 presses = [Press(contact.s, contact.force)] if contact.touching else []

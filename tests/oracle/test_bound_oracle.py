@@ -24,7 +24,7 @@ from palmd.observer.search import Search
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.simulate import simulate_log
 
-STEP_S = 1e-3
+STEP_S = 2e-3
 SECONDS = 2.0
 TOLERANCE = 0.02  # of each sd: the smoother has a little process noise and drops what comes after its last node
 SPIN = CONSTANTS  # after the constants: ω0 at the start

@@ -272,7 +272,7 @@ class Core:
         self._motion_notes.look(
             self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
         )
-        untouched = [number for number, pad in enumerate(self.pads.values(), 1) if not pad.touching]
+        untouched = [number for number, felt in enumerate(self._felt, 1) if not felt]
         self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, self._estimate.nis, t)
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
@@ -390,12 +390,12 @@ class Core:
         return counts
 
     def _touching(self) -> tuple[bool, ...]:
-        return tuple(pad.touching for pad in self.pads.values())
+        return tuple([pad.touching for pad in self.pads.values()])
 
     def _senses(self, t: float) -> Senses:
         return Senses(
             tracking=self.state is State.TRACKING,
-            touching=all(pad.touching for pad in self.pads.values()),
+            touching=all(self._felt),
             known=self._observer.foresees,
             object_count=self._observer.object_count,
             look=lambda: self._observer.outlook(t),
@@ -423,8 +423,7 @@ class Core:
             present.add("plan-refused")
         if self.exploring.silent:
             present.add("explorer-silent")
-        touching = all(pad.touching for pad in self.pads.values())
-        if self.setpoints.moving and touching and not self._estimate.valid:
+        if self.setpoints.moving and all(self._felt) and not self._estimate.valid:
             present.add("estimate-lost")
         return present.difference(self._system.excused(self.exploring))
 

@@ -20,10 +20,10 @@
 #define MOST_STATES 64
 #define EVENTS 24 /* that can be undone */
 #define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
-enum { ZERO = 0, SCALE = 2, SAGITTA = 4, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, CONSTANTS = 15 };
+enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, CONSTANTS = 15 };
 
-const long fusion_sizes[] = {JOINTS,   RIG_INPUTS, FRICTION_INPUT, NAMED, MOST_STATES, EVENTS,   RADIUS, ZERO,
-                             SCALE,    SAGITTA,    STANDOFF,       TILT,  TURN,        FRICTION, FORCE,  CONSTANTS};
+const long fusion_sizes[] = {JOINTS,   RIG_INPUTS, FRICTION_INPUT, NAMED, MOST_STATES, EVENTS,   RADIUS, ZERO, SCALE,
+                             SAGITTA,  LAG,        STANDOFF,       TILT,  TURN,        FRICTION, FORCE,  CONSTANTS};
 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
@@ -63,6 +63,11 @@ void palms_variance(const Palms *palms, double t, double *angles, double *rates)
     angles[j] = palms->P[0][0] + late * late + phi * phi;
     rates[j] = palms->P[1][1] + later * later + omega * omega;
   }
+}
+
+/* of how many readings of one place one is */
+static double repetitions(const Palms *palms) {
+  return palms->t == -INFINITY ? 1.0 : 1.0 + (palms->t - palms->moved) / SHARED_AFTER_S;
 }
 
 static void palms_begin(Palms *palms, const Report *report) {
@@ -147,7 +152,7 @@ void palms_feed(Palms *palms, const Report *report) {
 
 typedef struct {
   const double *values, *lengths, *curvatures; /* CONSTANTS, JOINTS, JOINTS */
-  double *s;                                   /* of each pad's last contact, corrected (m) */
+  double *s, *most;                            /* of each pad: the last contact, corrected (m), the most told (N) */
 } RigError;
 
 typedef struct {
@@ -164,6 +169,14 @@ static void surfaces_at(const Palms *palms, const RigError *rig, double t, doubl
   palms_at(palms, t, motion);
   motion[0] += rig->values[TILT] + slopes[0];
   motion[1] += rig->values[TURN] - slopes[0] - slopes[1];
+}
+
+/* the force that a reading was taken under, of what it tells: NaN beyond the pad's scale */
+static double pressing(const RigError *rig, long pad, double force) {
+  double *most = &rig->most[pad - 1];
+  if (isnan(force)) return *most;
+  if (force > *most) *most = force;
+  return force;
 }
 
 static double corrected(const RigError *rig, const Reading *reading, double opening, double radius) {
@@ -277,6 +290,41 @@ void read_pad(Bank *bank, const Palms *palms, const RigError *rig, const Reading
     bank->score[f] += bank->outcome[2 * f];
     bank->nis[f] += ((nis < GATE ? nis : GATE) - bank->nis[f]) / NIS_READINGS; /* one outlier is no wrong model */
   }
+}
+
+typedef struct { /* a reading of `pad`: its distance and force, NaN where none is told; a report of the palms where it is 0 */
+  double pad, t;
+  union {
+    struct {
+      double s, force;
+    };
+    struct {
+      double angles[JOINTS], rates[JOINTS], accelerations[JOINTS];
+    };
+  };
+} Event;
+
+/* What comes one after the other, from `t` on, into a bank that a smoother has begun: `observer.filter_catchup`. How many
+   readings there were that are not too late; `t` is then of the last of them. */
+long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, long count, const double *variances, double *t) {
+  long read = 0;
+  for (const Event *event = events; event < events + count; event++) {
+    if (event->pad == 0.0) {
+      Report report = {.t = event->t};
+      memcpy(report.angles, event->angles, sizeof report - sizeof report.t);
+      palms_feed(palms, &report);
+      continue;
+    }
+    const long pad = (long)event->pad;
+    const double now = event->t - rig->values[LAG + pad - 1];
+    if (now < *t) continue;
+    const Reading reading = {now, event->s, pressing(rig, pad, event->force), pad};
+    carry(bank, palms, rig, *t, now, INFINITY);
+    *t = now;
+    read_pad(bank, palms, rig, &reading, variances[pad - 1], repetitions(palms));
+    read++;
+  }
+  return read;
 }
 
 /* forget `fraction` of what the filters of one block have been taught, but not what was believed of the states from
@@ -445,7 +493,7 @@ long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
     if (!fusion->moved) {
       remember(fusion, bank, bank->now[1]);
       const int surprised = bank->nis[best_of(bank)] > SURPRISING_NIS; /* then it is of another place */
-      fusion->repeated = surprised || palms->t == -INFINITY ? 1.0 : 1.0 + (palms->t - palms->moved) / SHARED_AFTER_S;
+      fusion->repeated = surprised ? 1.0 : repetitions(palms);
       carry(bank, palms, rig, fusion->t, reading->t, fusion->repeated);
       fusion->t = reading->t;
       fusion->moved = 1;

@@ -44,11 +44,19 @@ def gauge_free_basis(theta: FloatArray, touched: FloatArray, coefficients: Float
     h(θ) − h′(θ)·ε, ε the rotation by least squares over the normals `touched` (rad), if there are any.
     """
     order = (len(coefficients) - 1) // 2
-    free = basis(theta, order)
-    if len(touched):
-        slope = -tangential_basis(touched, order) @ coefficients
-        turn = slope @ basis(touched, order) / max(float(slope @ slope), 1e-30)
-        free = free + np.outer(tangential_basis(theta, order) @ coefficients, turn)
+    rows, felt = ((basis(at, order), tangential_basis(at, order)) for at in (theta, touched))
+    return gauge_free_rows(rows, felt, coefficients)
+
+
+def gauge_free_rows(
+    rows: tuple[FloatArray, FloatArray], felt: tuple[FloatArray, FloatArray], coefficients: FloatArray
+) -> FloatArray:
+    """The same from `basis` and `tangential_basis` on these normals, `rows`, and on those touched, `felt`."""
+    if not len(felt[0]):
+        return rows[0]
+    slope = -felt[1] @ coefficients
+    turn = slope @ felt[0] / max(float(slope @ slope), 1e-30)
+    free: FloatArray = rows[0] + np.outer(rows[1] @ coefficients, turn)
     return free
 
 

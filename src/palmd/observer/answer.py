@@ -14,7 +14,7 @@ from palmd.model.outputs import NAMED
 from palmd.observer.coverage import NORMAL_BINS, Marks
 from palmd.observer.filters.base import Filters
 from palmd.observer.mass import MassEstimator
-from palmd.observer.outline import gauge_free_sd
+from palmd.observer.outline import sd_of
 from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
 
 DIRECTIONS = 180  # of the published outline
@@ -63,9 +63,10 @@ def outline_answer(
     `inflation` multiplies its one-sigma; `radius_sd` (m) is added, unknown on every normal alike.
     """
     touched = marks[BIN_OF_THETA]
-    h_sd = gauge_free_sd(THETA, THETA[touched], coefficients, cov) * inflation
-    h_sd = np.hypot(h_sd, radius_sd)
-    return ShapeEstimate(t, THETA, _direction_rows(len(coefficients)) @ coefficients, h_sd, touched)
+    h, d = _direction_rows(len(coefficients))
+    free = shape.gauge_free_rows((h, d), (h[touched], d[touched]), coefficients)  # as `gauge_free_sd` on `THETA`
+    h_sd = np.hypot(sd_of(free, cov) * inflation, radius_sd)
+    return ShapeEstimate(t, THETA, h @ coefficients, h_sd, touched)
 
 
 def outlook(
@@ -97,9 +98,10 @@ def outlook(
 
 
 @cache
-def _direction_rows(coefficients: int) -> FloatArray:
-    """Values of the outline's harmonics on the published directions."""
-    return shape.basis(THETA, (coefficients - 1) // 2)
+def _direction_rows(coefficients: int) -> tuple[FloatArray, FloatArray]:
+    """Values of the outline's harmonics on the published directions, and of what maps them to −h′ there."""
+    order = (coefficients - 1) // 2
+    return shape.basis(THETA, order), shape.tangential_basis(THETA, order)
 
 
 @cache

@@ -259,7 +259,9 @@ class Bank:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
         if self.size == 1:
             return _ONLY
-        return np.flatnonzero(self.score > self.score.max() - margin)
+        score = self.score
+        members: npt.NDArray[np.intp] = (score > score.max() - margin).nonzero()[0]
+        return members
 
     def blank(self) -> Snapshot:
         """Memory for one snapshot, to be written over by `remember`."""

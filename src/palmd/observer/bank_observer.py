@@ -81,6 +81,7 @@ class BankObserver:
         self._fusion = Fusion(rig, self._hypotheses.banks)
         self._observability = Observability(rig_inputs(rig), rig.reading_variances)
         self._exact = declared_exact(rig)
+        self._curved = rig.curved
         self.reset()
 
     def reset(self) -> None:
@@ -168,7 +169,7 @@ class BankObserver:
                 session.stop()
             elif fusion.palms_known(t):
                 fusion.add(event)
-                if isinstance(event, PadSample) and self._link is not None and not self._rig.curved:
+                if isinstance(event, PadSample) and self._link is not None and not self._curved:
                     session.track.riding.read(event, fusion.palms.motion(t))
         if session.track is None:
             session.try_to_begin(t)
@@ -307,7 +308,7 @@ class BankObserver:
         with or, on a rig that is known exactly, that has not weighed its answer against a ride: of a disc it may all
         the same. What has been felt to have a corner no smooth outline is of, whoever tells it.
         """
-        if self._link is None or self._rig.curved:
+        if self._link is None or self._curved:
             return False
         riding = track.riding
         told = self._link.vouches(self._session.begun) if self._exact else self._fusion.allows_for_rig
@@ -315,7 +316,7 @@ class BankObserver:
 
     def _lies_on(self, y: FloatArray) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""
-        if not self._rig.curved:
+        if not self._curved:
             return True
         return all(kappa * float(v) < MOST_LYING for kappa, v in zip(self._rig.curvatures, y[_BENDS], strict=True))
 

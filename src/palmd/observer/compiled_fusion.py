@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample, PalmMotion, PalmSample
+from palmd.events import Event, FloatArray, PadLift, PadSample, PalmMotion, PalmSample
 from palmd.model import shape_map
 from palmd.model.compiled import EXPORTED, Library
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.observer.filters.base import pad_update
 from palmd.observer.history import EVENTS
-from palmd.observer.palms import motion_of, repetitions
+from palmd.observer.palms import repetitions
 from palmd.system.mechanism import JOINTS, PALMS
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class _Report(ctypes.Structure):
 
 
 class _RigError(ctypes.Structure):
-    _fields_ = (*_pointers("values", "lengths", "curvatures", "s"),)
+    _fields_ = (*_pointers("values", "lengths", "curvatures", "s", "most"),)
 
 
 class _FusedReading(ctypes.Structure):
@@ -87,7 +87,7 @@ class Routines:
     def __init__(self, library: Library):
         """Raises RuntimeError where their sizes are not the model's."""
         self.library = ctypes.CDLL(str(library.path))
-        constants = (R.ZERO, R.SCALE, R.SAGITTA, R.STANDOFF, R.TILT, R.TURN, R.FRICTION, R.FORCE, RIG_CONSTANTS)
+        constants = (R.ZERO, R.SCALE, R.SAGITTA, R.LAG, R.STANDOFF, R.TILT, R.TURN, R.FRICTION, R.FORCE, RIG_CONSTANTS)
         sizes = (_JOINTS, RIG_INPUTS, FRICTION_INPUT, len(NAMED), MOST_STATES, EVENTS, shape_map.Z.SHAPE, *constants)
         if tuple((ctypes.c_long * len(sizes)).in_dll(self.library, "fusion_sizes")) != sizes:
             raise RuntimeError("model/fusion.c has other sizes than the model")
@@ -98,6 +98,7 @@ class Routines:
         self.palms_feed = self._bound("palms_feed", pointer, pointer)
         self.carry = self._bound("carry", *of_bank, number, number, number)
         self.read_pad = self._bound("read_pad", *of_bank, pointer, number, number)
+        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, gives=integer)
         self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
         self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
         self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, pointer, pointer)
@@ -125,6 +126,8 @@ class CompiledPalms:
         self.jerk: FloatArray = np.ctypeslib.as_array(self._now.jerk)
         self._report = _Report()
         self._report_at = ctypes.addressof(self._report)
+        self._motion = (ctypes.c_double * (3 * _JOINTS))()
+        self._motion_at = ctypes.addressof(self._motion)
 
     @property
     def known(self) -> bool:
@@ -158,13 +161,14 @@ class CompiledPalms:
 
     def at(self, t: float) -> FloatArray:
         """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
-        motion = np.empty(3 * _JOINTS)
-        self._does.palms_at(self.address, t, motion.ctypes.data)
-        return motion
+        self._does.palms_at(self.address, t, self._motion_at)
+        return np.array(self._motion)
 
     def motion(self, t: float) -> PalmMotion:
         """The same as a value with names."""
-        return motion_of(self.at(t))
+        self._does.palms_at(self.address, t, self._motion_at)
+        values = tuple(self._motion)
+        return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
 
 
 class CompiledRig:
@@ -172,7 +176,8 @@ class CompiledRig:
 
     def __init__(self, error: RigError):
         self.pressing = error.pressing
-        self._held = error.values, np.array(error.pad_lengths), np.array(error.curvatures), error.s
+        lengths, curvatures = np.array(error.pad_lengths), np.array(error.curvatures)
+        self._held = error.values, lengths, curvatures, error.s, error.most
         self._now = _RigError(*(each.ctypes.data for each in self._held))
         self.address = ctypes.addressof(self._now)
 
@@ -216,6 +221,16 @@ class CompiledBank:
     def read(self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float) -> None:
         """Fuse one contact reading, one of `repeated` that share one error."""
         self.does.read_pad(self.address, palms.address, rig.address, self.reading(sample, rig), variance, repeated)
+
+    def follow(
+        self, rig: CompiledRig, palms: CompiledPalms, events: Sequence[Event], variances: FloatArray, t: float
+    ) -> tuple[float, int]:
+        """As `ShapeFilters.follow`."""
+        rows = np.array([_row(event) for event in events if not isinstance(event, PadLift)])
+        now = ctypes.c_double(t)
+        at = (self.address, palms.address, rig.address, rows.ctypes.data, len(rows), variances.ctypes.data)
+        read = self.does.follow(*at, ctypes.addressof(now))
+        return now.value, read
 
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
         """As `Bank.fade`."""
@@ -281,6 +296,13 @@ class CompiledHistory:
             forget(block, self.now.repeated)
             block = does.fuse(self._address, *at)
         return block != _TOO_LATE
+
+
+def _row(event: PadSample | PalmSample) -> tuple[float, ...]:
+    """An event as C takes it."""
+    if isinstance(event, PalmSample):
+        return 0.0, event.t_sample, *event.angles, *(event.rates or _UNTOLD), *(event.accelerations or _UNTOLD)
+    return event.pad, event.t_sample, event.s, math.nan if event.force is None else event.force, *_UNTOLD, *_UNTOLD
 
 
 def _blank(bank: CompiledBank) -> tuple[FloatArray, ...]:

@@ -58,7 +58,7 @@ class Contacts:
     @property
     def quietest(self) -> float:
         """When the pad that has been silent for longer was read last (s), -inf before both were."""
-        return min(self.last_seen(pad) for pad in PALMS)
+        return min(map(self.last_seen, PALMS))
 
     def gone(self, t: float) -> bool:
         """Whether the object has left the palms by `t` (s): a pad is silent for too long, or both say so and stay so.
@@ -70,7 +70,7 @@ class Contacts:
 
     def read_lately(self, t: float) -> bool:
         """Whether both pads were read shortly before `t` (s)."""
-        return all(t - self.last_seen(pad) < SILENCE_S for pad in PALMS)
+        return t - self.quietest < SILENCE_S
 
     def read_about(self, t: float) -> bool:
         """Whether both pads were read shortly before or after `t` (s)."""
@@ -83,5 +83,5 @@ class Contacts:
 
 def finite(event: PadSample | PalmSample) -> bool:
     """Whether every number that the event tells is one."""
-    told = (event.s, event.force or 0.0) if isinstance(event, PadSample) else event.told
-    return all(map(math.isfinite, (event.t_sample, *told)))
+    told = event.s + (event.force or 0.0) if isinstance(event, PadSample) else sum(event.told)
+    return math.isfinite(event.t_sample + told)  # a sum is so only if all its terms are

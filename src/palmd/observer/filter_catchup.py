@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from palmd.events import Event, FloatArray, Improvement, PadSample, PalmSample
+from palmd.events import Event, FloatArray, Improvement, PalmSample
 from palmd.model.smoothing import ORDER
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.system.description import RigDescription
@@ -39,7 +39,7 @@ class FilterCatchUp:
         self._palms = self._filters.tracker(self._angle_noise)
         self._filters.rig_error.values[:] = improvement.rig
         since = improvement.t - LEAD_S
-        needed = (event for event in recent if event.t_sample > since)
+        needed = [event for event in recent if event.t_sample > since]
         self._waiting = deque(sorted(needed, key=lambda event: event.t_sample))
         while self._waiting and self._waiting[0].t_sample <= improvement.t:
             event = self._waiting.popleft()
@@ -57,17 +57,10 @@ class FilterCatchUp:
 
     def follow(self, budget: int) -> bool:
         """Read up to `budget` of the events that wait; whether none is left and it can be judged."""
-        for _ in range(min(budget, len(self._waiting))):
-            event = self._waiting.popleft()
-            if isinstance(event, PalmSample):
-                self._palms.feed(event)
-            elif isinstance(event, PadSample):
-                sample = self._filters.rig_error.on_time(event)
-                if sample.t_sample >= self._t:
-                    self._move_to(sample.t_sample)
-                    variance = float(self._variances[sample.pad - 1])
-                    self._filters.fuse_pad(sample, variance, self._palms, self._palms.repeated)
-                    self._read += 1
+        events = [self._waiting.popleft() for _ in range(min(budget, len(self._waiting)))]
+        if events:
+            self._t, read = self._filters.follow(events, self._t, self._palms, self._variances)
+            self._read += read
         return not self._waiting and self._read >= LEAST_READINGS
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, float]:

@@ -85,8 +85,12 @@ def gauge_free_sd(
     Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so the error of
     ψ(0) is no part of it: h(θ) − h′(θ)·ε, ε the rotation by least squares over touched normals.
     """
-    free = shape.gauge_free_basis(theta, touched, coefficients)
-    variance: FloatArray = ((free @ covariance) * free).sum(axis=1)
+    return sd_of(shape.gauge_free_basis(theta, touched, coefficients), covariance)
+
+
+def sd_of(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """One-sigma of rows · x (n,), of rows (n, k) and the covariance of x (k, k)."""
+    variance: FloatArray = ((rows @ covariance) * rows).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 
 

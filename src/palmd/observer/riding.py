@@ -58,8 +58,9 @@ class Riding:
         cos, sin, force = math.cos(opening), math.sin(opening), sample.force or 0.0
         moved = sin, -sample.s * cos, -sample.s * rate * sin, force * sin
         of_rig = [sd * by for sd, by in zip(self._off[i], moved, strict=True) if sd]
-        row = np.array([1.0, cos, sample.s * sin, *of_rig]) / (sin * self._noise[i])
-        self._sums[sample.pad] += np.outer(row, row)
+        row = np.array([1.0, cos, sample.s * sin, *of_rig])
+        row /= sin * self._noise[i]
+        self._sums[sample.pad] += row[:, None] * row  # several times faster than np.outer
         self._readings[sample.pad] += 1
         self._least, self._most = min(self._least, opening), max(self._most, opening)
         if self._readings[sample.pad] % FIT_EVERY == 0:

@@ -24,7 +24,7 @@ class RigError:
     curvatures: tuple[float, ...] = FLAT
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
     s: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # of each pad's last contact, corrected (m)
-    _most: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # that each pad has told (N)
+    most: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # that each pad has told (N)
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
@@ -42,9 +42,9 @@ class RigError:
     def pressing(self, sample: PadSample) -> float:
         """The force (N) that it was read under; pressed beyond its scale a pad tells none, but did tell the most."""
         if sample.force is not None:
-            self._most[sample.pad - 1] = max(self._most[sample.pad - 1], sample.force)
+            self.most[sample.pad - 1] = max(self.most[sample.pad - 1], sample.force)
             return sample.force
-        return float(self._most[sample.pad - 1])
+        return float(self.most[sample.pad - 1])
 
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
         """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.

@@ -61,6 +61,7 @@ def brief(monkeypatch):
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 0.1)
     monkeypatch.setattr(cylinder, "_TIPS", 2)
     monkeypatch.setattr(cylinder, "_HOLD_S", 0.7)
+    monkeypatch.setattr(cylinder, "SLOW_RAD_S", 2.0 * cylinder.SLOW_RAD_S)
 
 
 @pytest.fixture
@@ -138,7 +139,6 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
         world.mischief.add(order("swap", world.t))
         waited(*arguments)
 
-    monkeypatch.setattr(cylinder, "SLOW_RAD_S", 2.0 * cylinder.SLOW_RAD_S)
     waited = standoff_command.wait_for_none
     monkeypatch.setattr(standoff_command, "wait_for_none", exchanged)
     real = load_config(written(tmp_path, "off.yaml", REAL, more=off))

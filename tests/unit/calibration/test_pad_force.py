@@ -69,8 +69,9 @@ def rested(
     change=lambda events: events,
     radii=None,
     believed=(0.0, 0.0),
+    every_s=0.01,
 ):
-    """Events of rests one second long; `held` draws each one's friction as a share of the smaller force.
+    """Events of rests one second long, `every_s`; `held` draws each one's friction as a share of the smaller force.
 
     On cradles of these `radii` (m), the limits and the evaluation going by `believed` curvatures (1/m).
     """
@@ -86,12 +87,12 @@ def rested(
         else:
             forces = on_arcs(phi1_deg, phi2_deg, radii)
         angles = (math.radians(phi1_deg), math.radians(phi2_deg))
-        for k in range(100):
-            events.append(PalmSample(t + 0.01 * k, angles, (0.0, 0.0), (0.0, 0.0)))
+        for k in range(round(1.0 / every_s)):
+            events.append(PalmSample(t + every_s * k, angles, (0.0, 0.0), (0.0, 0.0)))
             for pad, true in enumerate(TRUE, 1):
                 pressed = max(forces[pad - 1] - offset_n[pad - 1], 0.0)
                 counts = round(gains[pad - 1] * pressed / true.newtons_per_count)
-                events.append(PadSample(t + 0.01 * k, pad, 0.028, counts * FINE[0].newtons_per_count))
+                events.append(PadSample(t + every_s * k, pad, 0.028, counts * FINE[0].newtons_per_count))
         for k in range(10):  # on the way to the next
             events.append(PalmSample(t + 1.0 + 0.01 * k, angles, (0.3, 0.0), (0.0, 0.0)))
             events += [PadSample(t + 1.0 + 0.01 * k, pad, 0.028, FINE[0].newtons_per_count) for pad in (1, 2)]
@@ -136,7 +137,7 @@ def test_palms_that_are_arcs_are_weighed_by_their_tangents(radii):
 
 
 def test_the_creep_between_rounds_is_the_sd():
-    found = rested(rounds=40, creep=0.03)
+    found = rested(rounds=40, creep=0.03, every_s=0.03)
     for pad, error in zip(found.pads, gain_errors(found, TRUE), strict=True):
         share_sd = pad.newtons_per_count_sd / pad.newtons_per_count
         assert share_sd == pytest.approx(1.25 * 0.03 / math.sqrt(40), rel=0.3)

@@ -16,9 +16,7 @@ LEAK_BYTES, LEAK_TICKS = 111, 400  # with its place in a list 119 bytes every 4 
 def nothing_else_to_look_through():
     """Each sample collects garbage: what other tests have left in this process would be looked through every time."""
     gc.collect()
-    gc.freeze()
-    yield
-    gc.unfreeze()
+    gc.freeze()  # for good: to unfreeze would thaw what the whole suite has frozen
 
 
 def lived(seconds=SECONDS):

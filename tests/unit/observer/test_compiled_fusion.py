@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.events import PadSample, PalmSample
+from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model import shape_map
 from palmd.model.outputs import NAMED
 from palmd.model.shape_map import Z
-from palmd.model.smoothing import ORDER, RIG_CONSTANTS
+from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.observer.bank import GATE, LOST_SCORE, Belief
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms, Routines
@@ -102,6 +102,29 @@ def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, orde
             each.carry(0.03, until, tracked, 1.7)
             each.fuse_pad(PadSample(until, pad, 0.021, force), 1e-6, tracked, 1.7)
         same(filters, 1e-10)
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_what_comes_one_after_the_other_is_followed_as_the_twin_does(kind):
+    filters, palms = pair(RIGS[kind], 1, ORDER)
+    events = [
+        PadSample(0.034, 1, 0.021, 2.3),
+        PadLift(0.0345, 2),
+        PalmSample(0.046, (0.811, 1.597), (0.29, -0.09), (0.1, -2.1)),
+        PadSample(0.0465, 1, 0.0213, None),  # beyond the pad's scale
+        PadSample(0.04, 2, 0.02, 0.9),  # of before what has been read
+        PadSample(0.052, 2, 0.0202, 1.1),
+        PalmSample(0.062, (0.815, 1.595)),
+        PadSample(0.0655, 1, 0.0214, 1.4),
+    ]
+    told = []
+    for each, tracked in zip(filters, palms, strict=True):
+        each.rig_error.values[R.LAG : R.LAG + 2] = 2e-3, -1e-3
+        told.append(each.follow(events, 0.03, tracked, np.array([1e-6, 2e-6])))
+    assert told[0] == told[1] == (pytest.approx(0.0635), 4)
+    same(filters, 1e-9)
+    np.testing.assert_allclose(palms[0].at(0.07), palms[1].at(0.07), rtol=1e-10)
+    assert filters[0].follow([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2)) == (0.07, 0)
 
 
 def test_a_reading_beyond_the_pads_scale_is_taken_under_the_force_told_before():

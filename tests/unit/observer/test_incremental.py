@@ -128,13 +128,13 @@ def test_what_was_kept_and_cannot_be_weighed_is_passed_over() -> None:
 def test_another_object_begins_with_nothing() -> None:
     first, second = simulated("friction", 700, 9.0), simulated("friction", 713, 9.0)
     beside = Beside(first)
-    before = beside.until(9.0, Session(1, 0.0))
+    before = beside.until(5.0, Session(1, 0.0))
     assert before is not None
     beside.run, beside.t = second, 0.0
     beside.smoother.add(Session(1, math.inf), [])
-    after = beside.until(9.0, Session(2, 0.0))
+    after = beside.until(6.0, Session(2, 0.0))
     assert after is not None
-    alone = Beside(second).until(9.0, Session(1, 0.0))
+    alone = Beside(second).until(6.0, Session(1, 0.0))
     assert alone is not None
     assert scored(after, second)[2] == pytest.approx(scored(alone, second)[2], abs=2.5 / NORMAL_BINS)
     assert scored(after, second)[1] == pytest.approx(scored(alone, second)[1], rel=0.05)

@@ -22,6 +22,8 @@ from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
 
 SECONDS = 5.0
+EACH_S = 3.5  # of two objects
+FEW_S = 2.0  # in which what makes no sense is seen to make none
 RIGHT_M = 1e-4
 MOST_SDS = 4.0
 
@@ -107,15 +109,9 @@ def test_strong_friction_is_within_its_error_bar():
     assert abs(answer.mu - run.truth.mu) < 2.2 * answer.mu_sd
 
 
-def test_it_is_deterministic(run, answer):
-    assert same(reconstruct(run.events, run.rig), answer)
-
-
-def test_the_order_in_which_events_are_given_does_not_matter(run, answer):
-    mixed = random.Random(0).sample(run.events, len(run.events))
-    twice = [event for event in run.events for _ in range(2)]
-    assert same(reconstruct(mixed, run.rig), answer)
-    assert same(reconstruct(twice[::-1], run.rig), answer)
+def test_it_is_deterministic_and_in_which_order_and_how_often_events_are_given_does_not_matter(run, answer):
+    twice = random.Random(0).sample(run.events * 2, 2 * len(run.events))
+    assert same(reconstruct(twice, run.rig), answer)
 
 
 def test_time_may_begin_anywhere(run, answer):
@@ -179,11 +175,11 @@ def test_an_object_put_down_seconds_after_the_arm_began_to_report():
 @pytest.mark.parametrize("seed", [3, 5])
 def test_an_object_that_another_takes_the_place_of_within_a_moment(seed):
     """Each is felt for some seconds: they are not one object, whichever of them is told of."""
-    first, second, events = swapped("friction", seed, SECONDS, 0.2, 2 * SECONDS)
+    first, second, events = swapped("friction", seed, EACH_S, 0.2, 2 * EACH_S)
     answer = reconstruct(events, first.rig)
     assert answer.converged, answer.reason
     assert min(e_h(answer, first), e_h(answer, second)) < max(RIGHT_M, 3 * band(answer))
-    assert answer.t[-1] <= SECONDS + 0.02 or answer.t[0] >= SECONDS
+    assert answer.t[-1] <= EACH_S + 0.02 or answer.t[0] >= EACH_S
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])
@@ -255,7 +251,9 @@ def test_readings_without_any_sense_are_refused(run, how):
         "swapped": lambda sample: replace(sample, pad=3 - sample.pad),
         "noise": lambda sample: replace(sample, s=dice.uniform(0.005, 0.05)),
     }
-    answer = reconstruct(pads_changed(run.events, spoil[how]), run.rig)
+    few = [event for event in run.events if event.t_sample < FEW_S]
+    assert reconstruct(few, run.rig).converged  # as they are
+    answer = reconstruct(pads_changed(few, spoil[how]), run.rig)
     assert not answer.converged
     assert answer.reason
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from palmd.events import FloatArray, PadSample, PalmSample
+from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
@@ -167,6 +168,27 @@ class ShapeFilters:
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
         s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
+
+    def follow(
+        self, events: Sequence[Event], t: float, palms: TrackedPalms, variances: FloatArray
+    ) -> tuple[float, int]:
+        """Fuse events one after the other, as the rig's constants have them in time, from `t` (s) on.
+
+        When the last was read, and how many readings were: one from before what has been fused is left out.
+        `variances` of each pad's readings (m²).
+        """
+        if self.compiled is not None and isinstance(palms, CompiledPalms):
+            return self.compiled.follow(self.compiled_rig, palms, events, variances, t)
+        read = 0
+        for event in events:
+            if isinstance(event, PalmSample):
+                palms.feed(event)
+            elif isinstance(event, PadSample) and (sample := self.rig_error.on_time(event)).t_sample >= t:
+                self.carry(t, sample.t_sample, palms, math.inf)
+                t = sample.t_sample
+                self.fuse_pad(sample, float(variances[sample.pad - 1]), palms, palms.repeated)
+                read += 1
+        return t, read
 
     def fuse_palms(self, sample: PalmSample, angle_variance: float) -> None:
         raise NotImplementedError("the palms' motion is an input of the shape map")
