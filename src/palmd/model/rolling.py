@@ -63,10 +63,15 @@ class Lying:
         sign = 1.0 if palm else -1.0
         return self._lever(self.h, palm) + sign * self.integral[palm]
 
+    def kept_turned(self, palm: int) -> FloatArray:
+        """Rows that map the coefficients to dQ/dψ (m/rad)."""
+        sign = 1.0 if palm else -1.0
+        return -(self._lever(self.slope, palm) + sign * self.h[palm])
+
     def kept_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
         """dQ/dψ (m/rad) of the outline with these coefficients."""
-        sign = 1.0 if palm else -1.0
-        return -(self._lever(self.slope, palm) + sign * self.h[palm]) @ shape_of
+        slope: FloatArray = self.kept_turned(palm) @ shape_of
+        return slope
 
     def kept_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
         """dQ/dφ2 (m/rad) at the same φ1 and ψ, surfaces standing off from the hinge like that (m)."""
@@ -80,10 +85,15 @@ class Lying:
         sign = 1.0 if palm else -1.0
         return self._lever(self.h, palm) - sign * self.slope[palm]
 
-    def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
-        """ds/dψ (m/rad)."""
+    def contact_turned(self, palm: int) -> FloatArray:
+        """Rows that map the coefficients to ds/dψ (m/rad)."""
         sign = 1.0 if palm else -1.0
-        return -(self._lever(self.slope, palm) - sign * self.bend[palm]) @ shape_of
+        return -(self._lever(self.slope, palm) - sign * self.bend[palm])
+
+    def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
+        """ds/dψ (m/rad) of the outline with these coefficients."""
+        slope: FloatArray = self.contact_turned(palm) @ shape_of
+        return slope
 
     def contact_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
         """ds/dφ2 (m/rad) at the same φ1 and ψ, as `kept_opened`."""

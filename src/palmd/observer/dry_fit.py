@@ -22,22 +22,20 @@ from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
 from palmd.observer.factor import Prior
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import Record
-from palmd.observer.stuck_palms import STANDING, Palms, likeliest
+from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, STANDING, Palms
 from palmd.system.mechanism import JOINTS, OPENING, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
 RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
-FRICTION, FRICTION_SD = 0.25, 0.15
-TURN_SD, MUCH = 5e-3, 2.0  # rad, while both contacts slip; sigmas
+TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
 BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
 LITTLE = 0.1  # of the cost: where no step lowers it and none promises more, outliers that come and go are in the way
 MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
-CHANGE_COST = 12.0
 _STEP = 1e-6
 _STANDOFFS = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
 _TILT, _TURN, ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
@@ -111,12 +109,6 @@ class DryModel:
         z[LN_RHO] = self.prior.mean[C.LN_RHO] + math.log(shape_of[0])
         return z
 
-    def begun_from(self, other: DryFit) -> FloatArray:
-        """z of the object and the rig of a fit to other phases."""
-        z = np.zeros(self.size)
-        z[:TURNS] = other.z[:TURNS]
-        return z
-
     def fit(self, z: FloatArray) -> DryFit:
         """By Levenberg's and Marquardt's method from z; raises LinAlgError where there is no minimum."""
         now, damping, settled = self._terms(z), 1e-3, False
@@ -136,29 +128,6 @@ class DryModel:
             if settled:
                 break
         return self._found(z, now, settled)
-
-    def stuck_anew(self, fit: DryFit) -> list[Rolling]:
-        """The likeliest sequence of stuck palms, the object being that of the fit."""
-        record, z = self.record, fit.z
-        psi, _ = self._followed(z)
-        costs = np.zeros((2, len(record.t)))
-        for palm in (0, 1):
-            stuck = np.full(len(self._t), palm)
-            forces = self._normal_forces(z, psi, self._motion(z, psi), stuck)
-            predicted = np.where(record.force_pad == 1, *(each[self._forces] for each in forces)) * math.exp(z[LN_MASS])
-            nis = (record.force_value - predicted) ** 2 / record.force_variance
-            moving = np.abs(self._reported[self._forces, 3]) > STANDING
-            np.add.at(costs[palm], record.force_step, np.minimum(nis, GATE) * moving * record.force_weight)
-        return phases_of(likeliest(costs, CHANGE_COST), record.t)
-
-    def without_the_strained(self, fit: DryFit) -> list[Rolling]:
-        """The phases less the one that asks the object to turn most at its ends, where that is much."""
-        turns = np.square(fit.z[TURNS:])
-        strain = turns[:-1] + turns[1:]
-        if not strain.max(initial=0.0) > (MUCH * TURN_SD) ** 2:
-            return list(self.phases)
-        worst = 1 + int(np.argmax(strain))
-        return [*self.phases[:worst], *self.phases[worst + 2 :]]
 
     def turned_sd(self, fit: DryFit, covariance: FloatArray) -> float:
         """One-sigma of ψ at the last node (rad)."""

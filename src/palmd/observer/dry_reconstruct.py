@@ -22,8 +22,6 @@ from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
 LEAST_S = 5.0
-ROUNDS, WORTH = 12, 1.0  # of finding the stuck palms anew, and by what the cost must fall for another
-HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
@@ -48,24 +46,11 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
     record, prior = search.record, search.prior
-    guess = stuck_guess(record, search.rig.friction_sd)
+    guess = stuck_guess(record, prior, search.rig.friction_sd)
     if guess is None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
-    fit = model.fit(model.begun(prior.mean[C.SHAPE :], guess.mass, guess.mu, guess.asymmetry))
-    if max(fit.chi2, fit.force_chi2) > HOPELESS:
-        return None
-    for _ in range(ROUNDS):
-        for phases in (model.stuck_anew(fit), model.without_the_strained(fit)):
-            if phases == model.phases:
-                continue
-            other = DryModel(record, search.path, prior, phases)
-            then = other.fit(other.begun_from(fit))
-            if then.cost < fit.cost - WORTH:
-                model, fit = other, then
-                break
-        else:
-            break
+    fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
 
 

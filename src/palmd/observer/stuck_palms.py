@@ -1,139 +1,285 @@
-"""Which palm an object sticks to, told by the pads' forces alone. Pure.
+"""Which palm an object sticks to, and what it is like, by filters that each take one sequence of palms for true. Pure.
 
 Where friction has no dither an object nearly always sticks to one palm and slips along the other, which way is the
-palms' doing (`model.rolling`). Friction there is μN, so in Newton's law only the friction of what sticks is unknown,
-which has no part in it across the palm that is stuck to:
-
-    f1 + f2 (μ2 σ sin φ2 − cos φ2) = g cos φ1      where palm 1 is stuck to,
-    f2 + f1 (μ1 σ sin φ2 − cos φ2) = −g cos φ12    where palm 2 is;   σ = sign ω2,
-
-accelerations of a few hundredths of g left out. Which of both holds, with what μ1, μ2 and mass, the readings tell.
+palms' doing (`model.rolling`). Given which, how it turns follows from the palms and the outline, and an extended Kalman
+filter tells the outline from contacts and forces. Which, nobody says, and where friction is small forces alone do not
+either; so every `DECISION_S` each filter goes on with either palm, and those that have explained all readings best are
+kept.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
+from palmd.model.smoothing import ORDER, C
+from palmd.observer.factor import Prior
 from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
-SMOOTHED_S = 0.015  # one-sigma of the window over which forces are averaged
-FORCE_SD = 0.03  # of such an average, relative; accelerations are in it
-MOST_COST = 25.0  # of one moment: whatever a blow does there
-CHANGE_COST = 120.0  # of going over to the other palm; what accelerations do to forces lasts for tenths of a second
-FRICTIONS: FloatArray = np.arange(0.05, 0.6, 0.025)
-MASSES: FloatArray = np.linspace(0.8, 1.3, 41)  # in what a frictionless object of these forces would have
+FRICTION, FRICTION_SD = 0.25, 0.15
 STANDING = 2e-3  # rad/s: palms that turn against each other no faster tell nothing
+STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; and how many of them until the next time the palm may change
+KEPT = 48  # filters
+CHANGE_COST = 8.0  # of twice the log-likelihood: it changes once or twice a second
+TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad, at a change, which is somewhere between two decisions; and at each step
+ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way from now on
+MASS_SD = 0.1  # relative, of what a frictionless object of these forces would have
+CONTACT_SD, FORCE_SD = 3e-5, 0.02  # m and relative: what the filters leave out
+UNDERWEIGHTED = 0.2  # of what a filter is unsure of a reading, as noise besides: it is linearised far from the answer
+LOST = 1.0  # in ln mass and in ln radius, from where filters begin: beyond, one has diverged
+MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does there
+HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
+
+SHAPE = slice(1, 2 + 2 * ORDER)  # after ψ
+LN_MASS, MU1, MU2 = range(SHAPE.stop, SHAPE.stop + 3)
+SIZE = MU2 + 1
+_LITTLE = 1e-6
 
 Palms = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
 class StuckGuess:
-    """The palm stuck to (0 or 1) at each node of a record, the mass (kg) and friction that explain the forces so.
+    """The palm stuck to (0 or 1) at each node of a record, and the object that explains the readings so.
 
-    asymmetry: (μ1 − μ2)/(μ1 + μ2), μ being the mean of both.
+    outline: coefficients (m), turned so that ψ = 0 at the first node; mass (kg); mu is the mean of both palms' friction
+    and asymmetry (μ1 − μ2)/(μ1 + μ2).
     """
 
     palms: Palms
+    outline: FloatArray
     mass: float
     mu: float
     asymmetry: float
 
 
-def stuck_guess(record: Record, asymmetry_sd: float) -> StuckGuess | None:
-    """The likeliest; None where a pad tells no force, or the forces ask for the least friction: that sticks nowhere.
+@dataclass(frozen=True, slots=True)
+class _Filters:
+    """Those of m sequences of palms: mean (m, SIZE), covariance, the palm now and at each decision, and the costs.
 
-    asymmetry_sd: of what is believed of the palms' friction, 0 where both rub alike.
+    cost: twice the negative log-likelihood, of changes too; nis: of the squared normalised residuals alone.
     """
-    forces = [_averaged(record, palm) for palm in PALMS]
-    if any(force is None for force in forces):
+
+    x: FloatArray
+    covariance: FloatArray
+    palm: Palms
+    past: Palms
+    cost: FloatArray
+    nis: FloatArray
+
+    def which(self, kept: Palms) -> _Filters:
+        return _Filters(*(getattr(self, name)[kept] for name in self.__slots__))
+
+
+def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess | None:
+    """The likeliest; None where a pad tells no force, or nothing that sticks explains the readings.
+
+    prior: of the constants of `model.smoothing`. asymmetry_sd: of what is believed of the palms' friction, 0 where both
+    rub alike. The rig is taken as it is described.
+    """
+    if not all((record.force_pad == palm).any() for palm in PALMS):
         return None
-    one, two = np.array(forces)
-    joints, rates = np.split(record.palms[:, : 2 * len(JOINTS)].T, 2)
-    (first, second), opening, opens = directions(joints), joints[OPENING], rates[OPENING]
-    g = float(record.rig[0])
-    moves = np.abs(opens) > STANDING
-    frictionless = g * (np.sin(second) + np.sin(first)) / np.sin(opening)
-    about = float(np.median((one + two) / frictionless))
-
-    def costs(mass: float, mu: float) -> FloatArray:
-        across = mu * np.sign(opens) * np.sin(opening) - np.cos(opening)
-        miss = np.stack([one + two * across - mass * g * np.cos(first), two + one * across + mass * g * np.cos(second)])
-        spread = FORCE_SD * np.stack([np.hypot(one, two * across), np.hypot(two, one * across)])
-        found: FloatArray = np.minimum((miss / spread) ** 2, MOST_COST) * moves
-        return found
-
-    alike = np.arange(len(FRICTIONS))
-    pairs = np.array([alike, alike] if asymmetry_sd == 0.0 else np.meshgrid(alike, alike)).reshape(2, -1)
-    mus = FRICTIONS[pairs]
-    asymmetry = (mus[0] - mus[1]) / mus.sum(axis=0)
-    unlikely = (asymmetry / asymmetry_sd) ** 2 if asymmetry_sd else np.zeros(len(alike))
-
-    def with_each(mass: float) -> FloatArray:
-        each: FloatArray = np.stack([costs(mass, mu) for mu in FRICTIONS.tolist()], axis=1)
-        return each
-
-    mass = min((about * MASSES).tolist(), key=lambda tried: float(with_each(tried).min(axis=(0, 1)).sum()))
-    to_one, to_two = with_each(mass)
-    of_pairs = np.stack([to_one[pairs[1]], to_two[pairs[0]]])  # what sticks to one palm rubs along the other
-    best = int(np.argmin(_least_cost(of_pairs, CHANGE_COST) + unlikely))
-    if not pairs[:, best].any():
-        return None
-    palms = likeliest(of_pairs[:, best], CHANGE_COST)
-    return StuckGuess(palms, mass, float(mus[:, best].mean()), float(asymmetry[best]))
+    pull = _pull(record, float(prior.mean[C.SHAPE]))
+    filters = _begun(_mass(record), prior, asymmetry_sd)
+    begun = filters.x[0]
+    stride = max(round(STEP_S / float(record.dt[0])), 1)
+    ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
+    read = 0
+    for number, (start, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
+        if number % DECISION_STEPS == 0:
+            filters = _decided(_best(filters)) if number else filters
+            hopeless = filters.nis.min() > HOPELESS * read and record.t[start] > record.t[0] + HOPELESS_S
+            if hopeless:
+                return None
+            filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
+        before = filters.x[:, 0]
+        filters = _rolled(filters, record.palms[start], record.palms[end])
+        part = record.between(start, end)
+        read += part.readings
+        if part.readings:
+            filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
+            filters = filters.which(np.flatnonzero(_going(filters, begun)))
+            if not len(filters.cost):
+                return None
+    best = filters.which(np.array([int(np.argmin(filters.cost))]))
+    x = best.x[0]
+    at_nodes = np.repeat(best.past[0], DECISION_STEPS * stride)[: len(record.t) - 1]
+    mu = 0.5 * float(x[MU1] + x[MU2])
+    return StuckGuess(
+        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS]), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
+    )
 
 
-def _least_cost(costs: FloatArray, change: float) -> FloatArray:
-    """What the likeliest sequences cost, of costs (2, m, n): (m)."""
-    one, two = costs[:, :, 0]
-    for k in range(1, costs.shape[2]):
-        stays_one, stays_two = one, two
-        one = np.minimum(stays_one, stays_two + change) + costs[0, :, k]
-        two = np.minimum(stays_two, stays_one + change) + costs[1, :, k]
-    least: FloatArray = np.minimum(one, two)
-    return least
+def _begun(mass: float, prior: Prior, asymmetry_sd: float) -> _Filters:
+    """One filter for each palm."""
+    x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(mass), FRICTION
+    covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
+    covariance[LN_MASS, LN_MASS] = MASS_SD**2
+    apart = (FRICTION * asymmetry_sd) ** 2
+    covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    palm, none = np.array([0, 1]), np.zeros(2)
+    return _Filters(np.tile(x, (2, 1)), np.tile(covariance, (2, 1, 1)), palm, np.zeros((2, 0), np.intp), none, none)
 
 
-def likeliest(costs: FloatArray, change: float) -> Palms:
-    """Of two states the sequence (n) of least cost, by Viterbi: `costs` (2, n) of each, and `change` of each change."""
-    n = costs.shape[1]
-    came = np.zeros((2, n), dtype=np.intp)
-    so_far = costs[:, 0].tolist()
-    for k, now in enumerate(costs.T[1:].tolist(), 1):
-        before = so_far
-        for state in (0, 1):
-            stays = before[state] <= before[1 - state] + change
-            came[state, k] = state if stays else 1 - state
-            so_far = so_far if state else [0.0, 0.0]
-            so_far[state] = now[state] + (before[state] if stays else before[1 - state] + change)
-    states = np.empty(n, dtype=np.intp)
-    states[-1] = int(np.argmin(so_far))
-    for k in range(n - 1, 0, -1):
-        states[k - 1] = came[states[k], k]
-    return states
+def _decided(filters: _Filters) -> _Filters:
+    """Each goes on as it did, and with the other palm."""
+    turned = filters.covariance.copy()
+    turned[:, 0, 0] += TURN_SD**2
+    changed = replace(filters, palm=1 - filters.palm, covariance=turned, cost=filters.cost + CHANGE_COST)
+    both = (np.concatenate([getattr(each, name) for each in (filters, changed)]) for name in filters.__slots__)
+    return _Filters(*both)
 
 
-def _averaged(record: Record, palm: int) -> FloatArray | None:
-    """What the pad's forces are at the nodes (N)."""
-    mine = record.force_pad == palm
-    if not mine.any():
-        return None
-    times = record.t[record.force_step[mine]] + record.force_offset[mine]
-    value = record.force_value[mine]
-    sums = np.zeros((2, len(record.t)))
-    nearest = np.searchsorted(record.t, times)
-    reach = math.ceil(3.0 * SMOOTHED_S / float(record.dt[0]))
-    for by in range(-reach, reach + 1):
-        node = np.clip(nearest + by, 0, len(record.t) - 1)
-        weight = np.exp(-0.5 * ((record.t[node] - times) / SMOOTHED_S) ** 2)
-        np.add.at(sums[0], node, weight)
-        np.add.at(sums[1], node, weight * value)
-    felt = sums[0] > 1e-3
-    averaged: FloatArray = np.interp(record.t, record.t[felt], sums[1, felt] / sums[0, felt])
-    return averaged
+def _best(filters: _Filters) -> _Filters:
+    """The best, without those that go the same way as a better one."""
+    ordered = filters.which(np.argsort(filters.cost, kind="stable"))
+    psi, palm = ordered.x[:, 0], ordered.palm
+    alike = (np.abs(psi[:, None] - psi) < ALIKE_RAD) & (palm[:, None] == palm)
+    return ordered.which(np.flatnonzero(~np.tril(alike, -1).any(axis=1))[:KEPT])
+
+
+def _rolled(filters: _Filters, palms: FloatArray, then: FloatArray) -> _Filters:
+    """After the palms' motion from `palms` to `then`: each turns so that Q1 or Q2 stays as it is."""
+    x, covariance = filters.x.copy(), filters.covariance.copy()
+    shape_of, second = x[:, SHAPE], filters.palm[:, None] == 1
+    count = len(x)
+
+    def kept(where: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray]:
+        lying = Lying.at(np.tile(where, (count, 1)), psi, ORDER)
+        rows = np.where(second, lying.kept(1), lying.kept(0))
+        return rows, _times(np.where(second, lying.kept_turned(1), lying.kept_turned(0)), shape_of)
+
+    rows, slope = kept(palms, x[:, 0])
+    value, psi = _times(rows, shape_of), x[:, 0]
+    for _ in range(2):  # by Newton's method
+        rows_then, slope_then = kept(then, psi)
+        psi = psi + np.clip((value - _times(rows_then, shape_of)) / slope_then, -0.3, 0.3)
+    by = np.zeros((count, SIZE))
+    by[:, 0], by[:, SHAPE] = slope / slope_then, (rows - rows_then) / slope_then[:, None]
+    turned = np.einsum("ni,nij->nj", by, covariance)
+    covariance[:, 0], covariance[:, :, 0] = turned, turned
+    covariance[:, 0, 0] = _times(turned, by) + CREEP_SD**2
+    x[:, 0] = psi
+    return replace(filters, x=x, covariance=covariance)
+
+
+def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[FloatArray, FloatArray]) -> _Filters:
+    """After the readings of a step of the record, at the beginning of which ψ was `before`; `pull` as in `_pull`."""
+    x, covariance = filters.x, filters.covariance
+    lasts = float(part.t[-1] - part.t[0])
+
+    def psi_at(step: npt.NDArray[np.intp], offset: FloatArray) -> FloatArray:
+        share = (part.t[step] + offset - part.t[0]) / lasts
+        at: FloatArray = before[:, None] + share * (x[:, :1] - before[:, None])
+        return at
+
+    pulled = pull[0][part.force_step], pull[1][part.force_step]
+    contacts = _contacts(filters, part, psi_at(part.contact_step, part.contact_offset))
+    forces = _forces(filters, part, psi_at(part.force_step, part.force_offset), pulled)
+    foretold, by = (np.concatenate(each, axis=1) for each in zip(contacts, forces, strict=True))
+    moving = np.abs(part.force_palms[:, len(JOINTS) + OPENING]) > STANDING
+    noise = np.concatenate([
+        (part.contact_variance + CONTACT_SD**2) / np.maximum(part.contact_weight, _LITTLE),
+        (part.force_variance + (FORCE_SD * part.force_value) ** 2) / np.maximum(part.force_weight * moving, _LITTLE),
+    ])  # fmt: skip
+    miss = np.concatenate([part.contact_value, part.force_value]) - foretold
+    told = by @ covariance
+    spread = told @ by.transpose(0, 2, 1)
+    unsure = np.einsum("nmm->nm", spread)  # a view: the diagonals
+    unsure += UNDERWEIGHTED * unsure + noise
+    gain = np.linalg.solve(spread, told)
+    nis = np.einsum("nm,nm->n", miss, np.linalg.solve(spread, miss[:, :, None])[:, :, 0])
+    nis = np.minimum(nis, MOST_NIS * part.readings)
+    return replace(
+        filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance - told.transpose(0, 2, 1) @ gain,
+        cost=filters.cost + nis + np.linalg.slogdet(spread)[1], nis=filters.nis + nis,
+    )  # fmt: skip
+
+
+def _going(filters: _Filters, begun: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which have not diverged from x as they were `begun`."""
+    mass, radius = filters.x[:, LN_MASS] - begun[LN_MASS], filters.x[:, SHAPE.start] / begun[SHAPE.start]
+    going: npt.NDArray[np.bool_] = (np.abs(mass) < LOST) & (np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST)
+    return going & np.isfinite(filters.cost)
+
+
+def _contacts(filters: _Filters, part: Record, psi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the pads should read at ψ (m, readings), and its derivatives (m, readings, SIZE)."""
+    count = psi.shape[1]
+    lying = Lying.at(np.tile(part.contact_palms, (len(psi), 1)), psi.ravel(), ORDER)
+    first = np.tile(part.contact_pad == 1, len(psi))[:, None]
+    rows = np.where(first, lying.contact(0), lying.contact(1))
+    turned = np.where(first, lying.contact_turned(0), lying.contact_turned(1))
+    outlines = np.repeat(filters.x[:, SHAPE], count, axis=0)
+    by = np.zeros((psi.size, SIZE))
+    by[:, 0], by[:, SHAPE] = _times(turned, outlines), rows
+    return _times(rows, outlines).reshape(psi.shape), by.reshape(*psi.shape, SIZE)
+
+
+def _forces(
+    filters: _Filters, part: Record, psi: FloatArray, pull: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """As `_contacts`, of forces; what spins the object is left out."""
+    of_each = np.repeat(np.arange(len(psi)), psi.shape[1])
+    stuck, x = filters.palm[of_each], filters.x[of_each]
+    lying = Lying.at(np.tile(part.force_palms, (len(psi), 1)), psi.ravel(), ORDER)
+    first, mass = np.tile(part.force_pad == 1, len(psi)), np.exp(x[:, LN_MASS])
+    pull_x, pull_y = (np.tile(each, len(psi)) for each in pull)
+    signs = np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(lying.palms[:, len(JOINTS) + OPENING])
+    rubs = np.where(stuck, MU1, MU2)
+    each = np.arange(psi.size)
+    lies = (*lying.h, *lying.slope)
+    felt: list[FloatArray] = [*(_times(rows, x[:, SHAPE]) for rows in lies), x[each, rubs]]
+
+    def told(values: list[FloatArray]) -> FloatArray:
+        h1, h2, slope1, slope2, mu = values
+        unspun = np.zeros(psi.size)
+        both = normal_forces(stuck, mu * signs, lying.palms, (h1, h2), (slope1, slope2), (pull_x, pull_y), unspun)
+        pressed: FloatArray = mass * np.where(first, *both)
+        return pressed
+
+    value = told(felt)
+    gains = [(told([*felt[:i], felt[i] + _LITTLE, *felt[i + 1 :]]) - value) / _LITTLE for i in range(len(felt))]
+    by = np.zeros((psi.size, SIZE))
+    for gain, rows, then in zip(gains, lies, (*lying.slope, *lying.bend), strict=False):
+        by[:, SHAPE] += gain[:, None] * rows
+        by[:, 0] -= gain * _times(then, x[:, SHAPE])
+    by[:, LN_MASS], by[each, rubs] = value, gains[4]
+    return value.reshape(psi.shape), by.reshape(*psi.shape, SIZE)
+
+
+def _times(rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """Row by row."""
+    product: FloatArray = np.einsum("ij,ij->i", rows, columns)
+    return product
+
+
+def _pull(record: Record, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Acceleration of a circle's centre less gravity at the nodes, along X and Y (m/s²)."""
+    one, two = directions(record.palms[:, : len(JOINTS)].T)
+    lever = radius / np.sin(record.palms[:, OPENING])
+    gravity, arm = record.rig[:2]
+    x, y = (
+        lever * (np.cos(two) + np.cos(one)) - arm * np.cos(one),
+        lever * (np.sin(two) + np.sin(one)) - arm * np.sin(one),
+    )
+    pull_x, pull_y = (np.gradient(np.gradient(each, record.t), record.t) for each in (x, y))
+    return pull_x, pull_y + gravity
+
+
+def _mass(record: Record) -> float:
+    """Of a frictionless object whose forces these are (kg)."""
+    t = record.t[record.force_step] + record.force_offset
+    pressed = sum(
+        np.interp(record.t, t[mine], record.force_value[mine]) for mine in (record.force_pad == p for p in PALMS)
+    )
+    first, second = directions(record.palms[:, : len(JOINTS)].T)
+    per_mass = float(record.rig[0]) * (np.sin(second) + np.sin(first)) / np.sin(record.palms[:, OPENING])
+    return float(np.median(pressed / per_mass))
