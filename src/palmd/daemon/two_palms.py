@@ -93,7 +93,8 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Pads that are swapped. Whether the object sticks is judged as well, and is no fault."""
         self._swap.look(t, actual)
-        self._sticking.look(t, actual)
+        if not self._rig.curved:  # there the normals that forces press along are not the palms'
+            self._sticking.look(t, actual)
         if self._swap.swapped:
             yield "pads-swapped"
 
