@@ -69,5 +69,6 @@ def browser(starter: int, page: str) -> None:
 
 
 def _swallow(end: socket.socket) -> None:
-    while True:
-        end.recv(DATAGRAM_BYTES)
+    with contextlib.suppress(OSError):  # closed by who began it
+        while True:
+            end.recv(DATAGRAM_BYTES)
