@@ -92,10 +92,11 @@ class Decider:
             self._corners: tuple[Angles, ...] = ()  # that are still to come of the rounds that provoke slips
         if outlook is not None:
             assert isinstance(outlook, Outlook), "it is of two palms"
-        if question.sticking is None or (outlook is not None and outlook.vouched_for):
+        stuck_at = None if outlook is not None and outlook.vouched_for else question.sticking
+        if stuck_at is None:
             self._corners = ()
-        if question.sticking is not None and (outlook is None or not outlook.vouched_for):
-            decision = self._provoked(question.sticking, move, task.limits, question.choose)
+        if stuck_at is not None:
+            decision = self._provoked(stuck_at, move, task.limits, question.choose)
         elif outlook is not None:
             self._centre = None
             decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)

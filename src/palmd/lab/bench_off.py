@@ -29,8 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"what the rest of the rig is: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
     add("--only", choices=_ORDER, nargs="+", default=_ORDER, metavar="WHAT",
         help=f"what is off: {'; '.join(_ORDER)} (default: each of them)".replace("%", "%%"))  # fmt: skip
-    add("--explored", action="store_true", help="explore, on a rig declared exact of which a constant is off")
-    add("--live", action="store_true", help="replay each log through the live observer too, as `palmd estimate` does")
+    add_way = parser.add_mutually_exclusive_group().add_argument
+    add_way("--explored", action="store_true", help="explore, on a rig declared exact of which a constant is off")
+    add_way("--live", action="store_true",
+        help="replay each log through the live observer too, as `palmd estimate` does")  # fmt: skip
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
     add("--seconds", type=seconds, default=20.0, metavar="S", help="how long each lasts (default: %(default)g)")
     add("-o", "--output", type=Path, default=Path("off.jsonl"), metavar="FILE",

@@ -108,8 +108,6 @@ def reconstruct(
             return unlike
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER + _if_concave(rig), begun)
-    if main.reason:
-        return _result(main, (), rig, begun)
     main = _found_again(main, seed, attempts)
     if main.reason:
         return _result(main, (), rig, begun)
@@ -214,12 +212,12 @@ def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None =
 
 
 def _found_again(part: _Part, seed: int, attempts: Numbered) -> _Part:
-    """`part`, unless it is an unlikely object that the rest of its readings, without the first, tell otherwise.
+    """`part`, unless it claims an unlikely object that the rest of its readings, without the first, tell otherwise.
 
     How an object moves at first nothing foretells: where it is let go in haste the search may begin in a valley next to
     the right one, which an unlikely object and rig explain. Where the rest tells of another it stands for the whole.
     """
-    if part.fit.strain <= UNLIKELY:
+    if part.reason or part.fit.strain <= UNLIKELY:
         return part
     for later_s in LATER_S:
         segment = part.segment.since(part.segment.start + later_s)
