@@ -197,8 +197,10 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
     gain = np.linalg.solve(spread, told)
     nis = np.einsum("nm,nm->n", miss, np.linalg.solve(spread, miss[:, :, None])[:, :, 0])
     nis = np.minimum(nis, MOST_NIS * part.readings)
+    covariance = covariance - told.transpose(0, 2, 1) @ gain
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))  # what rounding makes of it else grows and grows
     return replace(
-        filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance - told.transpose(0, 2, 1) @ gain,
+        filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance,
         cost=filters.cost + nis + np.linalg.slogdet(spread)[1], nis=filters.nis + nis,
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from palmd.observer.dry_fit import RIG, SHAPE, DryModel, _palms, phases_of
 from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.noise import with_scatter
 from palmd.observer.search import Search
-from palmd.observer.stuck_palms import LN_MASS, _begun, _going, stuck_guess
+from palmd.observer.stuck_palms import LN_MASS, _begun, _going, _learned, _rolled, stuck_guess
 from palmd.record.eventlog import read_log
 from palmd.rig.dry_plant import DRY, DryPlant
 from palmd.rig.imperfections import PERFECT
@@ -115,6 +115,22 @@ def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
     assert _going(replace(filters, x=x), filters.x[0]).tolist() == [False, True]
     lost = replace(filters, cost=np.array([0.0, math.nan]))
     assert _going(lost, filters.x[0]).tolist() == [True, False]
+
+
+def test_rounding_does_not_grow_into_covariances_that_are_none(dry):
+    """Squared residuals that such a covariance makes negative are taken for the likeliest sequence of palms."""
+    search = searched(dry[0], 2.0)
+    record, filters = search.record, _begun(0.1, search.prior, 0.3)
+    skew = 1e-9 * np.random.default_rng(4).normal(size=filters.covariance.shape)
+    sd = np.sqrt(np.diagonal(filters.covariance[0]) + 1e-12)
+    filters = replace(filters, covariance=filters.covariance + (skew - skew.transpose(0, 2, 1)) * sd[:, None] * sd)
+    still_air = np.zeros(len(record.t)), np.full(len(record.t), 9.81)
+    for k in range(0, len(record.t) - 3, 2):
+        before = filters.x[:, 0]
+        filters = _rolled(filters, record.palms[k], record.palms[k + 2])
+        filters = _learned(filters, record.between(k, k + 2), before, tuple(each[k : k + 2] for each in still_air))
+    asymmetry = np.abs(filters.covariance - filters.covariance.transpose(0, 2, 1))
+    assert (asymmetry <= 1e-12 * sd[:, None] * sd).all()
 
 
 def truly_stuck(record, truth):
