@@ -1,7 +1,8 @@
 """Least squares of an object that sticks to one palm and slips along the other, on a record of readings. Pure.
 
 Unknown are the constants: coefficients of h, ln ρ, ln m, μ, those of the rig (`model.smoothing.R`) and, where the stuck
-palm changes, by how much the object turned in that moment. Between two changes ψ is what keeps Q1 or Q2
+palm changes, by how much the object turned in that moment; and where the pads' forces have gains that are off, how
+each wanders (`observer.force_gain`), in one-sigmas. Between two changes ψ is what keeps Q1 or Q2
 (`model.rolling`), so it needs no nodes and no process noise; its derivatives follow from the implicit function theorem.
 What bows and lags move is taken to first order, and a bow's part in how the object rolls is left out.
 """
@@ -20,10 +21,11 @@ from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
 from palmd.observer.factor import Prior
+from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
 from palmd.observer.palm_path import PalmPath
-from palmd.observer.record import Record
+from palmd.observer.record import LEAST_FORCE_N, Record
 from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, STANDING, Palms
-from palmd.system.mechanism import JOINTS, OPENING, directions
+from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
@@ -83,8 +85,15 @@ class _Terms:
 class DryModel:
     """The least-squares problem of one record and one sequence of stuck palms."""
 
-    def __init__(self, record: Record, path: PalmPath, prior: Prior, phases: Sequence[Rolling]):
-        """`prior` is of the constants of `model.smoothing`."""
+    def __init__(
+        self,
+        record: Record,
+        path: PalmPath,
+        prior: Prior,
+        phases: Sequence[Rolling],
+        gain_stds: Sequence[float] = (0.0, 0.0),
+    ):
+        """`prior` is of the constants of `model.smoothing`; `gain_stds` of each pad's forces, relative, all along."""
         self.record, self.prior, self.phases = record, prior, phases
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
@@ -100,7 +109,14 @@ class DryModel:
         apart = np.abs(force_t[:, None] - starts[None, 1:]).min(axis=1, initial=math.inf)
         moving = np.abs(self._reported[self._forces, 3]) > STANDING
         self._weight = (moving & (apart > BLIND_S)) * record.force_weight
-        self.size = TURNS + len(phases) - 1
+        self._gains = [
+            (mine, modes_at(force_t[mine], [(float(record.t[0]), float(record.t[-1]))], std))
+            for palm, std in zip(PALMS, gain_stds, strict=True)
+            if std and (mine := np.flatnonzero(record.force_pad == palm)).size
+        ]
+        gains = TURNS + len(phases) - 1
+        self.size = gains + sum(modes.shape[1] + 1 for _, modes in self._gains)
+        self.gains = slice(gains, self.size)
 
     def begun(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
         """z of an object of this outline, on palms that rub so unequally."""
@@ -244,6 +260,8 @@ class DryModel:
             return mass * np.where(first, *forces)
 
         value = told(felt)
+        modes = self._gain_modes(value)
+        share = 1.0 + modes @ z[self.gains]
         gains = [(told([*felt[:i], felt[i] + _STEP, *felt[i + 1 :]]) - value) / _STEP for i in range(len(felt))]
         jacobian = np.zeros((len(at), self.size))
         turned = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
@@ -256,8 +274,23 @@ class DryModel:
         jacobian -= both[:, None] * slope[at]
         jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = gains[4], gains[5], value
         jacobian[:, ASYMMETRY] = gains[8]
+        jacobian *= share[:, None]
+        jacobian[:, self.gains] = value[:, None] * modes
         sd = np.sqrt(record.force_variance)
-        return _gated((record.force_value - value) / sd, jacobian / sd[:, None], self._weight)
+        return _gated((record.force_value - share * value) / sd, jacobian / sd[:, None], self._weight)
+
+    def _gain_modes(self, felt: FloatArray) -> FloatArray:
+        """(forces, modes): the share by which each mode of a pad's gain moves the forces, `felt` (N).
+
+        What that changes in a play's place is left out of the derivatives.
+        """
+        columns = np.zeros((len(felt), self.gains.stop - self.gains.start))
+        at = 0
+        for mine, modes in self._gains:
+            of_pad = np.column_stack([modes, BEHIND * place_in_play(np.maximum(felt[mine], LEAST_FORCE_N))])
+            columns[mine, at : at + of_pad.shape[1]] = of_pad
+            at += of_pad.shape[1]
+        return columns
 
     def _prior_terms(self, z: FloatArray) -> _Terms:
         prior = self.prior
@@ -265,13 +298,15 @@ class DryModel:
         residual = np.concatenate([
             (prior.mean[C.SHAPE :] - z[SHAPE]) / prior.sd[C.SHAPE :],
             [(prior.mean[C.LN_RHO] + math.log(z[0]) - z[LN_RHO]) / rho_sd if z[0] > 0.0 else math.inf],
-            [(FRICTION - z[MU]) / FRICTION_SD], -z[RIG] / prior.sd[C.RIG : C.SHAPE], -z[TURNS:] / TURN_SD,
+            [(FRICTION - z[MU]) / FRICTION_SD], -z[RIG] / prior.sd[C.RIG : C.SHAPE],
+            -z[TURNS : self.gains.start] / TURN_SD, -z[self.gains],
         ])  # fmt: skip
         jacobian = np.zeros((len(residual), self.size))
         jacobian[SHAPE, SHAPE] = np.diag(1.0 / prior.sd[C.SHAPE :])
         jacobian[SHAPE.stop, [LN_RHO, 0]] = 1.0 / rho_sd, -1.0 / (z[0] * rho_sd)
         jacobian[SHAPE.stop + 1, MU] = 1.0 / FRICTION_SD
-        sd = np.concatenate([prior.sd[C.RIG : C.SHAPE], np.full(self.size - TURNS, TURN_SD)])
+        turns, gains = self.gains.start - TURNS, self.size - self.gains.start
+        sd = np.concatenate([prior.sd[C.RIG : C.SHAPE], np.full(turns, TURN_SD), np.ones(gains)])
         jacobian[SHAPE.stop + 2 :, RIG.start :] = np.diag(1.0 / sd)
         return _Terms(residual, jacobian, float(residual @ residual), 0.0, 0.0)
 

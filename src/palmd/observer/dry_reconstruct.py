@@ -16,7 +16,8 @@ from palmd.observer.factor import given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import DIFFERENT_M, DOUBT, Search, consistent, still
+from palmd.observer.record import Record, lay_out
+from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
 from palmd.observer.stuck_palms import stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
@@ -34,8 +35,7 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
     None where it does not, beyond doubt; for flat palms.
     """
-    record = search.record
-    if search.rig.curved or still(record) or search.segment.end - search.segment.start < LEAST_S:
+    if search.rig.curved or still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
     try:
         found = _found(search, seed)
@@ -45,19 +45,29 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
-    record, prior = search.record, search.prior
-    guess = stuck_guess(record, prior, search.rig.friction_sd)
+    record, prior = _with_forces(search), search.prior
+    gain_stds = [pad.force_gain_std for pad in search.rig.pads]
+    guess = stuck_guess(record, prior, search.rig.friction_sd, gain_stds)
     if guess is None:
         return None
-    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
+    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
+
+
+def _with_forces(search: Search) -> Record:
+    """The search's record, with the forces of pads whose gain is uncertain: here it is told with the object."""
+    record = search.record
+    if not any(pad.force_gain_std for pad in search.rig.pads):
+        return record
+    trusting = search.rig.with_pads(force_gain_std=0.0)
+    return lay_out(search.segment.pads, search.path, trusting, float(record.t[0]), search.segment.end, SPACING_S)
 
 
 def _doubtful(model: DryModel, fit: DryFit) -> bool:
     record = model.record
     explained = consistent(fit.chi2, len(record.contact_value)) and consistent(fit.force_chi2, len(record.force_value))
-    likely = fit.strain < MOST_STRAIN + MOST_TURN_STRAIN * len(model.phases)
+    likely = fit.strain < MOST_STRAIN + MOST_TURN_STRAIN * len(model.phases) + len(fit.z[model.gains])
     return not (fit.settled and explained and likely and fit.outliers < MOST_OUTLIERS and fit.asked < MOST_ASKED)
 
 

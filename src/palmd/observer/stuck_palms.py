@@ -10,6 +10,7 @@ kept.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +20,12 @@ from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.factor import Prior
+from palmd.observer.force_gain import BEHIND, BEHIND_S, DRIFT_S
 from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 FRICTION, FRICTION_SD = 0.25, 0.15
-STANDING = 2e-3  # rad/s: palms that turn against each other no faster tell nothing
+STANDING = 1.5e-2  # rad/s: palms that turn against each other no faster may stand, or turn the other way
 STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; and how many of them until the next time the palm may change
 KEPT = 48  # filters
 CHANGE_COST = 8.0  # of twice the log-likelihood: it changes once or twice a second
@@ -37,8 +39,10 @@ MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does t
 HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
 
 SHAPE = slice(1, 2 + 2 * ORDER)  # after ψ
-LN_MASS, MU1, MU2 = range(SHAPE.stop, SHAPE.stop + 3)
+LN_MASS = slice(SHAPE.stop, SHAPE.stop + len(PALMS))  # as each pad weighs it
+MU1, MU2 = range(LN_MASS.stop, LN_MASS.stop + 2)
 SIZE = MU2 + 1
+WEIGHED = np.arange(LN_MASS.start, LN_MASS.stop)
 _LITTLE = 1e-6
 
 Palms = npt.NDArray[np.intp]
@@ -77,16 +81,19 @@ class _Filters:
         return _Filters(*(getattr(self, name)[kept] for name in self.__slots__))
 
 
-def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess | None:
+def stuck_guess(
+    record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)
+) -> StuckGuess | None:
     """The likeliest; None where a pad tells no force, or nothing that sticks explains the readings.
 
     prior: of the constants of `model.smoothing`. asymmetry_sd: of what is believed of the palms' friction, 0 where both
-    rub alike. The rig is taken as it is described.
+    rub alike. gain_stds: of each pad's forces, relative, all along. The rig else is taken as it is described.
     """
     if not all((record.force_pad == palm).any() for palm in PALMS):
         return None
     pull = _pull(record, float(prior.mean[C.SHAPE]))
-    filters = _begun(_mass(record), prior, asymmetry_sd)
+    filters = _begun(_mass(record), prior, asymmetry_sd, gain_stds)
+    wanders = np.array([_wandering(std) for std in gain_stds])
     begun = filters.x[0]
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
@@ -100,6 +107,7 @@ def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess
             filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
         before = filters.x[:, 0]
         filters = _rolled(filters, record.palms[start], record.palms[end])
+        filters.covariance[:, WEIGHED, WEIGHED] += wanders
         part = record.between(start, end)
         read += part.readings
         if part.readings:
@@ -112,16 +120,21 @@ def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess
     at_nodes = np.repeat(best.past[0], DECISION_STEPS * stride)[: len(record.t) - 1]
     mu = 0.5 * float(x[MU1] + x[MU2])
     return StuckGuess(
-        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS]), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
+        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS].mean()), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
     )
 
 
-def _begun(mass: float, prior: Prior, asymmetry_sd: float) -> _Filters:
+def _wandering(std: float) -> float:
+    """The variance of what a gain of this `std`, and a play, add in a step; 0 of a pad whose gain is known."""
+    return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
+
+
+def _begun(mass: float, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> _Filters:
     """One filter for each palm."""
     x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(mass), FRICTION
     covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
-    covariance[LN_MASS, LN_MASS] = MASS_SD**2
+    covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
     apart = (FRICTION * asymmetry_sd) ** 2
     covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
     palm, none = np.array([0, 1]), np.zeros(2)
@@ -208,7 +221,9 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
 def _going(filters: _Filters, begun: FloatArray) -> npt.NDArray[np.bool_]:
     """Which have not diverged from x as they were `begun`."""
     mass, radius = filters.x[:, LN_MASS] - begun[LN_MASS], filters.x[:, SHAPE.start] / begun[SHAPE.start]
-    going: npt.NDArray[np.bool_] = (np.abs(mass) < LOST) & (np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST)
+    going: npt.NDArray[np.bool_] = (np.abs(mass).max(axis=1) < LOST) & (
+        np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST
+    )
     return going & np.isfinite(filters.cost)
 
 
@@ -232,11 +247,12 @@ def _forces(
     of_each = np.repeat(np.arange(len(psi)), psi.shape[1])
     stuck, x = filters.palm[of_each], filters.x[of_each]
     lying = Lying.at(np.tile(part.force_palms, (len(psi), 1)), psi.ravel(), ORDER)
-    first, mass = np.tile(part.force_pad == 1, len(psi)), np.exp(x[:, LN_MASS])
+    first, each = np.tile(part.force_pad == 1, len(psi)), np.arange(psi.size)
+    weighed = np.where(first, LN_MASS.start, LN_MASS.start + 1)
+    mass = np.exp(x[each, weighed])
     pull_x, pull_y = (np.tile(each, len(psi)) for each in pull)
     signs = np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(lying.palms[:, len(JOINTS) + OPENING])
     rubs = np.where(stuck, MU1, MU2)
-    each = np.arange(psi.size)
     lies = (*lying.h, *lying.slope)
     felt: list[FloatArray] = [*(_times(rows, x[:, SHAPE]) for rows in lies), x[each, rubs]]
 
@@ -253,7 +269,7 @@ def _forces(
     for gain, rows, then in zip(gains, lies, (*lying.slope, *lying.bend), strict=False):
         by[:, SHAPE] += gain[:, None] * rows
         by[:, 0] -= gain * _times(then, x[:, SHAPE])
-    by[:, LN_MASS], by[each, rubs] = value, gains[4]
+    by[each, weighed], by[each, rubs] = value, gains[4]
     return value.reshape(psi.shape), by.reshape(*psi.shape, SIZE)
 
 

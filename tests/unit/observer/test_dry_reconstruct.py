@@ -111,7 +111,7 @@ def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
     prior = searched(dry[0]).prior
     filters = _begun(0.1, prior, 0.0)
     x = filters.x.copy()
-    x[0, LN_MASS] += 800.0
+    x[0, LN_MASS.start] += 800.0
     assert _going(replace(filters, x=x), filters.x[0]).tolist() == [False, True]
     lost = replace(filters, cost=np.array([0.0, math.nan]))
     assert _going(lost, filters.x[0]).tolist() == [True, False]
