@@ -20,17 +20,19 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
+from palmd.observer import stuck_palms
 from palmd.observer.factor import Prior
 from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import LEAST_FORCE_N, Record
-from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, STANDING, Palms
+from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, Beginning, Palms
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
 RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
+KEPT = 16  # filters that begin with a fit: they know the object
 TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
 BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
@@ -144,6 +146,26 @@ class DryModel:
             if settled:
                 break
         return self._found(z, now, settled)
+
+    def beginning(self, fit: DryFit, blind: Beginning) -> Beginning:
+        """What filters begin with in the place of what was `blind`: the fit, at twice its one-sigmas."""
+        of_z, to_x = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
+        x = np.zeros(len(blind.x))
+        x[stuck_palms.SHAPE], x[stuck_palms.LN_MASS] = fit.z[SHAPE], fit.z[LN_MASS]
+        to_x[stuck_palms.SHAPE, SHAPE], to_x[stuck_palms.LN_MASS, LN_MASS] = np.eye(SHAPE.stop), 1.0
+        for which, sign in ((stuck_palms.MU1, 1.0), (stuck_palms.MU2, -1.0)):
+            x[which] = fit.z[MU] * (1.0 + sign * fit.z[ASYMMETRY])
+            to_x[which, [MU, ASYMMETRY]] = 1.0 + sign * fit.z[ASYMMETRY], sign * fit.z[MU]
+        covariance = 4.0 * to_x @ of_z @ to_x.T
+        weighed = stuck_palms.LN_MASS
+        covariance[weighed, weighed] += blind.covariance[weighed, weighed] - MASS_SD**2
+        return Beginning(x, covariance, blind.wanders, KEPT, decision_steps=1)
+
+    def begun_from(self, other: DryFit) -> FloatArray:
+        """z of the object and the rig of a fit to other phases."""
+        z = np.zeros(self.size)
+        z[:TURNS] = other.z[:TURNS]
+        return z
 
     def turned_sd(self, fit: DryFit, covariance: FloatArray) -> float:
         """One-sigma of ψ at the last node (rad)."""

@@ -18,11 +18,14 @@ from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
-from palmd.observer.stuck_palms import stuck_guess
+from palmd.observer.stuck_palms import CHANGE_COST, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
+from palmd.system.mechanism import PALMS
 
 LEAST_S = 5.0
+ROUNDS, WORTH = 3, 10.0  # of following the palms anew, from the fit; and by what the cost must fall for another
+HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
@@ -47,11 +50,25 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
     record, prior = _with_forces(search), search.prior
     gain_stds = [pad.force_gain_std for pad in search.rig.pads]
-    guess = stuck_guess(record, prior, search.rig.friction_sd, gain_stds)
+    if not all((record.force_pad == palm).any() for palm in PALMS):
+        return None
+    beginning = blind(record, prior, search.rig.friction_sd, gain_stds)
+    guess = stuck_guess(record, beginning)
     if guess is None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
+    for _ in range(ROUNDS if max(fit.chi2, fit.force_chi2) < HOPELESS else 0):
+        guess = stuck_guess(record, model.beginning(fit, beginning))
+        if guess is None:
+            break
+        other = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
+        then = other.fit(other.begun_from(fit))
+        gained = fit.cost - then.cost + CHANGE_COST * (len(model.phases) - len(other.phases))
+        if gained > 0.0:
+            model, fit = other, then
+        if gained < WORTH:
+            break
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
 
 

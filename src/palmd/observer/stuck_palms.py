@@ -3,7 +3,7 @@
 Where friction has no dither an object nearly always sticks to one palm and slips along the other, which way is the
 palms' doing (`model.rolling`). Given which, how it turns follows from the palms and the outline, and an extended Kalman
 filter tells the outline from contacts and forces. Which, nobody says, and where friction is small forces alone do not
-either; so every `DECISION_S` each filter goes on with either palm, and those that have explained all readings best are
+either; so every few steps each filter goes on with either palm, and those that have explained all readings best are
 kept.
 """
 
@@ -26,8 +26,8 @@ from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 FRICTION, FRICTION_SD = 0.25, 0.15
 STANDING = 1.5e-2  # rad/s: palms that turn against each other no faster may stand, or turn the other way
-STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; and how many of them until the next time the palm may change
-KEPT = 48  # filters
+STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; until the palm may change, while little is known of the object
+KEPT = 48  # filters, the same
 CHANGE_COST = 8.0  # of twice the log-likelihood: it changes once or twice a second
 TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad, at a change, which is somewhere between two decisions; and at each step
 ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way from now on
@@ -81,43 +81,62 @@ class _Filters:
         return _Filters(*(getattr(self, name)[kept] for name in self.__slots__))
 
 
-def stuck_guess(
-    record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)
-) -> StuckGuess | None:
-    """The likeliest; None where a pad tells no force, or nothing that sticks explains the readings.
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """What filters begin with: mean (SIZE) and covariance, and what pads' gains vary by in a step (2).
+
+    kept: filters; decision_steps: until the next time the palm may change.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+    wanders: FloatArray
+    kept: int = KEPT
+    decision_steps: int = DECISION_STEPS
+
+
+def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> Beginning:
+    """As little as is known beforehand. Raises ValueError where a pad tells no force.
 
     prior: of the constants of `model.smoothing`. asymmetry_sd: of what is believed of the palms' friction, 0 where both
-    rub alike. gain_stds: of each pad's forces, relative, all along. The rig else is taken as it is described.
+    rub alike. gain_stds: of each pad's forces, relative, all along.
     """
-    if not all((record.force_pad == palm).any() for palm in PALMS):
-        return None
-    pull = _pull(record, float(prior.mean[C.SHAPE]))
-    filters = _begun(_mass(record), prior, asymmetry_sd, gain_stds)
-    wanders = np.array([_wandering(std) for std in gain_stds])
-    begun = filters.x[0]
+    x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(_mass(record)), FRICTION
+    covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
+    covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
+    apart = (FRICTION * asymmetry_sd) ** 2
+    covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return Beginning(x, covariance, np.array([_wandering(std) for std in gain_stds]))
+
+
+def stuck_guess(record: Record, beginning: Beginning) -> StuckGuess | None:
+    """The likeliest; None where nothing that sticks explains the readings. The rig is taken as it is described."""
+    pull = _pull(record, float(beginning.x[SHAPE.start]))
+    filters = _begun(beginning)
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
     read = 0
     for number, (start, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
-        if number % DECISION_STEPS == 0:
-            filters = _decided(_best(filters)) if number else filters
+        if number % beginning.decision_steps == 0:
+            filters = _decided(_best(filters, beginning.kept)) if number else filters
             hopeless = filters.nis.min() > HOPELESS * read and record.t[start] > record.t[0] + HOPELESS_S
             if hopeless:
                 return None
             filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
         before = filters.x[:, 0]
         filters = _rolled(filters, record.palms[start], record.palms[end])
-        filters.covariance[:, WEIGHED, WEIGHED] += wanders
+        filters.covariance[:, WEIGHED, WEIGHED] += beginning.wanders
         part = record.between(start, end)
         read += part.readings
         if part.readings:
             filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
-            filters = filters.which(np.flatnonzero(_going(filters, begun)))
+            filters = filters.which(np.flatnonzero(_going(filters, beginning.x)))
             if not len(filters.cost):
                 return None
     best = filters.which(np.array([int(np.argmin(filters.cost))]))
     x = best.x[0]
-    at_nodes = np.repeat(best.past[0], DECISION_STEPS * stride)[: len(record.t) - 1]
+    at_nodes = np.repeat(best.past[0], beginning.decision_steps * stride)[: len(record.t) - 1]
     mu = 0.5 * float(x[MU1] + x[MU2])
     return StuckGuess(
         np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS].mean()), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
@@ -129,16 +148,11 @@ def _wandering(std: float) -> float:
     return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
 
 
-def _begun(mass: float, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> _Filters:
+def _begun(beginning: Beginning) -> _Filters:
     """One filter for each palm."""
-    x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(mass), FRICTION
-    covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
-    covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
-    apart = (FRICTION * asymmetry_sd) ** 2
-    covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
     palm, none = np.array([0, 1]), np.zeros(2)
-    return _Filters(np.tile(x, (2, 1)), np.tile(covariance, (2, 1, 1)), palm, np.zeros((2, 0), np.intp), none, none)
+    x, covariance = np.tile(beginning.x, (2, 1)), np.tile(beginning.covariance, (2, 1, 1))
+    return _Filters(x, covariance, palm, np.zeros((2, 0), np.intp), none, none)
 
 
 def _decided(filters: _Filters) -> _Filters:
@@ -150,12 +164,12 @@ def _decided(filters: _Filters) -> _Filters:
     return _Filters(*both)
 
 
-def _best(filters: _Filters) -> _Filters:
-    """The best, without those that go the same way as a better one."""
+def _best(filters: _Filters, count: int) -> _Filters:
+    """The `count` best, without those that go the same way as a better one."""
     ordered = filters.which(np.argsort(filters.cost, kind="stable"))
     psi, palm = ordered.x[:, 0], ordered.palm
     alike = (np.abs(psi[:, None] - psi) < ALIKE_RAD) & (palm[:, None] == palm)
-    return ordered.which(np.flatnonzero(~np.tril(alike, -1).any(axis=1))[:KEPT])
+    return ordered.which(np.flatnonzero(~np.tril(alike, -1).any(axis=1))[:count])
 
 
 def _rolled(filters: _Filters, palms: FloatArray, then: FloatArray) -> _Filters:
