@@ -97,6 +97,7 @@ class DryModel:
     ):
         """`prior` is of the constants of `model.smoothing`; `gain_stds` of each pad's forces, relative, all along."""
         self.record, self.prior, self.phases = record, prior, phases
+        self._path, self._gain_stds = path, gain_stds
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
         self._t, index = np.unique(np.concatenate([record.t, contact_t, force_t]), return_inverse=True)
@@ -119,6 +120,10 @@ class DryModel:
         gains = TURNS + len(phases) - 1
         self.size = gains + sum(modes.shape[1] + 1 for _, modes in self._gains)
         self.gains = slice(gains, self.size)
+
+    def with_phases(self, phases: Sequence[Rolling]) -> DryModel:
+        """Of the same record, and another sequence of stuck palms."""
+        return DryModel(self.record, self._path, self.prior, phases, self._gain_stds)
 
     def begun(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
         """z of an object of this outline, on palms that rub so unequally."""

@@ -18,7 +18,7 @@ from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
-from palmd.observer.stuck_palms import CHANGE_COST, blind, stuck_guess
+from palmd.observer.stuck_palms import CHANGE_COST, Beginning, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS
@@ -58,18 +58,24 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
+    model, fit = _followed_anew(model, fit, beginning)
+    return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
+
+
+def _followed_anew(model: DryModel, fit: DryFit, beginning: Beginning) -> tuple[DryModel, DryFit]:
+    """With the sequence of stuck palms that filters find when they know the object, where that explains more."""
     for _ in range(ROUNDS if max(fit.chi2, fit.force_chi2) < HOPELESS else 0):
-        guess = stuck_guess(record, model.beginning(fit, beginning))
+        guess = stuck_guess(model.record, model.beginning(fit, beginning))
         if guess is None:
             break
-        other = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
+        other = model.with_phases(phases_of(guess.palms, model.record.t))
         then = other.fit(other.begun_from(fit))
         gained = fit.cost - then.cost + CHANGE_COST * (len(model.phases) - len(other.phases))
         if gained > 0.0:
             model, fit = other, then
         if gained < WORTH:
             break
-    return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
+    return model, fit
 
 
 def _with_forces(search: Search) -> Record:

@@ -200,10 +200,13 @@ def test_a_lump_that_sticks_is_reconstructed_blind(dry):
     assert answer.turned_sd > 0.0
 
 
-def test_what_slides_under_dither_is_not_taken_for_sticking():
+@pytest.mark.parametrize("gain_std", [0.0, 0.03])
+def test_what_slides_under_dither_is_not_taken_for_sticking(gain_std):
     lines, _ = simulate_log("friction", 77, 5.0)
     with written(lines) as path:
-        assert dry_reconstruction(searched(read_log(path)), 0, time.perf_counter()) is None
+        log = read_log(path)
+    search = searched(replace(log, rig=log.rig.with_pads(force_gain_std=gain_std)))
+    assert dry_reconstruction(search, 0, time.perf_counter()) is None
 
 
 def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
