@@ -61,7 +61,9 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
-FIRST_ATTEMPTS = 2  # of the blind searches, before what else an object may be is asked
+WORK = 4e4  # of one of the first blind searches: half of them take less than 1e4
+FIRST = tuple(Attempt(2.0, 3, later_s=seconds, work=WORK) for seconds in (0.0, 0.5, 4.0, 1.0))
+"""The blind searches before what else an object may be is asked: what one finds hard is easy from later on."""
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
 LATER_S = (0.5, 1.0)  # without which readings of its beginning an unlikely object is looked for again
@@ -87,16 +89,16 @@ def reconstruct(
     found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    attempts = tuple(enumerate(attempts_for(rig)))
+    attempts = tuple(enumerate(FIRST + attempts_for(rig)))
     search = _search(found[0], rig)
-    first = _part(search, seed, attempts[:FIRST_ATTEMPTS])
+    first = _part(search, seed, attempts[: len(FIRST)])
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
     unlike = _unlike(search, seed, begun, say) if asked else None
     if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search)):
         return unlike
-    main = _part(search, seed, attempts[FIRST_ATTEMPTS:], first)
+    main = _part(search, seed, attempts[len(FIRST) :], first)
     if main is None or main.reason:
         apart = _part(_search(shorter[0], rig), seed, attempts) if swapped else None
         if apart is not None and not apart.reason:

@@ -13,7 +13,7 @@ from palmd.lab import sbc
 from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model.smoothing import R
 from palmd.observer import criticism
-from palmd.observer.reconstruct import FIRST_ATTEMPTS, reconstruct
+from palmd.observer.reconstruct import FIRST, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.observer.seeker import attempts_for
@@ -309,8 +309,7 @@ def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_aga
     run = simulated("nominal", 3, 6.0)
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
-    assert len(asked) <= FIRST_ATTEMPTS
-    assert asked == list(attempts_for(run.rig))[: len(asked)]
+    assert asked == list(FIRST[: len(asked)])
 
 
 @pytest.fixture
@@ -343,7 +342,7 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
     assert sd[0] < shift / 5
 
 
-@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, 2), (0.5, 1.0, None), (1.0, 1.12, None)])
+@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, len(FIRST)), (0.5, 1.0, None), (1.0, 1.12, None)])
 def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
     run, answer, monkeypatch, share, chi2, searches
 ):
@@ -355,4 +354,4 @@ def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smoot
     monkeypatch.setattr("palmd.observer.reconstruct.sharp_reconstruction", lambda *_: other)
     assert reconstruct(run.events, run.rig) is other
     assert lasts > 2.0
-    assert len(tried) == (searches or len(attempts_for(run.rig)))
+    assert len(tried) == (searches or len(FIRST + attempts_for(run.rig)))
