@@ -13,7 +13,7 @@ from palmd.lab import sbc
 from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model.smoothing import R
 from palmd.observer import criticism
-from palmd.observer.reconstruct import FIRST, reconstruct
+from palmd.observer.reconstruct import BEFORE_OTHERS, FIRST, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.observer.seeker import attempts_for
@@ -342,7 +342,9 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
     assert sd[0] < shift / 5
 
 
-@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, len(FIRST)), (0.5, 1.0, None), (1.0, 1.12, None)])
+@pytest.mark.parametrize(
+    ("share", "chi2", "searches"), [(1.0, 1.0, BEFORE_OTHERS), (0.5, 1.0, None), (1.0, 1.12, None)]
+)
 def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
     run, answer, monkeypatch, share, chi2, searches
 ):
