@@ -66,7 +66,7 @@ FIRST = tuple(Attempt(2.0, 3, later_s=seconds, work=WORK) for seconds in (0.0, 0
 BEFORE_OTHERS = len(FIRST) + 1  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
-DEAR = 15.0  # of the cost, by the prior: dearer objects, a quarter of the right ones among them, are looked for again,
+DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
 LATER_S = (0.5, 1.0)  # without these readings of the beginning
 SAME = 100.0  # in sigmas squared, of some 45 constants
 Numbered = Sequence[tuple[int, Attempt]]
@@ -204,13 +204,13 @@ def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None =
     for number, attempt in attempts:
         search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
-        if finding is None:
-            continue
-        part = _refined(search, finding)
-        if best is None or part.deviance < best.deviance:
+        part = None if finding is None else _refined(search, finding)
+        if part is not None and (best is None or part.deviance < best.deviance):
             best = part
-        if not best.reason and (number > 0 or (best.as_described and beyond_question(best.fit, best.record))):
-            break
+        if best is None or best.reason:
+            continue
+        if number > 0 or (best.as_described and beyond_question(best.fit, best.record)):
+            break  # one other opinion is enough, whatever it is
     return best
 
 
