@@ -60,10 +60,9 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
-WORK = 6e4  # of one of the first blind searches: half of them take less than 1e4
-FIRST = tuple(Attempt(2.0, 3, later_s=seconds, work=WORK) for seconds in (0.0, 0.5, 4.0, 1.0, 2.0))
-"""The first blind searches: what one finds hard is easy from later on."""
-BEFORE_OTHERS = len(FIRST) + 1  # of the blind searches, before what else an object may be is asked
+AGAIN = Attempt(2.0, 3, work=6e4)  # half of these searches take less than 1e4
+LATER = tuple(AGAIN._replace(later_s=seconds) for seconds in (0.5, 4.0, 1.0, 2.0))
+BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
 DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
@@ -90,7 +89,8 @@ def reconstruct(
     found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    attempts = tuple(enumerate(FIRST + attempts_for(rig)))
+    live = attempts_for(rig)
+    attempts = tuple(enumerate((live[0], *LATER, *live[1:])))  # what is hard from the beginning is easy from later on
     search = _search(found[0], rig)
     first = _part(search, seed, attempts[:BEFORE_OTHERS])
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
@@ -226,7 +226,7 @@ def _found_again(part: _Part, seed: int) -> _Part:
         segment = part.segment.since(part.segment.start + later_s)
         if _length(segment) < LEAST_S:
             break
-        other = _part(_search(segment, part.search.rig), seed + 1, tuple(enumerate(FIRST[:1])))
+        other = _part(_search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
         nodes = part.fit.guess.on(part.record.t, other.record.t)
