@@ -8,8 +8,11 @@ from simulated import simulated
 
 from palmd.lab import sbc
 from palmd.lab.simulated import simulated as calibrated_run
+from palmd.model import shape
+from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.beginning import known_of, with_beginning
 from palmd.observer.data_segment import longest_segment
+from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Attempt, Search, explained
 from palmd.observer.smoother import Smoother
@@ -42,14 +45,16 @@ def test_what_begins_later_comes_to_what_is_found_from_the_beginning(search, fou
 
 
 def test_a_guess_carried_back_has_the_rest_as_it_was_and_is_near_the_minimum(search, found):
-    best, cut = found.fits[0], 150
-    rest = search.record.between(cut, len(search.record.dt))
+    best, cut = found.fits[0], 100
     covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
-    known = known_of(best.guess.p, covariance, search.prior.scale)
-    fit = replace(best, guess=replace(best.guess, x=best.guess.x[cut:]))
-    guess = with_beginning(search.library, search.record, fit, known, explained)
-    assert len(fit.guess.x) == len(rest.t)
+    psi = float(best.guess.x[cut, 0])  # the rest is told as if it began there
+    turn = np.eye(CONSTANTS)
+    turn[C.SHAPE :, C.SHAPE :] = shape.turned(-psi, ORDER)
+    rest = Guess(best.guess.x[cut:] - [psi, 0.0], turn @ best.guess.p)
+    known = known_of(rest.p, turn @ covariance[:CONSTANTS, :CONSTANTS] @ turn.T, search.prior.scale)
+    guess = with_beginning(search.library, search.record, replace(best, guess=rest), known, explained)
     assert guess.x[:, 0] == pytest.approx(best.guess.x[:, 0], abs=5e-3)
+    assert guess.p[C.SHAPE :] == pytest.approx(best.guess.p[C.SHAPE :], abs=1e-4)
     late = slice(cut + 51, None)
     assert np.diff(guess.x[late, 0]) == pytest.approx(np.diff(best.guess.x[late, 0]), abs=1e-12)
 
