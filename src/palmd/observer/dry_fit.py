@@ -25,7 +25,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import LEAST_FORCE_N, Record
-from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, Beginning, Palms
+from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, FilterStart, Palms
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
@@ -152,7 +152,7 @@ class DryModel:
                 break
         return self._found(z, now, settled)
 
-    def beginning(self, fit: DryFit, blind: Beginning) -> Beginning:
+    def filter_start(self, fit: DryFit, blind: FilterStart) -> FilterStart:
         """What filters begin with in the place of what was `blind`: the fit, at twice its one-sigmas."""
         of_z, to_x = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
         x = np.zeros(len(blind.x))
@@ -164,7 +164,7 @@ class DryModel:
         covariance = 4.0 * to_x @ of_z @ to_x.T
         weighed = stuck_palms.LN_MASS
         covariance[weighed, weighed] += blind.covariance[weighed, weighed] - MASS_SD**2
-        return Beginning(x, covariance, blind.wanders, KEPT, decision_steps=1)
+        return FilterStart(x, covariance, blind.wanders, KEPT, decision_steps=1)
 
     def begun_from(self, other: DryFit) -> FloatArray:
         """z of the object and the rig of a fit to other phases."""

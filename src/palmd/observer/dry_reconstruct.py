@@ -18,7 +18,7 @@ from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
-from palmd.observer.stuck_palms import CHANGE_COST, Beginning, blind, stuck_guess
+from palmd.observer.stuck_palms import CHANGE_COST, FilterStart, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS
@@ -30,7 +30,7 @@ MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
 LEAST_FRICTION = 3.0  # sigmas: what slides freely is another model's
-RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second beginning: of the radius, and of what is believed of the outline
+RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: of the radius, and of what is believed of the outline
 
 
 def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
@@ -52,20 +52,20 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
     gain_stds = [pad.force_gain_std for pad in search.rig.pads]
     if not all((record.force_pad == palm).any() for palm in PALMS):
         return None
-    beginning = blind(record, prior, search.rig.friction_sd, gain_stds)
-    guess = stuck_guess(record, beginning)
+    start = blind(record, prior, search.rig.friction_sd, gain_stds)
+    guess = stuck_guess(record, start)
     if guess is None:
         return None
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
-    model, fit = _followed_anew(model, fit, beginning)
+    model, fit = _followed_anew(model, fit, start)
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
 
 
-def _followed_anew(model: DryModel, fit: DryFit, beginning: Beginning) -> tuple[DryModel, DryFit]:
+def _followed_anew(model: DryModel, fit: DryFit, start: FilterStart) -> tuple[DryModel, DryFit]:
     """With the sequence of stuck palms that filters find when they know the object, where that explains more."""
     for _ in range(ROUNDS if max(fit.chi2, fit.force_chi2) < HOPELESS else 0):
-        guess = stuck_guess(model.record, model.beginning(fit, beginning))
+        guess = stuck_guess(model.record, model.filter_start(fit, start))
         if guess is None:
             break
         other = model.with_phases(phases_of(guess.palms, model.record.t))

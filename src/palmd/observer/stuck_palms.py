@@ -82,7 +82,7 @@ class _Filters:
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
+class FilterStart:
     """What filters begin with: mean (SIZE) and covariance, and what pads' gains vary by in a step (2).
 
     kept: filters; decision_steps: until the next time the palm may change.
@@ -95,7 +95,7 @@ class Beginning:
     decision_steps: int = DECISION_STEPS
 
 
-def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> Beginning:
+def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> FilterStart:
     """As little as is known beforehand. Raises ValueError where a pad tells no force.
 
     prior: of the constants of `model.smoothing`. asymmetry_sd: of what is believed of the palms' friction, 0 where both
@@ -107,10 +107,10 @@ def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence
     covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
     apart = (FRICTION * asymmetry_sd) ** 2
     covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    return Beginning(x, covariance, np.array([_wandering(std) for std in gain_stds]))
+    return FilterStart(x, covariance, np.array([_wandering(std) for std in gain_stds]))
 
 
-def stuck_guess(record: Record, beginning: Beginning) -> StuckGuess | None:
+def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
     """The likeliest; None where nothing that sticks explains the readings. The rig is taken as it is described."""
     pull = _pull(record, float(beginning.x[SHAPE.start]))
     filters = _begun(beginning)
@@ -148,7 +148,7 @@ def _wandering(std: float) -> float:
     return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
 
 
-def _begun(beginning: Beginning) -> _Filters:
+def _begun(beginning: FilterStart) -> _Filters:
     """One filter for each palm."""
     palm, none = np.array([0, 1]), np.zeros(2)
     x, covariance = np.tile(beginning.x, (2, 1)), np.tile(beginning.covariance, (2, 1, 1))

@@ -148,7 +148,7 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     wrong[changes[short] : changes[short + 1] + 1] = wrong[changes[short]]
     model = DryModel(record, search.path, search.prior, phases_of(wrong, record.t))
     fit = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
-    guess = stuck_guess(record, model.beginning(fit, blind(record, search.prior, 0.0)))
+    guess = stuck_guess(record, model.filter_start(fit, blind(record, search.prior, 0.0)))
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
 
 
