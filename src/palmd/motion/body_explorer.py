@@ -34,9 +34,11 @@ NOVELTY = 0.03  # of the sphere, that a rotation is worth which is 1 rad from al
 DECISION_S = 0.3  # that a move costs besides, so that they are not made ever shorter
 SLOWER, SLOWLY = 0.2, 1.5  # share of the moves that take longer than they must, and by how much
 SHORTEST_S = 0.15
-# A move is tried again from so many bearings about those known, off by these one-sigmas, and so long of standing after.
-SAMPLES, OFF_RAD, OFF_RAD_S, STAND_S = 8, 0.03, 0.2, 0.3
-BODIES = 4  # that are drawn for it from what is believed
+# A move is tried again with so many bodies, off by these one-sigmas besides, and so long of standing after: a body that
+# creeps over an edge takes its time before it falls.
+BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
+AT_ONCE = COLUMNS // BODIES  # moves
+TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
@@ -127,32 +129,30 @@ class BodyExplorer:
             found.sort(key=lambda each: -each.gained)
         else:
             found.sort(key=lambda each: -each.value)
-        best = list(dict.fromkeys(each.moves[0] for each in found))
+        best = list(dict.fromkeys(each.moves[0] for each in found))[:TRIED]
         draws = _sure(self._foresight.known) if drawn is None else drawn
-        at_once = COLUMNS * len(draws.p) // SAMPLES
-        tried = (self._surely_held(now, best[k : k + at_once], draws) for k in range(0, len(best), at_once))
+        tried = (self._surely_held(now, best[k : k + AT_ONCE], draws) for k in range(0, len(best), AT_ONCE))
         move = next((each for each in tried if each is not None), None)
         self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
         return move
 
     def _surely_held(self, now: Bearings, moves: Sequence[Move], draws: BodyDraws) -> Move | None:
-        """The first of the moves that keeps the body, whichever it is, from all bearings that may be.
+        """The first of the moves, `AT_ONCE` at most, that keeps the body, whichever it is.
 
         Palms stand for a while after it.
         """
-        each = SAMPLES // len(draws.p)
-        n, held = each * len(moves), np.ones(len(moves), np.bool_)
-        ends = np.repeat([move.end for move in moves], each, axis=0)
-        durations = np.repeat([move.duration for move in moves], each)
-        for turn, spin, p in zip(draws.turn, draws.spin, draws.p, strict=True):
-            off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-            turned = rotation.exp(off) @ (rotation.exp(turn) @ now.R)
-            begin = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
-            foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
-            safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-            held &= safe.reshape(-1, each).all(axis=1)
-        return next((move for move, sure in zip(moves, held.tolist(), strict=True) if sure), None)
+        n = BODIES * len(moves)
+        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        turn, spin, p = (np.tile(each, (len(moves), 1)) for each in (draws.turn, draws.spin, draws.p))
+        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
+        begin = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
+        ends = np.repeat([move.end for move in moves], BODIES, axis=0)
+        durations = np.repeat([move.duration for move in moves], BODIES)
+        foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
+        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+        safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+        held = safe.reshape(-1, BODIES).all(axis=1).tolist()
+        return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
 
     def _grown(
         self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
@@ -222,7 +222,8 @@ def _chords(rotations: FloatArray, other: FloatArray) -> FloatArray:
 
 def _sure(p: FloatArray) -> BodyDraws:
     """A body that is known."""
-    return BodyDraws(np.zeros((1, 3)), np.zeros((1, 3)), p[None])
+    none = np.zeros((BODIES, 3))
+    return BodyDraws(none, none, np.tile(p, (BODIES, 1)))
 
 
 def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:

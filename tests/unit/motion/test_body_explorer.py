@@ -12,7 +12,7 @@ from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.motion import body_explorer
-from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
+from palmd.motion.body_explorer import BODIES, DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -150,10 +150,12 @@ def test_a_body_is_to_be_held_however_it_may_be():
     variance = np.full(6 + len(p), 1e-14)
     little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
     assert who._surely_held(bearings(1), [gentle], little) is gentle
-    wild = dataclasses.replace(little, spin=np.array([[0.0] * 3] * 3 + [[60.0, 40.0, 0.0]]))
+    last = np.arange(BODIES) == BODIES - 1  # one of them is enough
+    wild = dataclasses.replace(little, spin=np.where(last[:, None], (60.0, 40.0, 0.0), 0.0))
     assert who._surely_held(bearings(1), [gentle], wild) is None
-    large = dataclasses.replace(little, p=little.p * np.array([1.0, 1.0, 1.0, 4.0])[:, None])
+    large = dataclasses.replace(little, p=little.p * np.where(last, 4.0, 1.0)[:, None])
     assert who._surely_held(bearings(1), [gentle], large) is None  # it would reach beyond the pads
+    assert who._surely_held(bearings(1), [gentle, gentle], little) is gentle
     there, here = (each._foresight.of(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
     np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
 
