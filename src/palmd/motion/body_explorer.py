@@ -21,9 +21,11 @@ from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, Forese
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 
-LEVELS, DEEPEST, KEPT = 3, 8, 6
-LITTLE = 0.004  # of the sphere: who shows no more is looked on for deeper
-APART_RAD = 0.1  # of rotations, that those of a level go on from
+ROUNDS = 8  # of `COLUMNS` moves each, that a decision's tree grows by
+HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
+LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
+AGAIN = 6  # of the last decision's sequences, that are gone on with
+LITTLE = 0.004  # of the sphere: where no sequence shows more, places count where the body has not been
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
 LEAST_FORCE = 0.5  # m/s², of any palm on the way
@@ -97,7 +99,7 @@ class BodyExplorer:
         self._foresight, self._limits, self._directions = foresight, limits, directions
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
-        self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
+        self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self._low, self._high = np.array(limits.angles).T
         self._least_force, self._most_rad_s = LEAST_FORCE, math.inf
 
@@ -118,13 +120,10 @@ class BodyExplorer:
         self._least_force, self._most_rad_s = least_force, most_rad_s
         self._been.append(now.R[0])
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
-        planned: _MoveSequence | None = root
-        level, found = [root], list[_MoveSequence]()
-        for depth in range(DEEPEST):
-            level, planned = self._grown(level, touched, planned, self._plan[depth : depth + 1])
-            found += level
-            if not level or (depth + 1 >= LEVELS and max(each.gain for each in found) > LITTLE):
-                break
+        tree = [root, *self._followed(root)]
+        for number in range(ROUNDS):
+            tree += self._grown(self._parents(tree) if number else [root] * COLUMNS, root)
+        found = tree[1:]
         if any(each.gain > LITTLE for each in found):
             found.sort(key=lambda each: -each.gained)
         else:
@@ -133,7 +132,7 @@ class BodyExplorer:
         draws = _sure(self._foresight.known) if drawn is None else drawn
         tried = (self._surely_held(now, best[k : k + AT_ONCE], draws) for k in range(0, len(best), AT_ONCE))
         move = next((each for each in tried if each is not None), None)
-        self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
+        self._plans = [each.moves[1:] for each in found if each.moves[0] == move][:AGAIN]
         return move
 
     def _surely_held(self, now: Bearings, moves: Sequence[Move], draws: BodyDraws) -> Move | None:
@@ -151,44 +150,66 @@ class BodyExplorer:
         foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
         safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
         safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-        held = safe.reshape(-1, BODIES).all(axis=1).tolist()
-        return next((move for move, sure in zip(moves, held, strict=True) if sure), None)
+        held = np.flatnonzero(safe.reshape(-1, BODIES).all(axis=1)).tolist()
+        return moves[held[0]] if held else None
 
-    def _grown(
-        self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
-    ) -> tuple[list[_MoveSequence], _MoveSequence | None]:
-        """(the best sequences of one move more, the best first; `planned` and `then`, if that is safe)."""
-        parents = [level[k % len(level)] for k in range(COLUMNS)]
-        follows = planned is not None and len(then) > 0
-        if planned is not None and follows:
-            parents[0] = planned
-        begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
-        ends = self._drawn(begin.joints)
-        if follows:
-            ends[0] = then[0].end
-        way = np.abs(ends - begin.joints).max(axis=1)
+    def _followed(self, root: _MoveSequence) -> list[_MoveSequence]:
+        """The sequences that the last decision went on with, as far as they are safe from where it has led."""
+        reached: dict[tuple[Move, ...], _MoveSequence] = {(): root}
+        for n in range(1, 1 + max(map(len, self._plans), default=0)):
+            plans = dict.fromkeys(plan[:n] for plan in self._plans if len(plan) >= n and plan[: n - 1] in reached)
+            parents = [reached[plan[:-1]] for plan in plans]
+            moves = [plan[-1] for plan in plans]
+            if not moves or moves[0].start != tuple(parents[0].bearings.joints[0].tolist()):
+                break  # they begin elsewhere
+            ends, durations = np.array([move.end for move in moves]), np.array([move.duration for move in moves])
+            carried = zip(plans, self._carried(parents, ends, durations, root), strict=True)
+            reached |= {plan: each for plan, each in carried if each is not None}
+        return list(reached.values())[1:]
+
+    def _parents(self, tree: list[_MoveSequence]) -> list[_MoveSequence]:
+        """Which sequences are gone on with: half of them by what they show, half the farthest some way round."""
+        short = [each for each in tree if each.seconds < HORIZON_S]
+        best = sorted(short, key=lambda each: -each.gained)[:LIKELY]
+        rotations, ways = (
+            np.stack([each.bearings.R[0].ravel() for each in short]),
+            self._random.normal(size=(9, COLUMNS)),
+        )
+        farthest = (rotations @ ways).argmax(axis=0)
+        return [short[k] if i % 2 else best[i // 2 % len(best)] for i, k in enumerate(farthest.tolist())]
+
+    def _grown(self, parents: list[_MoveSequence], root: _MoveSequence) -> list[_MoveSequence]:
+        """Those of one move more that are safe."""
+        start = np.concatenate([each.bearings.joints for each in parents])
+        ends = self._drawn(start)
+        way = np.abs(ends - start).max(axis=1)
         least = np.maximum(
             PEAK_RATE * way / self._limits.rate, np.sqrt(PEAK_ACCELERATION * way / self._limits.acceleration)
         )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         if math.isfinite(self._most_rad_s):
-            longer = self._random.uniform(1.0, SLOWEST, COLUMNS)
+            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 2
         durations = np.maximum(least * longer, SHORTEST_S)
-        if follows:
-            durations[0] = then[0].duration
+        return [each for each in self._carried(parents, ends, durations, root) if each is not None]
+
+    def _carried(
+        self, parents: list[_MoveSequence], ends: FloatArray, durations: FloatArray, root: _MoveSequence
+    ) -> list[_MoveSequence | None]:
+        """Each sequence with one move more, to these ends; None where that is not safe."""
+        begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
         foreseen = self._foresight.of(begin, ends, durations)
-        found: dict[int, _MoveSequence] = {}
         turned = _chords(foreseen.after.R, begin.R)
         safe = self._safe(foreseen) & (turned < self._most_rad_s * (durations + DECISION_S))
+        found: list[_MoveSequence | None] = [None] * len(parents)
         for k in np.flatnonzero(safe).tolist():
             parent, after = parents[k], foreseen.after.some(np.array([k]))
-            seen = parent.touched | self.covered(foreseen.normals[k])
+            seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
-            gain = (np.count_nonzero(seen) - np.count_nonzero(touched)) / len(touched)
+            gain = np.count_nonzero(seen & ~root.touched) / len(seen)
             value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
-        return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
+        return found
 
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
@@ -224,15 +245,3 @@ def _sure(p: FloatArray) -> BodyDraws:
     """A body that is known."""
     none = np.zeros((BODIES, 3))
     return BodyDraws(none, none, np.tile(p, (BODIES, 1)))
-
-
-def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
-    """The first few that end in different rotations."""
-    kept: list[_MoveSequence] = []
-    for each in ranked:
-        ends = [other.bearings.R[0] for other in kept]
-        if not ends or _chords(np.stack(ends), each.bearings.R[0]).min() > APART_RAD:
-            kept.append(each)
-        if len(kept) == KEPT:
-            break
-    return kept

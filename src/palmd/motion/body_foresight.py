@@ -102,12 +102,12 @@ class BodyForesight:
         over = np.arange(last)[:, None] >= steps
         path[over] = np.nan
         spin = np.where(over, 0.0, np.linalg.norm(spun, axis=2)).max(axis=0)
-        R, omega = (each[steps - 1, np.arange(n)] for each in (turned, spun))
+        turn, omega = (each[steps - 1, np.arange(n)] for each in (turned, spun))
         force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(last, n, 3, 2)
         room = room_on_pads(contacts, self._side)
-        finite = np.isfinite(R).all(axis=1) & np.isfinite(spin)
+        finite = np.isfinite(turn).all(axis=1) & np.isfinite(spin)
         return ForeseenMoves(
-            Bearings(np.swapaxes(R.reshape(-1, 3, 3), 1, 2), omega, ends),
+            Bearings(np.swapaxes(turn.reshape(-1, 3, 3), 1, 2), omega, ends),
             np.where(finite, np.nanmin(force, axis=(0, 2)), -np.inf),
             np.nanmin(room, axis=(0, 2, 3)),
             spin,

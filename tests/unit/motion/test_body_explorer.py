@@ -104,30 +104,54 @@ def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
     assert weight_shares(ends).min() > 0.8 * LEAST_SHARE
 
 
-def test_what_has_been_touched_is_worth_nothing_more():
-    who, begin = explorer(), bearings(1)
-    none = np.zeros(len(icosphere(2)[0]), np.bool_)
+def rooted(who, touched):
+    begin = bearings(1)
     who._been.append(begin.R[0])
-    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
-    fresh, _ = who._grown([root], none, None, ())
-    assert [each.value for each in fresh] == sorted((each.value for each in fresh), reverse=True)
-    assert fresh[0].gain == fresh[0].touched.mean() > 2 * body_explorer.NOVELTY
-    again, _ = who._grown([dataclasses.replace(root, touched=~none)], ~none, None, ())
+    return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0, -math.inf)
+
+
+def test_what_has_been_touched_is_worth_nothing_more():
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(who, none)
+    fresh = who._grown([root] * COLUMNS, root)
+    assert max(each.gain for each in fresh) > 2 * body_explorer.NOVELTY
+    assert all(each.gain == each.touched.mean() for each in fresh)
+    full = dataclasses.replace(root, touched=~none)
+    again = who._grown([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
     assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
 
 
-def test_the_rest_of_a_sequence_is_tried_again():
+def test_the_rest_of_the_best_sequences_is_gone_on_with():
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
     move = who.decide(bearings(1), none)
-    then = who._plan
+    assert who._plans
     there = who._foresight.of(bearings(1), np.array([move.end]), np.array([move.duration])).after
     root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
-    assert then
-    _, planned = who._grown([root], none, root, then[:1])
-    assert planned is not None
-    assert planned.moves == then[:1]
-    assert who._grown([root], none, None, then[:1])[1] is None  # where its beginning was not safe
+    again = who._followed(root)
+    assert who._plans[0] in [each.moves for each in again]
+    ends = {each.moves[-1].end: each for each in again}
+    for each in again:  # each goes on from where its own beginning leads
+        parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
+        assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
+        after = who._foresight.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
+        np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
+    elsewhere = dataclasses.replace(root, bearings=bearings(1))
+    assert who._followed(elsewhere) == []
+
+
+def test_what_goes_on_is_what_shows_most_and_what_is_farthest_round():
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(who, none)
+    grown = who._grown([root] * COLUMNS, root)
+    parents = who._parents([root, *grown])
+    ranked = sorted([root, *grown], key=lambda each: -each.gained)[: body_explorer.LIKELY]
+    assert set(map(id, parents[::2])) == set(map(id, ranked))
+    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[1::2]]
+    all_of_them = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in grown]
+    assert np.mean(far) > 1.2 * np.mean(all_of_them)
+    old = [dataclasses.replace(each, seconds=body_explorer.HORIZON_S) for each in grown]
+    assert set(map(id, who._parents([root, *old]))) == {id(root)}
 
 
 def test_where_every_move_might_lose_the_body_there_is_none():
@@ -171,13 +195,12 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
 
 def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
     who, begin, none = explorer(), bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)
-    who._been.append(begin.R[0])
-    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
+    root = rooted(who, none)
 
     def fastest(most, peak):
         who._most_rad_s = most
         monkeypatch.setattr(body_explorer, "PEAK", peak)
-        found = who._grown([root], none, None, ())[0]
+        found = who._grown([root] * COLUMNS, root)
         return max(body_explorer._chords(each.bearings.R, begin.R)[0] / (each.seconds + DECISION_S) for each in found)
 
     assert fastest(math.inf, 1.0) > 0.6
@@ -201,8 +224,8 @@ def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
 
 
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
-    row = space_exploring.explored(SEED, 2.0)
+    row = space_exploring.explored(SEED, 4.0)
     assert math.isnan(row.lost)
-    assert row.coverage[-1] > 0.12
+    assert row.coverage[-1] > 0.2
     line = space_exploring.SpaceExploringRow(**{**row.line(), "lost": math.nan})
     assert next(space_exploring.told_of_exploring([line])).startswith("       4: μ 0.")
