@@ -41,6 +41,7 @@ SHORTEST_S = 0.15
 BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
 AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
+SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
@@ -128,30 +129,58 @@ class BodyExplorer:
             found.sort(key=lambda each: -each.gained)
         else:
             found.sort(key=lambda each: -each.value)
-        best = list(dict.fromkeys(each.moves[0] for each in found))[:TRIED]
+        ways = list(dict.fromkeys(each.moves[:SURE_MOVES] for each in found))
         draws = _sure(self._foresight.known) if drawn is None else drawn
-        tried = (self._surely_held(now, best[k : k + AT_ONCE], draws) for k in range(0, len(best), AT_ONCE))
-        move = next((each for each in tried if each is not None), None)
-        self._plans = [each.moves[1:] for each in found if each.moves[0] == move][:AGAIN]
-        return move
+        way = self._surest(now, ways, draws)
+        self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
+        return way[0] if way else None
 
-    def _surely_held(self, now: Bearings, moves: Sequence[Move], draws: BodyDraws) -> Move | None:
-        """The first of the moves, `AT_ONCE` at most, that keeps the body, whichever it is.
+    def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:
+        """The first of the ways that keeps the body, or the first beginning that does; empty where none is found.
 
-        Palms stand for a while after it.
+        What follows is of use only where the second move is sure, too: else the body goes to and fro before an edge.
         """
-        n = BODIES * len(moves)
+        held: dict[Move, bool] = {}
+        begun: tuple[Move, ...] = ()
+        for _ in range(TRIED // AT_ONCE):
+            ways = [way for way in ways if held.get(way[0], True)]
+            some, ways = ways[:AT_ONCE], ways[AT_ONCE:]
+            if not some:
+                break
+            for way, n in zip(some, self._held(now, some, draws), strict=True):
+                if n == len(way):
+                    return way
+                held[way[0]] = n > 0
+                begun = begun or way[:n]
+        return begun
+
+    def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
+        """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
+
+        Palms stand for a while after each.
+        """
+        sure, going = [0] * len(ways), list(range(len(ways)))
+        n = BODIES * len(ways)
         off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        turn, spin, p = (np.tile(each, (len(moves), 1)) for each in (draws.turn, draws.spin, draws.p))
+        turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
         turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
-        begin = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
-        ends = np.repeat([move.end for move in moves], BODIES, axis=0)
-        durations = np.repeat([move.duration for move in moves], BODIES)
-        foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
-        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-        safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-        held = np.flatnonzero(safe.reshape(-1, BODIES).all(axis=1)).tolist()
-        return moves[held[0]] if held else None
+        there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
+        while going:
+            moves = [ways[k][sure[k]] for k in going]
+            ends = np.repeat([move.end for move in moves], BODIES, axis=0)
+            durations = np.repeat([move.duration for move in moves], BODIES)
+            foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
+            safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
+            for k in np.array(going)[held].tolist():
+                sure[k] += 1
+            further = np.array(
+                [safely and sure[k] < len(ways[k]) for k, safely in zip(going, held, strict=True)], np.bool_
+            )
+            going = np.array(going)[further].tolist()
+            there = foreseen.after.some(np.repeat(further, BODIES))
+        return sure
 
     def _followed(self, root: _MoveSequence) -> list[_MoveSequence]:
         """The sequences that the last decision went on with, as far as they are safe from where it has led."""

@@ -162,10 +162,21 @@ def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
     rest = tuple(REST_POSE.tolist())
     thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
     who, known = explorer(), body_explorer._sure(stand()[1])
-    assert who._surely_held(bearings(1), [thrown, gentle], known) is gentle
-    assert who._surely_held(bearings(1), [thrown], known) is None
+    assert who._surest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
+    assert who._surest(bearings(1), [(thrown,)], known) == ()
     monkeypatch.setattr(body_explorer, "OFF_RAD_S", 60.0)  # it may be spinning wildly
-    assert who._surely_held(bearings(1), [gentle], known) is None
+    assert who._surest(bearings(1), [(gentle,)], known) == ()
+
+
+def test_what_is_gone_on_with_is_to_be_sure_too_if_anything_is():
+    rest, gentle = tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8)
+    first, other = Move(rest, gentle, 0.5), Move(rest, (0.88, 0.82, 0.8), 0.5)
+    thrown, back = Move(gentle, (1.2, 0.5, 1.0), 0.06), Move(gentle, rest, 0.5)
+    who, known = explorer(), body_explorer._sure(stand()[1])
+    assert who._held(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [1, 2, 1, 0]
+    assert who._surest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
+    assert who._surest(bearings(1), [(first, thrown), (other,)], known) == (other,)
+    assert who._surest(bearings(1), [(first, thrown)], known) == (first,)
 
 
 def test_a_body_is_to_be_held_however_it_may_be():
@@ -173,13 +184,12 @@ def test_a_body_is_to_be_held_however_it_may_be():
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     variance = np.full(6 + len(p), 1e-14)
     little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
-    assert who._surely_held(bearings(1), [gentle], little) is gentle
+    assert who._held(bearings(1), [(gentle,)], little) == [1]
     last = np.arange(BODIES) == BODIES - 1  # one of them is enough
     wild = dataclasses.replace(little, spin=np.where(last[:, None], (60.0, 40.0, 0.0), 0.0))
-    assert who._surely_held(bearings(1), [gentle], wild) is None
+    assert who._held(bearings(1), [(gentle,)], wild) == [0]
     large = dataclasses.replace(little, p=little.p * np.where(last, 4.0, 1.0)[:, None])
-    assert who._surely_held(bearings(1), [gentle], large) is None  # it would reach beyond the pads
-    assert who._surely_held(bearings(1), [gentle, gentle], little) is gentle
+    assert who._held(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
     there, here = (each._foresight.of(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
     np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
 
