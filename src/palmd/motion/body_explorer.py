@@ -2,8 +2,8 @@
 
 A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
 again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
-decision grows a tree three moves deep, deeper where that shows nothing new, the best few of a level going on, and takes
-the first move of the best sequence; the rest of that is tried again next time.
+decision grows a tree of moves over many seconds, where they show most and where they lead farthest round, and takes the
+first move of the best sequence that surely holds the body; the rest of the best is gone on with next time.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def weight_shares(joints: FloatArray) -> FloatArray:
 
 
 class BodyExplorer:
-    """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.2 s of a core."""
+    """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.3 s of a core."""
 
     def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
