@@ -159,7 +159,7 @@ class Exploring(Explores):
         if self._next is not None and exploration.end - tau <= LEAD_S:
             move, self._rocking = self._next
             exploration.append(move, tau)
-            self._next = None
+            self._next, self._t_ask = None, t
         self.silent = t - self._t_heard > SILENT_S
 
     def _begin(self, exploration: Exploration, t: float) -> None:
@@ -226,6 +226,8 @@ class Exploring(Explores):
         if t < self._t_ask or move is not exploration.last:
             return
         to_go = exploration.end - tau - AHEAD_S
+        if self._next is not None and exploration.end - tau < ASK_S:
+            return  # what is said of a move that is over by then counts no more, and would keep the next question waiting
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
         outlook = senses.look() if senses.known else None
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)
