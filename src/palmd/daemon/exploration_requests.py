@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,7 +14,7 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
 from palmd.system.description import RigDescription
 
-LATENCY_S = 0.3  # what a decision takes in a run without wires
+LATENCY_S, CHECKED_S = 0.3, 0.05  # in a run without wires: what a choice takes, and what it takes to look at a move
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,28 +135,39 @@ class Decider:
 
 
 class InlineExplorer:
-    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
+    """Decisions that come a fixed time after their questions are taken: deterministic, for runs without wires.
 
-    A question that comes while another is being answered is dropped.
+    As of a process: whether the move under way may go on is said sooner than what is to come after it, and of the
+    questions that come meanwhile the newest is next.
     """
 
     def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
         self._decider = decider
         self._latency = latency_s
         self._ready: ExplorationAnswer | None = None
+        self._t_ready = -math.inf
+        self._waiting: Question | None = None
 
     def prepare(self) -> None:
         """Nothing to do."""
 
     def ask(self, question: Question) -> None:
-        """Decide at once, and keep the answer back."""
+        """Decide at once, and keep the answer back; or keep the question, if another is being answered."""
         if self._ready is None:
-            self._ready = self._decider.answer(question)
+            self._take(question, question.t)
+        else:
+            self._waiting = question
 
     def collect(self, t: float) -> ExplorationAnswer | None:
-        """The answer to what was asked at least the latency ago."""
-        ready = self._ready
-        if ready is None or t < ready.t + self._latency:
+        """The answer that is due at `t` (s)."""
+        if t < self._t_ready:
             return None
-        self._ready = None
+        ready, waiting = self._ready, self._waiting
+        self._ready = self._waiting = None
+        if waiting is not None:
+            self._take(waiting, t)
         return ready
+
+    def _take(self, question: Question, t: float) -> None:
+        self._ready = self._decider.answer(question)
+        self._t_ready = t + (self._latency if question.choose else min(CHECKED_S, self._latency))
