@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,7 +13,7 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
 from palmd.system.description import RigDescription
 
-LATENCY_S, CHECKED_S = 0.3, 0.05  # in a run without wires: what a choice takes, and what it takes to look at a move
+LATENCY_S = 0.3  # what a decision takes in a run without wires
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,39 +134,28 @@ class Decider:
 
 
 class InlineExplorer:
-    """Decisions that come a fixed time after their questions are taken: deterministic, for runs without wires.
+    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
 
-    As of a process: whether the move under way may go on is said sooner than what is to come after it, and of the
-    questions that come meanwhile the newest is next.
+    A question that comes while another is being answered is dropped.
     """
 
     def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
         self._decider = decider
         self._latency = latency_s
         self._ready: ExplorationAnswer | None = None
-        self._t_ready = -math.inf
-        self._waiting: Question | None = None
 
     def prepare(self) -> None:
         """Nothing to do."""
 
     def ask(self, question: Question) -> None:
-        """Decide at once, and keep the answer back; or keep the question, if another is being answered."""
+        """Decide at once, and keep the answer back."""
         if self._ready is None:
-            self._take(question, question.t)
-        else:
-            self._waiting = question
+            self._ready = self._decider.answer(question)
 
     def collect(self, t: float) -> ExplorationAnswer | None:
-        """The answer that is due at `t` (s)."""
-        if t < self._t_ready:
+        """The answer to what was asked at least the latency ago."""
+        ready = self._ready
+        if ready is None or t < ready.t + self._latency:
             return None
-        ready, waiting = self._ready, self._waiting
-        self._ready = self._waiting = None
-        if waiting is not None:
-            self._take(waiting, t)
+        self._ready = None
         return ready
-
-    def _take(self, question: Question, t: float) -> None:
-        self._ready = self._decider.answer(question)
-        self._t_ready = t + (self._latency if question.choose else min(CHECKED_S, self._latency))

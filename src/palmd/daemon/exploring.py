@@ -112,7 +112,7 @@ class Exploring(Explores):
         self._run = 0
         self._next: tuple[Move, bool] | None = None  # and whether it rocks
         self._rocking = self._halting = self._ending = False
-        self._t_known = self._t_moved = self._t_heard = self._t_ask = self._t_asked = -math.inf
+        self._t_known = self._t_moved = self._t_heard = self._t_ask = -math.inf
 
     @property
     def possible(self) -> bool:
@@ -146,7 +146,6 @@ class Exploring(Explores):
         if not (at_rest and senses.known):
             self._t_heard = t
         if answer is not None:
-            self._t_asked = -math.inf
             self._take(answer, exploration, t, senses, at_rest)
         if not (at_rest or self._rocking) and t - self._t_known > LOST_S:
             self._halt("the estimate was lost in the middle of a move")
@@ -159,7 +158,7 @@ class Exploring(Explores):
         if self._next is not None and exploration.end - tau <= LEAD_S:
             move, self._rocking = self._next
             exploration.append(move, tau)
-            self._next, self._t_ask, self._t_asked = None, t, -math.inf
+            self._next = None
         self._ask(source, exploration, tau, t, senses)
         self.silent = t - self._t_heard > SILENT_S
 
@@ -177,7 +176,6 @@ class Exploring(Explores):
         self._next = None
         self._rocking = self._halting = self._ending = self.silent = False
         self._t_known = self._t_moved = self._t_heard = self._t_ask = t
-        self._t_asked = -math.inf
 
     def _leave(self) -> None:
         if self._exploration is not None:
@@ -225,8 +223,7 @@ class Exploring(Explores):
 
     def _ask(self, source: Source, exploration: Exploration, tau: float, t: float, senses: Senses) -> None:
         move, elapsed = exploration.under_way(tau)
-        unanswered = t - self._t_asked < STALE_S  # to be asked again meanwhile would only delay it
-        if t < self._t_ask or unanswered or move is not exploration.last:
+        if t < self._t_ask or move is not exploration.last:
             return
         to_go = exploration.end - tau - AHEAD_S
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
@@ -235,7 +232,6 @@ class Exploring(Explores):
         if outlook is None and (senses.known or not may_rock):
             return
         choose = self._next is None and to_go <= 0.0
-        self._t_asked = t
         source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed), choose, senses.sticking))
 
     def _halt(self, reason: str) -> None:

@@ -161,14 +161,12 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     assert stage.exploring.explored.seconds == pytest.approx(8.0, abs=0.1)
 
 
-def test_it_asks_as_a_move_begins_then_on_a_grid_and_about_the_last_move_only() -> None:
+def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
     stage = Stage()
     list(stage.go(5.0))
-    about = itertools.groupby(stage.source.questions, key=lambda question: id(question.under_way.move))
-    times = [[question.t for question in questions] for _, questions in about]
-    assert all(b - a >= ASK_S - 1e-9 for each in times for a, b in itertools.pairwise(each))
-    assert len(times) == pytest.approx(5.0 / 0.8, abs=2.0)
-    assert max(map(len, times)) <= 0.8 / ASK_S + 1
+    times = [question.t for question in stage.source.questions]
+    assert min(b - a for a, b in itertools.pairwise(times)) >= ASK_S - 1e-9
+    assert 5 < len(times) <= 5.0 / ASK_S + 1
     for question in stage.source.questions:
         move = question.under_way.move
         assert question.under_way.elapsed >= 0.0
@@ -263,7 +261,7 @@ def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
     stage = Stage()
     stage.source.latency = STALE_S + 0.05
     assert stands(stage, 3.0)
-    assert stage.exploring.dropped >= 2  # who has not answered yet is asked again after STALE_S
+    assert stage.exploring.dropped > 5
     assert stage.exploring.silent
 
 
@@ -294,7 +292,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
 
 def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed() -> None:
     stage = Stage()
-    list(stage.go(0.35))
+    list(stage.go(0.6))
     stage.source.decide = lambda _: Decision("unsafe", reason="it would slip")
     stood = stage.after(0.7)
     assert HERE.angles[0] + 0.05 * WAY < stood.angles[0] < HERE.angles[0] + 0.95 * WAY
@@ -495,13 +493,4 @@ def test_a_guide_without_a_process_answers_a_fixed_time_after_the_question() -> 
     assert answer is not None
     assert (answer.t, answer.run, answer.after, answer.object_count) == (5.0, 1, first.under_way.move, None)
     assert answer.decision.kind == "move"
-    inline.ask(replace(first, t=5.35, choose=False))
-    assert inline.collect(5.59) is None
-    waited = inline.collect(5.6)  # what came while it was busy was taken when it was not, and what came then waits
-    assert waited is not None
-    assert waited.t == 5.1
-    assert inline.collect(5.64) is None
-    looked_at = inline.collect(5.65)
-    assert looked_at is not None
-    assert looked_at.t == 5.35
     assert inline.collect(9.0) is None

@@ -111,21 +111,21 @@ def test_after_a_hold_it_goes_on():
 
 
 class ToAndFro(Decider):
-    """Decides for two poses in turn, and that all is done once it has chosen so often."""
+    """Decides for two poses in turn, and that all is done once it has been asked so often."""
 
-    choices_left = 7
+    questions_left = 15
 
     def answer(self, question):
         answer = super().answer(question)
         if question.outlook is None:
             return answer
-        self.choices_left -= question.choose
+        self.questions_left -= 1
         here = question.under_way.move.end
         way = math.radians(14 if here[0] < math.radians(45) else -14)
         move = Move(here, (here[0] + way, here[1]), 0.7)
         decision = Decision("move", move, "goes on", 0.3, 0.9)
         return dataclasses.replace(
-            answer, decision=decision if self.choices_left > 0 else Decision("done", None, "enough")
+            answer, decision=decision if self.questions_left > 0 else Decision("done", None, "enough")
         )
 
 
