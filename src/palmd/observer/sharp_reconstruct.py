@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -50,7 +50,11 @@ def sharp_reconstruction(
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.end - segment.start:.1f} s")
 
-    for found in sided.stretches(followed)[:MOST_STRETCHES]:
+    def longest() -> Iterator[tuple[Candidate, ...]]:
+        yield from sided.ridden()
+        yield from sided.stretches(followed)[:MOST_STRETCHES]
+
+    for found in longest():
         for best in sided.refined(found[0]):
             if _doubtful(best, found):
                 continue
@@ -64,13 +68,12 @@ def sharp_reconstruction(
 
 
 def explained_smoothly(search: Search, told: Reconstruction) -> bool:
-    """Whether a smooth outline explains the stretch of `told` as well, begun from that motion and outline.
+    """Whether a smooth outline explains what `told` does as well, begun from that motion and outline.
 
     On a rig as it is taken for, or on any.
     """
     assert told.h is not None  # of what is claimed
-    since, until = np.searchsorted(search.record.t, (told.t[0], told.t[-1]))
-    record = search.record.between(int(since), min(int(until), len(search.record.dt)))
+    record = search.record.within(told.spans)
     psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
     p = search.prior.mean.copy()
     dither = math.exp(p[C.SATURATION])
@@ -131,7 +134,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
-        reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
+        reason="", seconds=time.perf_counter() - begun, turned_sd=math.nan if len(record.torn) else float(sd[len(p)]),
         sides=sides_of(p, covariance), likeness=likeness(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip
 
