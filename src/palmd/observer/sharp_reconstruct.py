@@ -55,15 +55,13 @@ def sharp_reconstruction(
         yield from sided.stretches(followed)[:MOST_STRETCHES]
 
     for found in longest():
+        finer: Candidate | None = None
         for best in sided.refined(found[0]):
-            if _doubtful(best, found):
-                continue
-            try:
-                told = _told(best, sided.posterior(best).covariance, search, begun)
-            except np.linalg.LinAlgError:
-                continue
-            if told is not None:
-                return told
+            if not _doubtful(best, found):
+                told = _told(best, finer, sided, search, begun)
+                if told is not None:
+                    return told
+            finer = best if best.explains else None  # and may not be told: the next has nodes farther apart
     return None
 
 
@@ -107,16 +105,23 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     )
 
 
-def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float) -> Reconstruction | None:
+def _told(
+    best: Candidate, finer: Candidate | None, sided: SidedSearch, search: Search, begun: float
+) -> Reconstruction | None:
+    """None where `best` is no minimum, or tells too little; by how much `finer` nodes tell otherwise is in the band."""
+    try:
+        covariance = OVERCONFIDENCE**2 * sided.posterior(best).covariance
+    except np.linalg.LinAlgError:
+        return None
     fit, record = best.fit, best.record
     p, x = fit.guess.p, fit.guess.x
     normals = normal_angles(record.palms, x[:, 0])
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
-    covariance = OVERCONFIDENCE**2 * covariance
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
+    model_sd = np.hypot(MODEL_SD_M, 0.0 if finer is None else h - sharp.support(theta, finer.fit.guess.p))
     h_sd, told_sd = (
-        np.hypot(_band(theta, theta[touched], p, each), MODEL_SD_M)
+        np.hypot(_band(theta, theta[touched], p, each), model_sd)
         for each in (covariance[shape, shape], given(covariance, RIG, shape))
     )
     if float(np.sqrt(np.mean(told_sd[touched] ** 2))) > SHARP_M:

@@ -21,7 +21,7 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.observer.ridden import narrowed, normal_at_first, turning
 from palmd.observer.rides import rides_of, same
 from palmd.observer.search import Search, overfits
-from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
+from palmd.observer.sharp_reconstruct import _told, explained_smoothly, sharp_reconstruction
 from palmd.observer.sided import CALM, FINE, LAST, WAYS, Candidate, SidedSearch, Stage, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
@@ -188,6 +188,19 @@ def test_rides_are_told_together_and_a_narrower_side_gives_less():
     assert np.abs(residuals.contacts(wider) - residuals.contacts(guess)).max() < 0.5
     assert np.abs(guess.x - turning(record, ride.palm))[:, 0].max() < 0.01
     assert abs(math.remainder(guess.p[sharp.NORMALS] - normal_at_first(record, ride.palm), math.tau)) < 0.01
+
+
+def test_what_finer_nodes_tell_otherwise_is_in_the_band():
+    run = hexagon()
+    search = Search(longest_segment(run.events), run.rig)
+    sided = SidedSearch(search)
+    ride = same(rides_of(sided.record))[0][0]
+    best = sided._along(WAYS[0][1:], [replace(ride, end=3.0)])
+    larger = best.fit.guess.p.copy()
+    larger[C.SHAPE] += 5e-5
+    finer = replace(best, fit=replace(best.fit, guess=Guess(best.fit.guess.x, larger)))
+    alone, beside = (_told(best, other, sided, search, 0.0) for other in (None, finer))
+    assert np.hypot(alone.h_sd, 5e-5) == pytest.approx(beside.h_sd, rel=1e-2)
 
 
 def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
