@@ -25,6 +25,7 @@ PINNED_SD = 1e-4
 STEP_RANGE = (0.03, 0.35)  # of ln u_d
 MOST_STEPS = 7  # to each side
 NEGLIGIBLE_NATS = 4.0  # below the best step: e⁻⁴
+NEAR = 0.3  # of the cost: what promises to fall by less is where its linearisation foretells it
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +69,12 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
                 break
     weights = np.exp([step.log_weight - max(each.log_weight for each in steps) for step in steps])
     weights /= weights.sum()
-    x = sum(weight * step.fit.guess.x for weight, step in zip(weights, steps, strict=True))
-    p = sum(weight * step.fit.guess.p for weight, step in zip(weights, steps, strict=True))
+    x = sum(weight * step.posterior.beyond.x for weight, step in zip(weights, steps, strict=True))
+    p = sum(weight * step.posterior.beyond.p for weight, step in zip(weights, steps, strict=True))
     mean = np.concatenate([p, x[-1]])
     covariance = np.zeros((CONSTANTS + NODE, CONSTANTS + NODE))
     for weight, step in zip(weights, steps, strict=True):
-        miss = np.concatenate([step.fit.guess.p, step.fit.guess.x[-1]]) - mean
+        miss = np.concatenate([step.posterior.beyond.p, step.posterior.beyond.x[-1]]) - mean
         covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
     between = max(stride**2 - sd**2, 0.0) / 12  # sums over steps no longer than the one-sigma are exact
     covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION]) ** 2 * between
@@ -86,7 +87,7 @@ def _friction(steps: Sequence[_Step], weights: FloatArray, between: float) -> tu
 
     between: variance of ln u_d that the steps do not resolve.
     """
-    each = np.array([friction_of(step.fit.guess.p, step.posterior.covariance) for step in steps])
+    each = np.array([friction_of(step.posterior.beyond.p, step.posterior.covariance) for step in steps])
     mean = float(weights @ each[:, 0])
     spread = float(weights @ (each[:, 1] ** 2 + (each[:, 0] - mean) ** 2))
     return mean, math.sqrt(spread + mean**2 * between)
@@ -99,13 +100,13 @@ def _step(smoother: Smoother, prior: Prior, start: Fit, value: float, bent: Gues
     guess = _at(Guess(foreseen.x + bent.x, foreseen.p + bent.p), value)
     if not pinned.sane(guess):
         foreseen, guess = start.guess, _at(start.guess, value)
-    fit = pinned.fit(guess, start.noise)
+    fit = pinned.fit(guess, start.noise, worth=NEAR)
     posterior = pinned.posterior(fit)
     belief = (value - prior.mean[C.SATURATION]) / prior.sd[C.SATURATION]
-    bent = Guess(fit.guess.x - foreseen.x, fit.guess.p - foreseen.p)
+    bent = Guess(posterior.beyond.x - foreseen.x, posterior.beyond.p - foreseen.p)
     # the evidence is an integral over B and w: in B = μ/u_d what is believed of μ is as dense as u_d, and in
     # w = exp(−2 ln u_d) the pin is as wide as w
-    log_weight = posterior.evidence - belief**2 / 2 + (1.0 + 2.0) * value
+    log_weight = posterior.evidence + posterior.promise / 2 - belief**2 / 2 + (1.0 + 2.0) * value
     return _Step(value, fit, posterior, log_weight, bent)
 
 

@@ -18,7 +18,7 @@ from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
 from palmd.observer.record import Record
-from palmd.observer.reduction import IntArray, ReadingRows, StepRows, Weighed, arithmetic
+from palmd.observer.reduction import IntArray, ReadingRows, Reduced, StepRows, Weighed, arithmetic
 
 NODE_SCALE = np.array([0.05, 0.5])
 """Lengths in which a step of the nodes is measured by the damping: rad and rad/s."""
@@ -125,19 +125,23 @@ class NormalEquations:
 
         A step is measured by `NODE_SCALE`, that of the constants by `scale`.
         """
-        does, side = arithmetic(), self.constants
-        reduced = does.reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
-        p = cholesky_solved(reduced.left[:side, :side] + np.diag(damping / scale**2), reduced.left[side, :side])
+        reduced = arithmetic().reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
+        return self._stepped(reduced, np.diag(damping / scale**2))
+
+    def _stepped(self, reduced: Reduced, damping: FloatArray | float = 0.0) -> Guess:
+        """The step of everything, the nodes being `reduced`."""
+        side = self.constants
+        p = cholesky_solved(reduced.left[:side, :side] + damping, reduced.left[side, :side])
         by = np.zeros(self.rows.shape[1])
         by[:side], by[side] = -p, 1.0
-        return Guess(does.back(reduced, by).reshape(-1, NODE), p)
+        return Guess(arithmetic().back(reduced, by).reshape(-1, NODE), p)
 
     def nodes_solved(self) -> FloatArray:
         """The Newton step of the nodes (K + 1, 2) alone; raises LinAlgError where there is none."""
         return _nodes_solved(self.banded, self.node_side)
 
-    def posterior(self) -> tuple[FloatArray, float, FloatArray]:
-        """Covariance of (constants, last node), the matrix's log-determinant, and the Newton step of the constants.
+    def posterior(self) -> tuple[FloatArray, float, Guess]:
+        """Covariance of (constants, last node), the matrix's log-determinant, and the Newton step of everything.
 
         Raises LinAlgError at no minimum.
         """
@@ -150,7 +154,7 @@ class NormalEquations:
         tail, own = root.T @ reduced.rows[-NODE:, :side], root.T @ root  # x_last = its own − tail · p
         covariance = np.block([[constants, -constants @ tail.T], [-tail @ constants, own + tail @ constants @ tail.T]])
         log_det = 2 * float(np.log(reduced.factor[0]).sum()) + float(np.linalg.slogdet(schur)[1])
-        return (covariance + covariance.T) / 2, log_det, cholesky_solved(schur, reduced.left[side, :side])
+        return (covariance + covariance.T) / 2, log_det, self._stepped(reduced)
 
     def summary(self, guess: Guess, scale: FloatArray) -> Factor:
         """The cost as one of (p, first node, last node): the nodes in between are marginalised.

@@ -38,7 +38,6 @@ from palmd.observer.search import (
     NOTHING_MOVES,
     OVERFITTED,
     SECOND_OPINION_SIGMAS,
-    UNLIKELY,
     Attempt,
     Minima,
     Search,
@@ -61,10 +60,13 @@ from palmd.system.description import RigDescription
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
-FIRST_ATTEMPTS = 2  # of the blind searches, before what else an object may be is asked
+AGAIN = Attempt(2.0, 3, work=6e4)  # half of these searches take less than 1e4
+LATER = tuple(AGAIN._replace(later_s=seconds) for seconds in (0.5, 4.0, 1.0, 2.0))
+BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
-LATER_S = (0.5, 1.0)  # without which readings of its beginning an unlikely object is looked for again
+DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
+LATER_S = (0.5, 1.0)  # without these readings of the beginning
 SAME = 100.0  # in sigmas squared, of some 45 constants
 Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
@@ -87,16 +89,17 @@ def reconstruct(
     found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    attempts = tuple(enumerate(attempts_for(rig)))
+    live = attempts_for(rig)
+    attempts = tuple(enumerate((live[0], *LATER, *live[1:])))  # what is hard from the beginning is easy from later on
     search = _search(found[0], rig)
-    first = _part(search, seed, attempts[:FIRST_ATTEMPTS])
+    first = _part(search, seed, attempts[:BEFORE_OTHERS])
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
     unlike = _unlike(search, seed, begun, say) if asked else None
     if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search)):
         return unlike
-    main = _part(search, seed, attempts[FIRST_ATTEMPTS:], first)
+    main = _part(search, seed, attempts[BEFORE_OTHERS:], first)
     if main is None or main.reason:
         apart = _part(_search(shorter[0], rig), seed, attempts) if swapped else None
         if apart is not None and not apart.reason:
@@ -108,7 +111,7 @@ def reconstruct(
             return unlike
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER + _if_concave(rig), begun)
-    main = _found_again(main, seed, attempts)
+    main = _found_again(main, seed)
     if main.reason:
         return _result(main, (), rig, begun)
     parts = [main, *(_part(_search(segment, rig), seed, attempts) for segment in found[1:MOST_PARTS])]
@@ -200,29 +203,29 @@ def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None =
     for number, attempt in attempts:
         search = doubting if attempt.free else believing
         finding = search.blind(attempt, seed)
-        if finding is None:
-            continue
-        part = _refined(search, finding)
-        if best is None or part.deviance < best.deviance:
+        part = None if finding is None else _refined(search, finding)
+        if part is not None and (best is None or part.deviance < best.deviance):
             best = part
-        if not best.reason and (number > 0 or (best.as_described and beyond_question(best.fit, best.record))):
-            break
+        if best is None or best.reason:
+            continue
+        if number > 0 or (best.as_described and beyond_question(best.fit, best.record)):
+            break  # one other opinion is enough, whatever it is
     return best
 
 
-def _found_again(part: _Part, seed: int, attempts: Numbered) -> _Part:
+def _found_again(part: _Part, seed: int) -> _Part:
     """`part`, unless it claims an unlikely object that the rest of its readings, without the first, tell otherwise.
 
     How an object moves at first nothing foretells: where it is let go in haste the search may begin in a valley next to
     the right one, which an unlikely object and rig explain. Where the rest tells of another it stands for the whole.
     """
-    if part.reason or part.fit.strain <= UNLIKELY:
+    if part.reason or part.fit.strain <= DEAR:
         return part
     for later_s in LATER_S:
         segment = part.segment.since(part.segment.start + later_s)
         if _length(segment) < LEAST_S:
             break
-        other = _part(_search(segment, part.search.rig), seed + 1, attempts)
+        other = _part(_search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
         nodes = part.fit.guess.on(part.record.t, other.record.t)

@@ -20,6 +20,7 @@ from palmd.events import FloatArray
 from palmd.model import shape, smoothing
 from palmd.model.compiled import Library
 from palmd.model.smoothing import NODE, ORDER, C
+from palmd.observer.beginning import known_of, with_beginning
 from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import Knowledge, Prior
@@ -65,10 +66,11 @@ STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 @dataclass(frozen=True, slots=True)
 class Minima:
-    """The distinct minima found on `record`, best first, at least one."""
+    """The distinct minima found on `record`, best first, at least one; `work`: iterations times nodes, of all fits."""
 
     record: Record
     fits: tuple[Fit, ...]
+    work: int = 0
 
     def until(self, t: float) -> Minima | None:
         """The best one's part up to `t` (s); None when hardly anything is left."""
@@ -83,13 +85,17 @@ class Minima:
 class Attempt(NamedTuple):
     """Of a blind search: what a bank of one friction asymmetry reads (s), and how many filters are started from.
 
-    `free`: nothing that is believed of the rig's constants is taken at its word.
+    `free`: nothing that is believed of the rig's constants is taken at its word. `later_s`: seconds from the record's
+    beginning that are sought last, from what the rest of it tells. `work`: iterations times nodes of the windows
+    after the first, beyond which a search that has not come to the end of the record is given up.
     """
 
     seconds: float
     starts: int
     asymmetry: float = 0.0
     free: bool = False
+    later_s: float = 0.0
+    work: float = math.inf
 
 
 class Search:
@@ -153,12 +159,40 @@ class Search:
 
     def blind(self, attempt: Attempt, seed: int) -> Minima | None:
         """Start from the likeliest of a bank that has read the first seconds; None if that leads nowhere."""
+        if attempt.later_s > 0.0:
+            return self._backwards(attempt, seed)
         begin = self.record.t[0]
         record = self.record.until(begin + attempt.seconds)
         starts = blind_starts(
             self.segment.events(), self.rig, begin, attempt.seconds, seed, attempt.starts, attempt.asymmetry
         )
-        return self._grown_from(record, [start.guess(record.t) for start in starts]) if starts else None
+        guesses = [start.guess(record.t) for start in starts]
+        return self._grown_from(record, guesses, attempt.work) if starts else None
+
+    def _backwards(self, attempt: Attempt, seed: int) -> Minima | None:
+        """As `blind` without the first seconds, which are joined to what that finds."""
+        begin, end = float(self.record.t[0]), float(self.record.t[-1])
+        if end - begin < attempt.later_s + attempt.seconds:
+            return None
+        rest = self._since(int(np.searchsorted(self.record.t, begin + attempt.later_s)))
+        found = rest.blind(attempt._replace(later_s=0.0), seed)
+        if found is None:
+            return None
+        fit = found.fits[0]
+        told = Smoother(self.library, found.record, rest.known).posterior_if_any(fit)
+        if told is None:
+            return None
+        known = known_of(fit.guess.p, told.covariance, self.prior.scale)
+        guess = with_beginning(self.library, self.record, fit, known, explained)
+        return None if guess is None else self._at_once([guess])
+
+    def _since(self, first: int) -> Search:
+        """The same from node `first` on."""
+        later = copy(self)
+        later.__dict__.pop("prior", None)
+        later.segment = self.segment.since(float(self.record.t[first]))
+        later.record = self.record.between(first, len(self.record.dt))
+        return later
 
     def resumed(self, guesses: Sequence[Guess]) -> Minima | None:
         """Go on from what was found on a shorter part of the same segment; None if that leads nowhere.
@@ -203,21 +237,25 @@ class Search:
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
         return likely_orientations(outline, covariance, contacts, palms, self.rig, ORIENTATIONS)
 
-    def _grown_from(self, record: Record, guesses: Sequence[Guess]) -> Minima | None:
+    def _grown_from(self, record: Record, guesses: Sequence[Guess], most_work: float = math.inf) -> Minima | None:
         found = self._minima(record, guesses)
         if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
             return None
-        failures = 0
+        failures = work = 0
         while len(found.record.t) < len(self.record.t):
             now, known = float(found.record.t[-1]), [fit.guess for fit in found.fits]
             longer = self._window(self._longer(found.record, found.fits[0]), now, known)
+            work += longer.work
             # near an unstable equilibrium a long window ends on the wrong side of it
             while not explained(longer.fits[0], longer.record):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
-                if step < SHORT_GROWTH_S or failures > self._patience:
+                if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
                     return longer if len(longer.record.t) == len(self.record.t) else None
                 longer = self._window(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), now, known)
+                work += longer.work
             found = longer
+            if work > most_work and len(found.record.t) < len(self.record.t):
+                return None
         return found
 
     def _window(self, record: Record, now: float, known: Sequence[Guess]) -> Minima:
@@ -290,12 +328,14 @@ def minima(
     Forces are as noisy as they scatter about the best. `rejections` as in `Smoother.fit`.
     """
     smoother = Smoother(library, record, known)
-    fits = _distinct([smoother.fit(guess, noise, rejections=rejections) for guess in guesses])
+    found = [smoother.fit(guess, noise, rejections=rejections) for guess in guesses]
+    fits, iterations = _distinct(found), sum(fit.iterations for fit in found)
     noisier = _with_scatter_of_forces(record, fits[0])
     if noisier is not record:
         smoother = Smoother(library, noisier, known)
-        fits = _distinct([smoother.fit(fit.guess, noise) for fit in fits])
-    return Minima(noisier, fits)
+        found = [smoother.fit(fit.guess, noise) for fit in fits]
+        fits, iterations = _distinct(found), iterations + sum(fit.iterations for fit in found)
+    return Minima(noisier, fits, iterations * len(record.t))
 
 
 def noise_on(rig: RigDescription) -> ProcessNoise:

@@ -69,13 +69,20 @@ class Posterior:
     """Covariance of (constants, last node), and the record's log marginal likelihood.
 
     The latter is Laplace's approximation up to a constant of the record: it compares process noises and rivals.
-    constants: one Newton step beyond those of the fit, which ends where that is not worth it. To a constant that is
-    all but certain beforehand a step is worth nothing, and yet is all that readings say of it.
+    beyond: one Newton step beyond the fit, which ends where that is not worth it, and `promise`, by how much the cost
+    falls there. To a constant that is all but certain beforehand a step is worth nothing, and yet is all that readings
+    say of it.
     """
 
     covariance: FloatArray
     evidence: float
-    constants: FloatArray
+    beyond: Guess
+    promise: float
+
+    @property
+    def constants(self) -> FloatArray:
+        """Those that the record tells."""
+        return self.beyond.p
 
     def distance2(self, p: FloatArray) -> float:
         """Squared Mahalanobis distance of constants `p` from these; those that were certain beforehand do not count."""
@@ -100,14 +107,19 @@ class Smoother:
         return other
 
     def fit(
-        self, start: Guess, noise: ProcessNoise, iterations: int = MAX_ITERATIONS, rejections: int = MAX_ITERATIONS
+        self,
+        start: Guess,
+        noise: ProcessNoise,
+        iterations: int = MAX_ITERATIONS,
+        rejections: int = MAX_ITERATIONS,
+        worth: float = NEGLIGIBLE,
     ) -> Fit:
         """Iterate from `start` until nothing moves any more; the result may be a local minimum.
 
         A step that looks bad is given a second chance: with the constants of the step, the nodes alone are solved
         for again. Friction makes the trajectory a strongly curved function of the constants, and without this the
         iteration creeps along a narrow bent valley. After so many `iterations`, or `rejections` in a row of steps that
-        promise much, it comes back without having settled.
+        promise much, it comes back without having settled. No fall of the cost by less than `worth` is worth another.
         """
         guess = self.completed(start)
         now = self.linearised(guess, noise)
@@ -121,19 +133,19 @@ class Smoother:
                 damping *= 6.0
                 continue
             promise = now.promise(step)
-            if damping <= FIRST_DAMPING and promise < NEGLIGIBLE:
+            if damping <= FIRST_DAMPING and promise < worth:
                 settled = True
                 break
             trial, then = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, now.cost)
             if then is not None:
                 fall = now.cost - then.cost
                 if fall > 0.0:
-                    settled = fall < NEGLIGIBLE
+                    settled = fall < worth
                     guess, now, rejected = trial, then, 0
                     damping = max(damping / 5.0, LEAST_DAMPING)
                     continue
                 near = damping <= FIRST_DAMPING and promise < LITTLE
-                settled = near and _most_on_the_way(promise, fall) < NEGLIGIBLE
+                settled = near and _most_on_the_way(promise, fall) < worth
             rejected += promise > MUCH
             damping *= 6.0
         return Fit(
@@ -209,7 +221,8 @@ class Smoother:
         covariance, log_det, step = now.posterior()
         steps = len(fit.guess.x) - 1
         normaliser = steps * (math.log(noise.psi) + math.log(noise.omega0))
-        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser), fit.guess.p + step)
+        beyond = Guess(fit.guess.x + step.x, fit.guess.p + step.p)
+        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser), beyond, now.promise(step))
 
     def posterior_if_any(self, fit: Fit) -> Posterior | None:
         """As `posterior`; None where the fit is no minimum."""

@@ -13,7 +13,7 @@ from palmd.lab import sbc
 from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model.smoothing import R
 from palmd.observer import criticism
-from palmd.observer.reconstruct import FIRST_ATTEMPTS, reconstruct
+from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.observer.seeker import attempts_for
@@ -286,10 +286,11 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed", "seconds", "left_out"), [("nominal", 60349, 3.0, True), ("odd", 60611, 10.0, False)]
+    ("kind", "seed", "seconds", "left_out"),
+    [("nominal", 60349, 3.0, True), ("nominal", 62200, 10.0, True), ("odd", 60611, 10.0, False)],
 )
 def test_an_unlikely_object_is_looked_for_again_without_its_beginning(kind, seed, seconds, left_out):
-    """One let go in haste was half a millimetre off, four of its one-sigmas; another is as unlikely, and right."""
+    """Of those let go in haste one was four, one 2.7 of its one-sigmas off; another is as unlikely, and right."""
     body, surface = sbc.believed(kind, seed)
     log, told = calibrated_run(kind, seed, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < seconds], log.rig)
@@ -309,8 +310,7 @@ def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_aga
     run = simulated("nominal", 3, 6.0)
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
-    assert len(asked) <= FIRST_ATTEMPTS
-    assert asked == list(attempts_for(run.rig))[: len(asked)]
+    assert asked == [attempts_for(run.rig)[0], *LATER][: len(asked)]
 
 
 @pytest.fixture
@@ -343,7 +343,9 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
     assert sd[0] < shift / 5
 
 
-@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, 2), (0.5, 1.0, None), (1.0, 1.12, None)])
+@pytest.mark.parametrize(
+    ("share", "chi2", "searches"), [(1.0, 1.0, BEFORE_OTHERS), (0.5, 1.0, None), (1.0, 1.12, None)]
+)
 def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
     run, answer, monkeypatch, share, chi2, searches
 ):
@@ -355,4 +357,4 @@ def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smoot
     monkeypatch.setattr("palmd.observer.reconstruct.sharp_reconstruction", lambda *_: other)
     assert reconstruct(run.events, run.rig) is other
     assert lasts > 2.0
-    assert len(tried) == (searches or len(attempts_for(run.rig)))
+    assert len(tried) == (searches or len(LATER + attempts_for(run.rig)))

@@ -1,0 +1,74 @@
+"""The beginning of a record, sought last: from what the rest of it tells of the object, back to its first node. Pure.
+
+How an object moves at first nothing foretells, and where it is let go in haste a search that begins there ends in a
+valley next to the right one. What is known already is found again in short windows, one before the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model import shape
+from palmd.model.compiled import Library
+from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
+from palmd.observer.factor import SIZE, Factor
+from palmd.observer.normal_equations import Guess
+from palmd.observer.record import Record
+from palmd.observer.smoother import Fit, Smoother
+
+FIRST_STEPS, LEAST_STEPS = 20, 5  # by which a window grows at first: more where that was right, fewer where it was not
+OVERLAP = 50  # steps of what is known already, at a window's end
+ITERATIONS = 12  # of a window: what is right is near
+ANYWHERE_RAD, ANY_SPIN = 10.0, 10.0  # one-sigmas of a window's first node (rad, rad/s): it has no part in the gauge
+
+
+def with_beginning(
+    library: Library,
+    whole: Record,
+    rest: Fit,
+    known: Factor,
+    explained: Callable[[Fit, Record], bool],
+) -> Guess | None:
+    """The fit of the last nodes of `whole`, carried back to its first node; None where nothing explains what was there.
+
+    `known`: what the rest tells of the constants.
+    """
+    x, p, steps = rest.guess.x, rest.guess.p, len(whole.dt)
+    first, more = steps + 1 - len(x), FIRST_STEPS
+    end = min(first + OVERLAP, steps)
+    while first > 0:
+        begin = max(first - more, 0)
+        window = whole.between(begin, end)
+        start = Guess(_before(x[: end - first + 1], window, first - begin), p)
+        fit = Smoother(library, window, known).fit(start, rest.noise, ITERATIONS)
+        if fit.settled and explained(fit, window):
+            x, p = np.concatenate([fit.guess.x, x[end - first + 1 :]]), fit.guess.p
+            first, more = begin, 2 * more
+        elif more > LEAST_STEPS:
+            more //= 2
+        else:
+            return None
+    turned = p.copy()
+    turned[C.SHAPE :] = shape.turned(-float(x[0, 0]), ORDER) @ p[C.SHAPE :]  # ψ is gauge: 0 at the first node
+    return Guess(x - [x[0, 0], 0.0], turned)
+
+
+def known_of(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor:
+    """Constants that are told so, the node before them anywhere; raises LinAlgError as `np.linalg.inv`.
+
+    `scale` as in `Knowledge`.
+    """
+    matrix = np.zeros((SIZE, SIZE))
+    matrix[:CONSTANTS, :CONSTANTS] = np.linalg.inv(covariance[:CONSTANTS, :CONSTANTS])
+    matrix[CONSTANTS:, CONSTANTS:] = np.diag([ANYWHERE_RAD**-2, ANY_SPIN**-2])
+    return Factor(np.concatenate([p, np.zeros(NODE)]), 0.0, matrix, np.zeros(SIZE), scale)
+
+
+def _before(x: FloatArray, window: Record, more: int) -> FloatArray:
+    """Nodes `x` with so many before them, turning as at the first that is known."""
+    psi, omega0 = x[0]
+    earlier = np.stack([psi + omega0 * (window.t[:more] - window.t[more]), np.full(more, omega0)], axis=1)
+    return np.concatenate([earlier, x])

@@ -1,0 +1,92 @@
+"""A search that begins later in a record ends at the same minimum, or says nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import simulated
+
+from palmd.lab import sbc
+from palmd.lab.simulated import simulated as calibrated_run
+from palmd.model import shape
+from palmd.model.smoothing import CONSTANTS, ORDER, C
+from palmd.observer.beginning import known_of, with_beginning
+from palmd.observer.data_segment import longest_segment
+from palmd.observer.normal_equations import Guess
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.search import Attempt, Search, explained
+from palmd.observer.smoother import Smoother
+
+LATER = Attempt(2.0, 3, later_s=0.7)
+
+
+@pytest.fixture(scope="module")
+def search():
+    """Of readings that are soon explained."""
+    run = simulated("friction", 7, 6.0)
+    return Search(longest_segment(run.events), run.rig)
+
+
+@pytest.fixture(scope="module")
+def found(search):
+    """From the beginning on."""
+    return search.blind(Attempt(2.0, 3), seed=0)
+
+
+def test_what_begins_later_comes_to_what_is_found_from_the_beginning(search, found):
+    later = search.blind(LATER, seed=0)
+    assert later is not None
+    assert len(later.record.t) == len(found.record.t)
+    one, other = later.fits[0], found.fits[0]
+    assert one.cost == pytest.approx(other.cost, abs=0.1)
+    sd = np.sqrt(np.diagonal(Smoother(search.library, found.record, search.known).posterior(other).covariance))
+    assert (np.abs(one.guess.p - other.guess.p) < 0.2 * sd[: len(other.guess.p)]).all()
+    assert one.guess.x[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_guess_carried_back_has_the_rest_as_it_was_and_is_near_the_minimum(search, found):
+    best, cut = found.fits[0], 100
+    covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
+    psi = float(best.guess.x[cut, 0])  # the rest is told as if it began there
+    turn = np.eye(CONSTANTS)
+    turn[C.SHAPE :, C.SHAPE :] = shape.turned(-psi, ORDER)
+    rest = Guess(best.guess.x[cut:] - [psi, 0.0], turn @ best.guess.p)
+    known = known_of(rest.p, turn @ covariance[:CONSTANTS, :CONSTANTS] @ turn.T, search.prior.scale)
+    guess = with_beginning(search.library, search.record, replace(best, guess=rest), known, explained)
+    assert guess.x[:, 0] == pytest.approx(best.guess.x[:, 0], abs=5e-3)
+    assert guess.p[C.SHAPE :] == pytest.approx(best.guess.p[C.SHAPE :], abs=1e-4)
+    late = slice(cut + 51, None)
+    assert np.diff(guess.x[late, 0]) == pytest.approx(np.diff(best.guess.x[late, 0]), abs=1e-12)
+
+
+def test_a_beginning_that_is_of_something_else_is_not_joined(search, found):
+    best, cut, record = found.fits[0], 150, search.record
+    covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
+    known = known_of(best.guess.p, covariance, search.prior.scale)
+    off = np.where(record.contact_step < 40, 4e-3, 0.0)
+    other = replace(record, contact_value=record.contact_value + off)
+    fit = replace(best, guess=replace(best.guess, x=best.guess.x[cut:]))
+    assert with_beginning(search.library, other, fit, known, explained) is None
+
+
+def test_of_a_record_that_is_too_short_for_it_nothing_is_sought_later(search):
+    assert search.blind(Attempt(2.0, 3, later_s=4.5), seed=0) is None
+
+
+def test_work_is_bounded(search):
+    assert search.blind(Attempt(2.0, 3, work=10.0), seed=0) is None
+
+
+def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkeypatch):
+    """The search from its first reading on comes to nothing; it was found after those for what sticks and for sides."""
+
+    def asked(*_):
+        pytest.fail("another kind of object was looked for")
+
+    monkeypatch.setattr("palmd.observer.reconstruct.dry_reconstruction", asked)
+    body, surface = sbc.believed("odd", 64002)
+    log, told = calibrated_run("odd", 64002, 10.0, body, "calibrated", surface)
+    answer = reconstruct(log.events, log.rig)
+    assert answer.converged, answer.reason
+    assert answer.t[-1] - answer.t[0] > 9.9
+    assert sbc.row_of(sbc.SbcTask("odd", 64002, 10.0), told, answer).worst_z < 3.0
