@@ -48,7 +48,7 @@ _shtab_palmd_commands() {
 _shtab_palmd_bench_commands() {
   local _commands=(
     curved:'curved palms: reconstructed blind, explored, and how much they touch'
-    explore:'unknown objects explored in the emulated rig, beside open-loop plans'
+    explore:'unknown objects explored in the emulated rig, beside who knows them'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
     montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'

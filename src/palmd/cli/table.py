@@ -109,7 +109,7 @@ COMMANDS = (
     ),
     Command("bench off", "lab.bench_off", "one thing is not as described: what is claimed, how far off, what is named"),
     Command(
-        "bench explore", "lab.bench_explore", "unknown objects explored in the emulated rig, beside open-loop plans"
+        "bench explore", "lab.bench_explore", "unknown objects explored in the emulated rig, beside who knows them"
     ),
     Command(
         "bench recognise", "lab.bench_recognise", "which of twenty similar objects lies on the palms, or none of them"

@@ -18,7 +18,8 @@ HALVINGS = 3  # of the directions that are counted: 642
 TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
 FELT_N = 0.05  # that a pad surely feels
 CAREFUL = 2.0  # times the force, while a body is not claimed
-STRIDE_RAD_S, SHORT_RAD_S = 0.8, 0.35  # that strides turn a body by: which is claimed, and which is not
+# That strides turn a body by: which is claimed, which has been in the same frame, and which has not.
+STRIDE_RAD_S, SLOWER_RAD_S, SHORT_RAD_S = 2.0, 1.2, 0.35
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -70,7 +71,9 @@ class BodyDecider:
         least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
         seen = touched | explorer.covered(foreseen.normals)
         drawn = BodyDraws.of(outlook.p, outlook.covariance, self._random)
-        least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, SHORT_RAD_S)
+        self._was_claimed |= outlook.claimed
+        most = SLOWER_RAD_S if self._was_claimed else SHORT_RAD_S
+        least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, most)
         move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
@@ -80,7 +83,7 @@ class BodyDecider:
         """Who foresees this body as it is known now."""
         known = outlook.object_count, outlook.begun
         if self._explorer is None or known != self._known:
-            self._known = known
+            self._known, self._was_claimed = known, outlook.claimed
             self._foresight = BodyForesight(outlook.p, self._rig.gravity, self._rig.pad.side)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(outlook.p)

@@ -155,11 +155,11 @@ class Exploring(Explores):
             self._setpoints.conclude()
             log.info("the exploration is over: %s", self._reason)
             return
-        self._ask(source, exploration, tau, t, senses)
         if self._next is not None and exploration.end - tau <= LEAD_S:
             move, self._rocking = self._next
             exploration.append(move, tau)
             self._next = None
+        self._ask(source, exploration, tau, t, senses)
         self.silent = t - self._t_heard > SILENT_S
 
     def _begin(self, exploration: Exploration, t: float) -> None:

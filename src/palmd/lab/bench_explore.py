@@ -1,4 +1,4 @@
-"""Unknown objects explored in the emulated rig, faster than real time where it can be, beside two open-loop plans."""
+"""Unknown objects explored in the emulated rig, faster than real time, beside who knows them and open-loop plans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exploring in the rig without wires beside two open-loop plans: one run, by its kind, seed and strategy.
+"""Exploring in the rig without wires, what is unknown and what is known, beside two open-loop plans: one run.
 
 `run` needs nothing but its task, and gives the same row in any process and in any order, but for what it says of time.
 """
@@ -17,7 +17,8 @@ from palmd.config import Config, Drawn, ExploreGoal, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
 from palmd.events import FloatArray, Outlook
 from palmd.harness.wireless import Wireless
-from palmd.lab.exploring_plans import STRATEGIES, Strategy, plan
+from palmd.lab.clairvoyant import Clairvoyant
+from palmd.lab.exploring_plans import EXPLORES, STRATEGIES, Strategy, plan
 from palmd.lab.exploring_watch import EDGE_M, ExplorationWatch
 from palmd.lab.held import HeldWatch
 from palmd.lab.runs import with_failures
@@ -66,8 +67,8 @@ class ExploringRow:
     parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end; wedged_s, pressed_s,
     most_force_m_s2, unnoticed: as `lab.held` tells. recovered: whether at the end both touch and the estimate is valid.
     outside, refused: set-points outside the limits, and refused by the controller. decision: processor time (ms);
-    seconds: processor time of the whole run (s). None of the estimates' numbers are told of the open-loop plans, which
-    have no smoother.
+    seconds: processor time of the whole run (s). The estimates' numbers are told of explorations of what
+    is unknown alone: plans have no smoother, and who is told the truth estimates nothing.
     """
 
     kind: Kind
@@ -168,7 +169,8 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     """One run on the rig of that configuration, with `body` on its palms or one drawn by the task's kind and seed."""
     begin = time.process_time()
     rig = rig_description(config)
-    explores = task.strategy == "explore"
+    finds_out = task.strategy == "explore"
+    clairvoyant = Clairvoyant() if task.strategy == "clairvoyant" else None
     goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)
     decider = _Timed(rig, task.seed)
     decider.spent_ms, decider.open_rig_m = [], math.nan
@@ -177,20 +179,24 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         plan(task.strategy, config, goal, task.seed),
         task.seed,
         kind=task.kind,
-        smoothing=Simulated(rig) if explores else None,
+        smoothing=Simulated(rig) if finds_out else None,
         explorer=InlineExplorer(decider),
+        estimator=clairvoyant,
         body=body,
     )
     true_h = np.array(wireless.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
+    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
+    if clairvoyant is not None:
+        clairvoyant.world, clairvoyant.touched = wireless.world, lambda: watch.touched
     wireless.start()
+    watch.t_start = wireless.t
     before = wireless.world.status()["contact_losses"]
-    watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), wireless.t, rig.curvatures)
     held = HeldWatch.of(wireless.world)
     ended_s = _watched(wireless, watch, held, task.seconds)
     status = wireless.world.status()
-    told = wireless.core.exploring.told() if explores else None
-    score = watch.outline_score(true_h) if explores else None
+    told = wireless.core.exploring.told() if task.strategy in EXPLORES else None
+    score = watch.outline_score(true_h) if finds_out else None
     tick_s = 1.0 / config.loop.rate_hz
     return ExploringRow(
         kind=task.kind,
@@ -205,7 +211,7 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         reason=told["reason"] if told else "",
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
-        band_m=max(watch.shape["h_sd_m"]) if explores and watch.shape else math.nan,
+        band_m=max(watch.shape["h_sd_m"]) if finds_out and watch.shape else math.nan,
         open_rig_m=decider.open_rig_m,
         losses=status["contact_losses"] - before,
         falls=status["falls"],

@@ -16,8 +16,8 @@ from palmd.lab.exploring_summary import of
 from palmd.lab.exploring_watch import ENOUGH
 from palmd.rig.shapes import KINDS
 
-_COLOURS = dict(zip(STRATEGIES, ("#0072b2", "#e69f00", "#009e73"), strict=True))
-_STYLES = dict(zip(STRATEGIES, ("-", "--", ":"), strict=True))
+_COLOURS = dict(zip(STRATEGIES, ("#0072b2", "#cc79a7", "#e69f00", "#009e73"), strict=True))
+_STYLES = dict(zip(STRATEGIES, ("-", "-.", "--", ":"), strict=True))
 _GREY = "#808080"
 
 

@@ -1,4 +1,4 @@
-"""The plans that the study of exploring compares: the exploration, and two that know nothing of the object. Pure."""
+"""What the study of exploring compares: explorations of what is unknown and of what is known, and two plans. Pure."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from palmd.motion.check import motion_limits
 from palmd.motion.explorer import MOVES, careful_angles
 from palmd.motion.plan import HOME
 
-Strategy = Literal["explore", "random", "systematic"]
+Strategy = Literal["explore", "clairvoyant", "random", "systematic"]
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
+EXPLORES: tuple[Strategy, ...] = ("explore", "clairvoyant")
+"""Those that an explorer decides: by what an observer finds, and by the truth."""
 
 OPEN_LOOP = LimitsConfig(phi1_deg=(10.0, 100.0), phi2_deg=(65.0, 125.0))
 """Where objects of 24 mm mean radius have both contacts on the pads: nobody looks whether they have."""
@@ -28,7 +30,7 @@ def plan(strategy: Strategy, config: Config, goal: ExploreGoal, seed: int) -> Pl
     """The strategy's plan, which goes on for `goal.time_limit_s` at least; `seed` draws the random moves."""
     segments: list[dict[str, object]]
     match strategy:
-        case "explore":
+        case "explore" | "clairvoyant":
             segments = [{"explore": goal.model_dump()}]
         case "random":
             segments = _random_moves(config, goal.time_limit_s, seed)

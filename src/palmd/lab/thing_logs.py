@@ -148,7 +148,7 @@ def run(task: SharpTask) -> SharpRow:
         sd_m=float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2))),
         touched=score.touched,
         sides=len(answer.sides),
-        explained_s=float(answer.t[-1] - answer.t[0]),
+        explained_s=answer.lasts,
         looks_like=answer.likeness.said or answer.likeness.why,
     )
 

@@ -86,4 +86,4 @@ def step_function(order: int) -> ca.Function:
 @cache
 def library(order: int) -> Library:
     """`step_columns`, for outlines up to degree `order`."""
-    return load(f"body_rollout{order}", lambda: [of_columns(step_function(order), "step_columns", ["p", "g"])])
+    return load(f"body_rollout{order}", lambda: [of_columns(step_function(order), "step_columns", ["g"])])

@@ -2,8 +2,8 @@
 
 A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
 again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
-decision grows a tree three moves deep, deeper where that shows nothing new, the best few of a level going on, and takes
-the first move of the best sequence; the rest of that is tried again next time.
+decision grows a tree of moves over many seconds, where they show most and where they lead farthest round, and takes the
+first move of the best sequence that surely holds the body; the rest of the best is gone on with next time.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, Forese
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 
-LEVELS, DEEPEST, KEPT = 3, 8, 6
-LITTLE = 0.004  # of the sphere: who shows no more is looked on for deeper
-APART_RAD = 0.1  # of rotations, that those of a level go on from
+ROUNDS = 8  # of `COLUMNS` moves each, that a decision's tree grows by
+HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
+LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
+AGAIN = 6  # of the last decision's sequences, that are gone on with
+LITTLE = 0.004  # of the sphere: where no sequence shows more, places count where the body has not been
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
 LEAST_FORCE = 0.5  # m/s², of any palm on the way
@@ -34,9 +36,12 @@ NOVELTY = 0.03  # of the sphere, that a rotation is worth which is 1 rad from al
 DECISION_S = 0.3  # that a move costs besides, so that they are not made ever shorter
 SLOWER, SLOWLY = 0.2, 1.5  # share of the moves that take longer than they must, and by how much
 SHORTEST_S = 0.15
-# A move is tried again from so many bearings about those known, off by these one-sigmas, and so long of standing after.
-SAMPLES, OFF_RAD, OFF_RAD_S, STAND_S = 8, 0.03, 0.2, 0.3
-BODIES = 4  # that are drawn for it from what is believed
+# A move is tried again with so many bodies, off by these one-sigmas besides, and so long of standing after: a body that
+# creeps over an edge takes its time before it falls.
+BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
+AT_ONCE = COLUMNS // BODIES  # moves
+TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
+SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
@@ -88,14 +93,14 @@ def weight_shares(joints: FloatArray) -> FloatArray:
 
 
 class BodyExplorer:
-    """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.2 s of a core."""
+    """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.3 s of a core."""
 
     def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
         self._foresight, self._limits, self._directions = foresight, limits, directions
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
-        self._plan: tuple[Move, ...] = ()  # what the last decision's sequence goes on with
+        self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self._low, self._high = np.array(limits.angles).T
         self._least_force, self._most_rad_s = LEAST_FORCE, math.inf
 
@@ -116,79 +121,124 @@ class BodyExplorer:
         self._least_force, self._most_rad_s = least_force, most_rad_s
         self._been.append(now.R[0])
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
-        planned: _MoveSequence | None = root
-        level, found = [root], list[_MoveSequence]()
-        for depth in range(DEEPEST):
-            level, planned = self._grown(level, touched, planned, self._plan[depth : depth + 1])
-            found += level
-            if not level or (depth + 1 >= LEVELS and max(each.gain for each in found) > LITTLE):
-                break
+        tree = [root, *self._followed(root)]
+        for number in range(ROUNDS):
+            tree += self._grown(self._parents(tree) if number else [root] * COLUMNS, root)
+        found = tree[1:]
         if any(each.gain > LITTLE for each in found):
             found.sort(key=lambda each: -each.gained)
         else:
             found.sort(key=lambda each: -each.value)
-        best = list(dict.fromkeys(each.moves[0] for each in found))
+        ways = list(dict.fromkeys(each.moves[:SURE_MOVES] for each in found))
         draws = _sure(self._foresight.known) if drawn is None else drawn
-        at_once = COLUMNS * len(draws.p) // SAMPLES
-        tried = (self._surely_held(now, best[k : k + at_once], draws) for k in range(0, len(best), at_once))
-        move = next((each for each in tried if each is not None), None)
-        self._plan = next((each.moves[1:] for each in found if each.moves[0] == move), ())
-        return move
+        way = self._surest(now, ways, draws)
+        self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
+        return way[0] if way else None
 
-    def _surely_held(self, now: Bearings, moves: Sequence[Move], draws: BodyDraws) -> Move | None:
-        """The first of the moves that keeps the body, whichever it is, from all bearings that may be.
+    def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:
+        """The first of the ways that keeps the body, or the first beginning that does; empty where none is found.
 
-        Palms stand for a while after it.
+        What follows is of use only where the second move is sure, too: else the body goes to and fro before an edge.
         """
-        each = SAMPLES // len(draws.p)
-        n, held = each * len(moves), np.ones(len(moves), np.bool_)
-        ends = np.repeat([move.end for move in moves], each, axis=0)
-        durations = np.repeat([move.duration for move in moves], each)
-        for turn, spin, p in zip(draws.turn, draws.spin, draws.p, strict=True):
-            off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-            turned = rotation.exp(off) @ (rotation.exp(turn) @ now.R)
-            begin = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
-            foreseen = self._foresight.of(begin, ends, durations, stand=STAND_S, p=p)
+        held: dict[Move, bool] = {}
+        begun: tuple[Move, ...] = ()
+        for _ in range(TRIED // AT_ONCE):
+            ways = [way for way in ways if held.get(way[0], True)]
+            some, ways = ways[:AT_ONCE], ways[AT_ONCE:]
+            if not some:
+                break
+            for way, n in zip(some, self._held(now, some, draws), strict=True):
+                if n == len(way):
+                    return way
+                held[way[0]] = n > 0
+                begun = begun or way[:n]
+        return begun
+
+    def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
+        """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
+
+        Palms stand for a while after each.
+        """
+        sure, going = [0] * len(ways), list(range(len(ways)))
+        n = BODIES * len(ways)
+        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
+        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
+        there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
+        while going:
+            moves = [ways[k][sure[k]] for k in going]
+            ends = np.repeat([move.end for move in moves], BODIES, axis=0)
+            durations = np.repeat([move.duration for move in moves], BODIES)
+            foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
             safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
             safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-            held &= safe.reshape(-1, each).all(axis=1)
-        return next((move for move, sure in zip(moves, held.tolist(), strict=True) if sure), None)
+            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
+            for k in np.array(going)[held].tolist():
+                sure[k] += 1
+            further = np.array(
+                [safely and sure[k] < len(ways[k]) for k, safely in zip(going, held, strict=True)], np.bool_
+            )
+            going = np.array(going)[further].tolist()
+            there = foreseen.after.some(np.repeat(further, BODIES))
+        return sure
 
-    def _grown(
-        self, level: list[_MoveSequence], touched: Bools, planned: _MoveSequence | None, then: tuple[Move, ...]
-    ) -> tuple[list[_MoveSequence], _MoveSequence | None]:
-        """(the best sequences of one move more, the best first; `planned` and `then`, if that is safe)."""
-        parents = [level[k % len(level)] for k in range(COLUMNS)]
-        follows = planned is not None and len(then) > 0
-        if planned is not None and follows:
-            parents[0] = planned
-        begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
-        ends = self._drawn(begin.joints)
-        if follows:
-            ends[0] = then[0].end
-        way = np.abs(ends - begin.joints).max(axis=1)
+    def _followed(self, root: _MoveSequence) -> list[_MoveSequence]:
+        """The sequences that the last decision went on with, as far as they are safe from where it has led."""
+        reached: dict[tuple[Move, ...], _MoveSequence] = {(): root}
+        for n in range(1, 1 + max(map(len, self._plans), default=0)):
+            plans = dict.fromkeys(plan[:n] for plan in self._plans if len(plan) >= n and plan[: n - 1] in reached)
+            parents = [reached[plan[:-1]] for plan in plans]
+            moves = [plan[-1] for plan in plans]
+            if not moves or moves[0].start != tuple(parents[0].bearings.joints[0].tolist()):
+                break  # they begin elsewhere
+            ends, durations = np.array([move.end for move in moves]), np.array([move.duration for move in moves])
+            carried = zip(plans, self._carried(parents, ends, durations, root), strict=True)
+            reached |= {plan: each for plan, each in carried if each is not None}
+        return list(reached.values())[1:]
+
+    def _parents(self, tree: list[_MoveSequence]) -> list[_MoveSequence]:
+        """Which sequences are gone on with: half of them by what they show, half the farthest some way round."""
+        short = [each for each in tree if each.seconds < HORIZON_S]
+        best = sorted(short, key=lambda each: -each.gained)[:LIKELY]
+        rotations, ways = (
+            np.stack([each.bearings.R[0].ravel() for each in short]),
+            self._random.normal(size=(9, COLUMNS)),
+        )
+        farthest = (rotations @ ways).argmax(axis=0)
+        return [short[k] if i % 2 else best[i // 2 % len(best)] for i, k in enumerate(farthest.tolist())]
+
+    def _grown(self, parents: list[_MoveSequence], root: _MoveSequence) -> list[_MoveSequence]:
+        """Those of one move more that are safe."""
+        start = np.concatenate([each.bearings.joints for each in parents])
+        ends = self._drawn(start)
+        way = np.abs(ends - start).max(axis=1)
         least = np.maximum(
             PEAK_RATE * way / self._limits.rate, np.sqrt(PEAK_ACCELERATION * way / self._limits.acceleration)
         )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         if math.isfinite(self._most_rad_s):
-            longer = self._random.uniform(1.0, SLOWEST, COLUMNS)
+            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 2
         durations = np.maximum(least * longer, SHORTEST_S)
-        if follows:
-            durations[0] = then[0].duration
+        return [each for each in self._carried(parents, ends, durations, root) if each is not None]
+
+    def _carried(
+        self, parents: list[_MoveSequence], ends: FloatArray, durations: FloatArray, root: _MoveSequence
+    ) -> list[_MoveSequence | None]:
+        """Each sequence with one move more, to these ends; None where that is not safe."""
+        begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
         foreseen = self._foresight.of(begin, ends, durations)
-        found: dict[int, _MoveSequence] = {}
         turned = _chords(foreseen.after.R, begin.R)
         safe = self._safe(foreseen) & (turned < self._most_rad_s * (durations + DECISION_S))
+        found: list[_MoveSequence | None] = [None] * len(parents)
         for k in np.flatnonzero(safe).tolist():
             parent, after = parents[k], foreseen.after.some(np.array([k]))
-            seen = parent.touched | self.covered(foreseen.normals[k])
+            seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
-            gain = (np.count_nonzero(seen) - np.count_nonzero(touched)) / len(touched)
+            gain = np.count_nonzero(seen & ~root.touched) / len(seen)
             value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
-        return _apart(sorted(found.values(), key=lambda each: -each.value)), found.get(0) if follows else None
+        return found
 
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
@@ -222,16 +272,5 @@ def _chords(rotations: FloatArray, other: FloatArray) -> FloatArray:
 
 def _sure(p: FloatArray) -> BodyDraws:
     """A body that is known."""
-    return BodyDraws(np.zeros((1, 3)), np.zeros((1, 3)), p[None])
-
-
-def _apart(ranked: list[_MoveSequence]) -> list[_MoveSequence]:
-    """The first few that end in different rotations."""
-    kept: list[_MoveSequence] = []
-    for each in ranked:
-        ends = [other.bearings.R[0] for other in kept]
-        if not ends or _chords(np.stack(ends), each.bearings.R[0]).min() > APART_RAD:
-            kept.append(each)
-        if len(kept) == KEPT:
-            break
-    return kept
+    none = np.zeros((BODIES, 3))
+    return BodyDraws(none, none, np.tile(p, (BODIES, 1)))

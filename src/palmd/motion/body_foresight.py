@@ -57,10 +57,10 @@ class BodyForesight:
         order = math.isqrt(len(p) - BODY) - 1
         assert len(p) == count(order) + BODY, "other parameters than those of the model"
         self._side, self.gravity = pad_side, gravity
-        sizes = (9, 3, MOVE_INPUTS)
-        self._R, self._omega, self._move = (np.zeros((COLUMNS, size)) for size in sizes)
+        sizes = (9, 3, MOVE_INPUTS, len(p))
+        self._R, self._omega, self._move, self._p = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
-        self._known, self._p = np.array(p, np.float64), np.array(p, np.float64)
+        self._known = np.array(p, np.float64)
         inputs = [self._R, self._omega, self._move, self._p, np.array([gravity])]
         outputs = [self._R_after, self._omega_after, self._told]
         self._step = body_rollout.library(order).bind("step_columns", inputs, outputs)
@@ -81,34 +81,35 @@ class BodyForesight:
         """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s.
 
         elapsed: for how long they have been under way when the body is so (s). stand: what the palms stand after (s).
-        p: parameters to go by this time.
+        p: parameters to go by this time, of all (m,) or of each (N, m).
         """
-        self._p[:] = self._known if p is None else p
         n = len(ends)
         steps = np.maximum(np.ceil((durations - elapsed + stand) / STEP_S - 1e-9).astype(np.intp), 1)
         self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)
         self._omega[:n] = begin.omega
         self._move[:n] = np.column_stack([begin.joints, ends, durations, np.full(n, elapsed)])
-        for each in (self._R, self._omega, self._move):
+        self._p[:n] = self._known if p is None else p
+        for each in (self._R, self._omega, self._move, self._p):
             each[n:] = each[0]
-        turned, spun = np.empty((n, 9)), np.empty((n, 3))
-        path, spin = np.full((n, int(steps.max()), TOLD), np.nan), np.zeros(n)
+        last = int(steps.max())
+        turned, spun, path = (np.empty((last, n, size)) for size in (9, 3, TOLD))
         columns = -(-n // LANES) * LANES
-        for k in range(path.shape[1]):
+        for k in range(last):
             self._step(columns)
             self._R[:], self._omega[:] = self._R_after, self._omega_after
             self._move[:, 7] += STEP_S
-            going, ended = k < steps, k == steps - 1
-            path[going, k] = self._told[:n][going]
-            spin[going] = np.maximum(spin[going], np.linalg.norm(self._omega[:n][going], axis=1))
-            turned[ended], spun[ended] = self._R[:n][ended], self._omega[:n][ended]
-        force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(n, -1, 3, 2)
+            turned[k], spun[k], path[k] = self._R[:n], self._omega[:n], self._told[:n]
+        over = np.arange(last)[:, None] >= steps
+        path[over] = np.nan
+        spin = np.where(over, 0.0, np.linalg.norm(spun, axis=2)).max(axis=0)
+        turn, omega = (each[steps - 1, np.arange(n)] for each in (turned, spun))
+        force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(last, n, 3, 2)
         room = room_on_pads(contacts, self._side)
-        finite = np.isfinite(turned).all(axis=1) & np.isfinite(spin)
+        finite = np.isfinite(turn).all(axis=1) & np.isfinite(spin)
         return ForeseenMoves(
-            Bearings(np.swapaxes(turned.reshape(-1, 3, 3), 1, 2), spun, ends),
-            np.where(finite, np.nanmin(force, axis=(1, 2)), -np.inf),
-            np.nanmin(room, axis=(1, 2, 3)),
+            Bearings(np.swapaxes(turn.reshape(-1, 3, 3), 1, 2), omega, ends),
+            np.where(finite, np.nanmin(force, axis=(0, 2)), -np.inf),
+            np.nanmin(room, axis=(0, 2, 3)),
             spin,
-            path[:, ::EVERY, _NORMALS].reshape(n, -1, 3, 3),
+            np.swapaxes(path[::EVERY, :, _NORMALS], 0, 1).reshape(n, -1, 3, 3),
         )

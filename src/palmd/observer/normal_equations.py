@@ -261,7 +261,9 @@ class Residuals:
         )
         forces = does.weighed(self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight)
         quiet = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]))
+        quiet[record.torn] = 0.0
         root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
+        root[record.torn] = 0.0
         readings = [self._contacts.rows(contacts), self._forces.rows(forces)]
         steps_rows = StepRows(x, self._end[:steps], self._step_jacobian[:steps], root)
         made = does.assembled(steps_rows, readings)

@@ -187,8 +187,7 @@ def _unlike(search: Search, seed: int, begun: float, say: Callable[[str], None] 
 
 def _whole(told: Reconstruction, segment: DataSegment) -> bool:
     """Whether it explains all of a segment so well that to look for anything else would be a waste."""
-    lasts = float(told.t[-1] - told.t[0])
-    return lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+    return told.lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
 
 
 def _sharp(told: Reconstruction, search: Search) -> bool:

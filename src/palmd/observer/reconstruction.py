@@ -12,6 +12,8 @@ from palmd.events import FloatArray
 from palmd.observer.likeness import UNTOLD, Likeness
 from palmd.observer.visits import Counts
 
+PAUSE_S = 0.05  # between nodes, from which on nothing is told of the motion there
+
 
 @dataclass(frozen=True, slots=True)
 class Reconstruction:
@@ -56,6 +58,17 @@ class Reconstruction:
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     likeness: Likeness = UNTOLD
     rig_by_prior: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """From when to when (s) the motion is told without a pause."""
+        pauses = np.flatnonzero(np.diff(self.t) > PAUSE_S)
+        return list(zip(self.t[[0, *pauses + 1]].tolist(), self.t[[*pauses, -1]].tolist(), strict=True))
+
+    @property
+    def lasts(self) -> float:
+        """For how long it is told (s), without the pauses."""
+        return sum(end - start for start, end in self.spans)
 
     @property
     def rig_sd(self) -> FloatArray:

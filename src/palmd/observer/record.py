@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from palmd.system.mechanism import PALMS
 
 IntArray = npt.NDArray[np.intp]
 
+WITHIN_S = 1e-9  # of a span's ends, where nodes are in it
 LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
 
 
@@ -28,7 +29,7 @@ class Record:
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
     `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
-    pads that tell no force.
+    pads that tell no force. `torn`: steps over which nothing is said of the motion (`within`).
     """
 
     t: FloatArray
@@ -50,6 +51,7 @@ class Record:
     force_value: FloatArray
     force_variance: FloatArray
     force_weight: FloatArray
+    torn: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def dt(self) -> FloatArray:
@@ -79,7 +81,19 @@ class Record:
             self.contact_force[c], self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
+            self.torn[(self.torn >= first) & (self.torn < last)] - first,
         )  # fmt: skip
+
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """From when to when (s) each of its parts lasts that are not torn apart."""
+        last = [*self.torn, len(self.dt)]
+        return [(float(self.t[i]), float(self.t[j])) for i, j in zip([0, *self.torn + 1], last, strict=True)]
+
+    def within(self, spans: Sequence[tuple[float, float]]) -> Record:
+        """Its parts in `spans` (s, in order), as one record that says nothing of the motion in between."""
+        at = [np.searchsorted(self.t, (start - WITHIN_S, end + WITHIN_S)) for start, end in spans]
+        return _joined([self.between(int(first), int(last) - 1) for first, last in at])
 
     def pressed_by(self, force: FloatArray) -> Record:
         """The same, contacts pressed by `force` (N, of each); scaled as the pads tell that, and not where none does."""
@@ -102,7 +116,7 @@ class Record:
         inputs[:n, 1:7] = self.palms[:-1]
         inputs[:n, 7:9] = np.diff(self.palms[:, 4:], axis=0) / dt[:, None]
         inputs[:n, 9:-2], inputs[:n, -2:] = self.rig, self.pad_lengths
-        inputs[n:] = inputs[0]
+        inputs[self.torn] = inputs[n:] = inputs[0]  # any that can be reckoned with
         return inputs
 
     def contact_inputs(self, rows: int) -> FloatArray:
@@ -131,6 +145,23 @@ class Record:
         inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[step], offset, pad
         inputs[:n, 3:9], inputs[:n, 9:-2], inputs[:n, -2:] = palms, self.rig, self.pad_lengths
         return inputs
+
+
+def _joined(parts: Sequence[Record]) -> Record:
+    """Parts of one record, in order of time, as one that says nothing of the motion between them."""
+    first = np.cumsum([0, *(len(part.t) for part in parts)])
+
+    def put(name: str) -> FloatArray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    def steps(name: str) -> IntArray:
+        return np.concatenate([getattr(part, name) + begin for part, begin in zip(parts, first[:-1], strict=True)])
+
+    arrays = [each.name for each in fields(Record) if each.name not in ("rig", "pad_lengths")]
+    by_step = ("contact_step", "force_step", "torn")
+    whole = {name: steps(name) if name in by_step else put(name) for name in arrays}
+    torn = np.sort(np.concatenate([whole["torn"], first[1:-1] - 1]))
+    return replace(parts[0], **whole | {"torn": torn})
 
 
 def lay_out(

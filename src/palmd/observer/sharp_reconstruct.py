@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -50,27 +50,28 @@ def sharp_reconstruction(
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.end - segment.start:.1f} s")
 
-    for found in sided.stretches(followed)[:MOST_STRETCHES]:
+    def longest() -> Iterator[tuple[Candidate, ...]]:
+        yield from sided.ridden()
+        yield from sided.stretches(followed)[:MOST_STRETCHES]
+
+    for found in longest():
+        finer: Candidate | None = None
         for best in sided.refined(found[0]):
-            if _doubtful(best, found):
-                continue
-            try:
-                told = _told(best, sided.posterior(best).covariance, search, begun)
-            except np.linalg.LinAlgError:
-                continue
-            if told is not None:
-                return told
+            if not _doubtful(best, found):
+                told = _told(best, finer, sided, search, begun)
+                if told is not None:
+                    return told
+            finer = best if best.explains else None  # and may not be told: the next has nodes farther apart
     return None
 
 
 def explained_smoothly(search: Search, told: Reconstruction) -> bool:
-    """Whether a smooth outline explains the stretch of `told` as well, begun from that motion and outline.
+    """Whether a smooth outline explains what `told` does as well, begun from that motion and outline.
 
     On a rig as it is taken for, or on any.
     """
     assert told.h is not None  # of what is claimed
-    since, until = np.searchsorted(search.record.t, (told.t[0], told.t[-1]))
-    record = search.record.between(int(since), min(int(until), len(search.record.dt)))
+    record = search.record.within(told.spans)
     psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
     p = search.prior.mean.copy()
     dither = math.exp(p[C.SATURATION])
@@ -104,16 +105,23 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     )
 
 
-def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float) -> Reconstruction | None:
+def _told(
+    best: Candidate, finer: Candidate | None, sided: SidedSearch, search: Search, begun: float
+) -> Reconstruction | None:
+    """None where `best` is no minimum, or tells too little; by how much `finer` nodes tell otherwise is in the band."""
+    try:
+        covariance = OVERCONFIDENCE**2 * sided.posterior(best).covariance
+    except np.linalg.LinAlgError:
+        return None
     fit, record = best.fit, best.record
     p, x = fit.guess.p, fit.guess.x
     normals = normal_angles(record.palms, x[:, 0])
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
-    covariance = OVERCONFIDENCE**2 * covariance
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
+    model_sd = np.hypot(MODEL_SD_M, 0.0 if finer is None else h - sharp.support(theta, finer.fit.guess.p))
     h_sd, told_sd = (
-        np.hypot(_band(theta, theta[touched], p, each), MODEL_SD_M)
+        np.hypot(_band(theta, theta[touched], p, each), model_sd)
         for each in (covariance[shape, shape], given(covariance, RIG, shape))
     )
     if float(np.sqrt(np.mean(told_sd[touched] ** 2))) > SHARP_M:
@@ -131,7 +139,7 @@ def _told(best: Candidate, covariance: FloatArray, search: Search, begun: float)
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
-        reason="", seconds=time.perf_counter() - begun, turned_sd=float(sd[len(p)]),
+        reason="", seconds=time.perf_counter() - begun, turned_sd=math.nan if len(record.torn) else float(sd[len(p)]),
         sides=sides_of(p, covariance), likeness=likeness(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip
 

@@ -1,6 +1,9 @@
 """The search for an outline with flat sides and corners behind a segment of readings, blind.
 
-What lies on a flat side rides on its palm: ψ follows that palm's angle, while the contact wanders along the side as the
+What lies on a flat side rides on its palm, and where it does is read off the readings (`observer.rides`): all rides on
+one side, with one corner on the other palm, tell of one outline together, whatever came between them.
+
+Else the search begins at the beginning: ψ follows that palm's angle, while the contact wanders along the side as the
 balance of torques asks. That gives two starts, one a palm, besides those of the bank of filters. The window then grows
 over the segment. Where no motion of the present outline explains what comes next, rivals are born that have one more
 side, at the normal by which either palm feels the object there; the readings choose among them.
@@ -23,6 +26,8 @@ from palmd.observer.first_guess import blind_starts
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lay_out
+from palmd.observer.ridden import begun, narrowed, normal_at_first, trimmed, turning
+from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
 from palmd.observer.smoother import Fit, Posterior, Smoother
 from palmd.system.mechanism import JOINTS, OPENING, normal_directions
@@ -40,12 +45,14 @@ FIXED = 1e-3
 CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
+Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
+WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
 LAST_S, LAST = 0.0025, ((0.001, 1.0, NOISE.gate),)  # spacing of the nodes (s)
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 HOPELESS = 5.0  # cost for each reading of a ride, on a wide side, that narrower ones will not bring down
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS = 25, 30
+ITERATIONS, LAST_ITERATIONS = 25, 60
 MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
 MOST_ASTRAY = 20  # readings in a row that are missed: more is no rocking after a jump
 MOST_PER_READING, SURPRISE = 1.25, 60.0  # that the deviance may rise by while the window grows
@@ -83,7 +90,7 @@ class Candidate:
     @property
     def lasts(self) -> float:
         """How long its record is (s)."""
-        return float(self.record.t[-1] - self.record.t[0])
+        return sum(end - start for start, end in self.record.spans)
 
     @property
     def explains(self) -> bool:
@@ -132,6 +139,27 @@ class SidedSearch:
         segment = search.segment
         self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
         self._work = 0
+
+    def ridden(self) -> Iterator[tuple[Candidate, ...]]:
+        """What explains the rides on one side, with one corner on the other palm, wherever they last long enough.
+
+        Best first: the same minimum twice, or another.
+        """
+        for rides in same(rides_of(self.record)):
+            if sum(end - start for start, end in trimmed(rides)) > LEAST_S and any(ride.rolls for ride in rides):
+                yield tuple(sorted((self._along(way, rides) for way in WAYS), key=lambda each: each.deviance))
+
+    def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
+        record, palm = self.record.within(trimmed(rides)), rides[0].palm
+        sides = (FlatSide(normal_at_first(record, palm)),)
+        p = self._start(sides)
+        p[WIDTH] = math.log(way[0][0])
+        guess = begun(record, rides[0], p)
+        for width, noisier in way:
+            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
+            guess = narrowed(guess, record, palm, width)
+            guess = self._fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=noise).fit.guess
+        return self._fitted(record, sides, guess)
 
     def stretches(self, log: Callable[[Candidate], None] | None = None) -> list[tuple[Candidate, ...]]:
         """The parts of the segment that are explained, longest first: outlines and motions of each, best first.
@@ -199,12 +227,9 @@ class SidedSearch:
 
     def _rides(self, record: Record) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
         """The object lies on one side on a palm, and turns with it."""
-        phi, rate = record.palms[:, :2], record.palms[:, 2:4]
-        first = normal_directions(tuple(phi[0]), 0.0)
         for palm in (0, 1):
-            angle, spin = phi[:, : palm + 1].sum(axis=1), rate[:, : palm + 1].sum(axis=1)
-            sides = (FlatSide(float(first[palm])),)
-            yield sides, Guess(np.stack([angle - angle[0], spin], axis=1), self._start(sides))
+            sides = (FlatSide(normal_at_first(record, palm)),)
+            yield sides, Guess(turning(record, palm), self._start(sides))
 
     def _start(self, sides: tuple[FlatSide, ...]) -> FloatArray:
         """The constants most likely before anything is felt."""
@@ -278,7 +303,8 @@ class SidedSearch:
     def refined(self, candidate: Candidate) -> Iterator[Candidate]:
         """The same iterated to the end: on finer nodes, and as it is where they lead astray."""
         search, start, end = self._search, candidate.record.t[0], candidate.record.t[-1]
-        record = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
+        finer = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
+        record = finer.within(candidate.record.spans)
         guess = candidate.fit.guess
         yield self._fitted(record, candidate.sides, guess.on(candidate.record.t, record.t), LAST, LAST_ITERATIONS)
         yield self._fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
@@ -310,6 +336,7 @@ class SidedSearch:
         guess: Guess,
         stages: Sequence[Stage] = FINE,
         iterations: int = ITERATIONS,
+        noise: ProcessNoise = NOISE,
     ) -> Candidate:
         for width, width_sd, gate in stages:
             prior = self._prior(sides, width, width_sd)
@@ -317,7 +344,7 @@ class SidedSearch:
             if width_sd == FIXED:
                 p[WIDTH] = math.log(width)
             smoother = _smoother(sides, record, prior)
-            fit = smoother.fit(Guess(guess.x, p), replace(NOISE, gate=gate), iterations)
+            fit = smoother.fit(Guess(guess.x, p), replace(noise, gate=gate), iterations)
             guess = fit.guess
             self._work += fit.iterations * len(record.t)
         residual = smoother.residuals(guess)

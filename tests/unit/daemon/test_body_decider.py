@@ -99,9 +99,11 @@ def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(o
         body_decider.BodyExplorer, "decide", lambda *args, most_rad_s: asked.append((most_rad_s, args[4]))
     )
     decider = BodyDecider(RIG)
-    for claimed in (True, False):
+    for claimed in (False, True, False):
         decider.answer(question(dataclasses.replace(outlook, claimed=claimed)))
-    assert [most for most, _ in asked] == [body_decider.STRIDE_RAD_S, body_decider.SHORT_RAD_S]
+    decider.answer(question(dataclasses.replace(outlook, claimed=False, begun=3.0)))  # in another frame
+    short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
+    assert [most for most, _ in asked] == [short, stride, slower, short]
     assert all(np.abs(drawn.p - outlook.p).max() < 1e-6 for _, drawn in asked)
 
 

@@ -207,6 +207,28 @@ def test_a_choice_is_asked_for_when_it_is_due_and_only_until_it_is_made() -> Non
     assert stage.reason() == "goes on"
 
 
+def test_short_moves_wait_for_one_decision_each_and_for_nothing_else() -> None:
+    """Of a source that answers one question after the other, as the explorer's process does."""
+    begun: list[Move] = []
+
+    class Quick:
+        def answer(self, question: Question) -> ExplorationAnswer:
+            start = question.under_way.move.end
+            step = WAY if start[0] < HERE.angles[0] + 0.5 * WAY else -WAY
+            move = Move(start, (start[0] + step, start[1]), 0.2)
+            decision = Decision("move", move) if question.choose else Decision("safe")
+            seen = None if question.outlook is None else question.outlook.object_count
+            return ExplorationAnswer(question.t, question.task.run, question.under_way.move, seen, decision)
+
+    stage = Stage()
+    stage.exploring = Exploring(stage.setpoints, InlineExplorer(Quick(), latency_s=ASK_S))
+    for _ in stage.go(6.0):
+        exploration = stage.setpoints.exploration
+        if exploration is not None and exploration[0].last not in begun[-1:]:
+            begun.append(exploration[0].last)
+    assert len(begun) > 0.9 * 6.0 / (ASK_S + LEAD_S)
+
+
 def test_the_newest_decision_counts() -> None:
     """All but the last answer before a move's end lead elsewhere."""
     stage = Stage()

@@ -13,23 +13,30 @@ from palmd.cli import main
 from palmd.config import ExploreGoal
 from palmd.harness.wireless import Instant
 from palmd.lab import bench_explore, exploring, exploring_plans, runs
+from palmd.lab.clairvoyant import true_state
 from palmd.lab.exploring import ExploringRow, ExploringTask
 from palmd.lab.exploring_plans import STRATEGIES
-from palmd.lab.exploring_summary import remarks, table
+from palmd.lab.exploring_summary import over_clairvoyant, remarks, table
 from palmd.lab.exploring_watch import ExplorationWatch
+from palmd.model.shape import basis
+from palmd.model.shape_map import Z
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.motion.rollout_predictor import BINS
 from palmd.quantities import ESTIMATE, SHAPE
-from palmd.rig.world import default_config
+from palmd.rig.world import World, default_config
+from palmd.system.mechanism import normal_directions
 
 # ---------------------------------------------------------------------------------------------- real runs
 
 
 def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     """Eight seconds of each on the same object, the smoother beside the first."""
-    explored, *others = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
-    assert [row.error for row in (explored, *others)] == ["", "", ""]
+    explored, known, *others = (exploring.run(ExploringTask("odd", 5, strategy, 8.0)) for strategy in STRATEGIES)
+    assert [row.error for row in (explored, known, *others)] == ["", "", "", ""]
+    assert known.curve[3] > explored.curve[3]
+    assert (known.losses, known.outside, known.refused) == (0, 0, 0)
+    assert math.isnan(known.valid_s)
     assert explored.coverage > 0.35
     assert all(row.coverage < explored.coverage for row in others)
     assert explored.reachable > 0.9
@@ -41,6 +48,26 @@ def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     assert len(explored.curve) == len(others[0].curve) == 9
     assert sorted(explored.curve) == list(explored.curve)
     assert all(math.isnan(row.hausdorff_m) for row in others)
+
+
+def test_who_is_told_the_truth_is_told_where_the_contacts_are():
+    """The radii of the outline by its harmonics, beside those of the emulated body itself."""
+    world = World(default_config(), 7, kind="rig")
+    for t in (0.5, 1.5):
+        world.advance(t)
+        now, state = world.truth(), true_state(world)
+        theta = normal_directions([now["phi1_rad"], now["phi2_rad"]], state[Z.PSI])
+        for normal, name in zip(theta, ("r1_m", "r2_m"), strict=True):
+            assert float(basis(np.array([normal]))[0] @ state[Z.SHAPE :]) == pytest.approx(now[name], abs=2e-4)
+
+
+def test_how_much_longer_it_took_than_who_knows():
+    rows = [row(seed=s, enough_s=13.0) for s in range(3)] + [row(seed=3, enough_s=math.nan)]
+    rows += [row("clairvoyant", seed=s, enough_s=10.0) for s in (1, 2, 3)]
+    rows.append(row("clairvoyant", seed=0, enough_s=math.nan))
+    assert over_clairvoyant(rows) == [1.3, 1.3, math.inf]
+    told = {line.split("  ")[0]: line.split("  ")[-1].strip() for line in table(rows).splitlines()}
+    assert told["explore: times as long as clairvoyant, median / p90"] == "1.3 / ∞"
 
 
 def test_what_raises_becomes_a_row_that_says_so(monkeypatch):
@@ -197,10 +224,10 @@ def test_table_rows_and_figure(tmp_path, capsys):
     assert main(["bench", "explore", *arguments]) == 0
     out, err = capsys.readouterr()
     lines = [json.loads(line) for line in (folder / bench_explore.ROWS).read_text().splitlines()]
-    assert [line["seed"] for line in lines[::3]] == [8, 12, 9, 13, 10, 14, 11, 15]
-    assert [line["strategy"] for line in lines[:3]] == list(STRATEGIES)
+    assert [line["seed"] for line in lines[::4]] == [8, 12, 9, 13, 10, 14, 11, 15]
+    assert [line["strategy"] for line in lines[:4]] == list(STRATEGIES)
     assert lines[0]["curve"] == [0.1, 0.5, 0.97]
-    assert lines[-3]["hausdorff_m"] is None
+    assert lines[-4]["hausdorff_m"] is None
     assert out.splitlines()[1].split() == ["nominal", "friction", "rig", "odd"]
     assert "odd 15: ValueError: no ground" in out
     assert (
@@ -221,6 +248,6 @@ def test_an_interruption_leaves_what_is_finished(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runs, "finished", interrupted)
     assert main(["bench", "explore", "--runs", "5", "--kind", "rig", "-o", str(tmp_path)]) == 130
     out, err = capsys.readouterr()
-    assert "interrupted: 1 of 15 runs are finished\n" in err
+    assert "interrupted: 1 of 20 runs are finished\n" in err
     assert len((tmp_path / bench_explore.ROWS).read_text().splitlines()) == 1
     assert out.splitlines()[1].split() == ["rig"]

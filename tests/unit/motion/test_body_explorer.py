@@ -12,7 +12,7 @@ from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.motion import body_explorer
-from palmd.motion.body_explorer import DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
+from palmd.motion.body_explorer import BODIES, DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -104,30 +104,54 @@ def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
     assert weight_shares(ends).min() > 0.8 * LEAST_SHARE
 
 
-def test_what_has_been_touched_is_worth_nothing_more():
-    who, begin = explorer(), bearings(1)
-    none = np.zeros(len(icosphere(2)[0]), np.bool_)
+def rooted(who, touched):
+    begin = bearings(1)
     who._been.append(begin.R[0])
-    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
-    fresh, _ = who._grown([root], none, None, ())
-    assert [each.value for each in fresh] == sorted((each.value for each in fresh), reverse=True)
-    assert fresh[0].gain == fresh[0].touched.mean() > 2 * body_explorer.NOVELTY
-    again, _ = who._grown([dataclasses.replace(root, touched=~none)], ~none, None, ())
+    return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0, -math.inf)
+
+
+def test_what_has_been_touched_is_worth_nothing_more():
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(who, none)
+    fresh = who._grown([root] * COLUMNS, root)
+    assert max(each.gain for each in fresh) > 2 * body_explorer.NOVELTY
+    assert all(each.gain == each.touched.mean() for each in fresh)
+    full = dataclasses.replace(root, touched=~none)
+    again = who._grown([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
     assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
 
 
-def test_the_rest_of_a_sequence_is_tried_again():
+def test_the_rest_of_the_best_sequences_is_gone_on_with():
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
     move = who.decide(bearings(1), none)
-    then = who._plan
+    assert who._plans
     there = who._foresight.of(bearings(1), np.array([move.end]), np.array([move.duration])).after
     root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
-    assert then
-    _, planned = who._grown([root], none, root, then[:1])
-    assert planned is not None
-    assert planned.moves == then[:1]
-    assert who._grown([root], none, None, then[:1])[1] is None  # where its beginning was not safe
+    again = who._followed(root)
+    assert who._plans[0] in [each.moves for each in again]
+    ends = {each.moves[-1].end: each for each in again}
+    for each in again:  # each goes on from where its own beginning leads
+        parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
+        assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
+        after = who._foresight.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
+        np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
+    elsewhere = dataclasses.replace(root, bearings=bearings(1))
+    assert who._followed(elsewhere) == []
+
+
+def test_what_goes_on_is_what_shows_most_and_what_is_farthest_round():
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    root = rooted(who, none)
+    grown = who._grown([root] * COLUMNS, root)
+    parents = who._parents([root, *grown])
+    ranked = sorted([root, *grown], key=lambda each: -each.gained)[: body_explorer.LIKELY]
+    assert set(map(id, parents[::2])) == set(map(id, ranked))
+    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[1::2]]
+    all_of_them = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in grown]
+    assert np.mean(far) > 1.2 * np.mean(all_of_them)
+    old = [dataclasses.replace(each, seconds=body_explorer.HORIZON_S) for each in grown]
+    assert set(map(id, who._parents([root, *old]))) == {id(root)}
 
 
 def test_where_every_move_might_lose_the_body_there_is_none():
@@ -138,10 +162,21 @@ def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
     rest = tuple(REST_POSE.tolist())
     thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
     who, known = explorer(), body_explorer._sure(stand()[1])
-    assert who._surely_held(bearings(1), [thrown, gentle], known) is gentle
-    assert who._surely_held(bearings(1), [thrown], known) is None
+    assert who._surest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
+    assert who._surest(bearings(1), [(thrown,)], known) == ()
     monkeypatch.setattr(body_explorer, "OFF_RAD_S", 60.0)  # it may be spinning wildly
-    assert who._surely_held(bearings(1), [gentle], known) is None
+    assert who._surest(bearings(1), [(gentle,)], known) == ()
+
+
+def test_what_is_gone_on_with_is_to_be_sure_too_if_anything_is():
+    rest, gentle = tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8)
+    first, other = Move(rest, gentle, 0.5), Move(rest, (0.88, 0.82, 0.8), 0.5)
+    thrown, back = Move(gentle, (1.2, 0.5, 1.0), 0.06), Move(gentle, rest, 0.5)
+    who, known = explorer(), body_explorer._sure(stand()[1])
+    assert who._held(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [1, 2, 1, 0]
+    assert who._surest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
+    assert who._surest(bearings(1), [(first, thrown), (other,)], known) == (other,)
+    assert who._surest(bearings(1), [(first, thrown)], known) == (first,)
 
 
 def test_a_body_is_to_be_held_however_it_may_be():
@@ -149,11 +184,12 @@ def test_a_body_is_to_be_held_however_it_may_be():
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     variance = np.full(6 + len(p), 1e-14)
     little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
-    assert who._surely_held(bearings(1), [gentle], little) is gentle
-    wild = dataclasses.replace(little, spin=np.array([[0.0] * 3] * 3 + [[60.0, 40.0, 0.0]]))
-    assert who._surely_held(bearings(1), [gentle], wild) is None
-    large = dataclasses.replace(little, p=little.p * np.array([1.0, 1.0, 1.0, 4.0])[:, None])
-    assert who._surely_held(bearings(1), [gentle], large) is None  # it would reach beyond the pads
+    assert who._held(bearings(1), [(gentle,)], little) == [1]
+    last = np.arange(BODIES) == BODIES - 1  # one of them is enough
+    wild = dataclasses.replace(little, spin=np.where(last[:, None], (60.0, 40.0, 0.0), 0.0))
+    assert who._held(bearings(1), [(gentle,)], wild) == [0]
+    large = dataclasses.replace(little, p=little.p * np.where(last, 4.0, 1.0)[:, None])
+    assert who._held(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
     there, here = (each._foresight.of(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
     np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
 
@@ -169,13 +205,12 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
 
 def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
     who, begin, none = explorer(), bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_)
-    who._been.append(begin.R[0])
-    root = body_explorer._MoveSequence(begin, none, 0.0, (), 0.0, 0.0)
+    root = rooted(who, none)
 
     def fastest(most, peak):
         who._most_rad_s = most
         monkeypatch.setattr(body_explorer, "PEAK", peak)
-        found = who._grown([root], none, None, ())[0]
+        found = who._grown([root] * COLUMNS, root)
         return max(body_explorer._chords(each.bearings.R, begin.R)[0] / (each.seconds + DECISION_S) for each in found)
 
     assert fastest(math.inf, 1.0) > 0.6
@@ -199,8 +234,8 @@ def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
 
 
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
-    row = space_exploring.explored(SEED, 2.0)
+    row = space_exploring.explored(SEED, 4.0)
     assert math.isnan(row.lost)
-    assert row.coverage[-1] > 0.12
+    assert row.coverage[-1] > 0.2
     line = space_exploring.SpaceExploringRow(**{**row.line(), "lost": math.nan})
     assert next(space_exploring.told_of_exploring([line])).startswith("       4: μ 0.")

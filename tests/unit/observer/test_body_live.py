@@ -14,7 +14,7 @@ from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing, live
+from palmd.observer.three_palms import beliefs, growing, growth, live
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
@@ -283,8 +283,9 @@ class Lived:
     def truth(self, t):
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
 
-    def _followed(self, task, running):
-        self.raced = task, [replace(each, confirmed=each.intervals) for each in raced(task, running)]
+    def _followed(self, task, running, *how, **ways):
+        ended = raced(task, running, *how, **ways)
+        self.raced = task, [replace(each, confirmed=each.intervals) for each in ended]
         return self.raced[1]
 
     def _right(self, task, record):
@@ -458,7 +459,7 @@ def test_what_was_believed_and_has_foretold_for_long_may_cost_what_truncation_do
 
 
 def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
-    def unsmoothed(task, running):
+    def unsmoothed(task, running, **_):
         return [advanced(task, running[0], task.intervals(task.end - task.start))]
 
     monkeypatch.setattr(growing, "raced", unsmoothed)
@@ -467,6 +468,48 @@ def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smo
     assert answer is not None
     assert answer.t > lived.answer.t + 0.5
     assert math.isfinite(answer.mass)
+
+
+def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_for_them(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    smoother, tried = lived.smoother, []
+    for name in ("_owed", "_looked", "_folded", "_believed_since"):
+        monkeypatch.setattr(smoother, name, getattr(smoother, name))
+    cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
+    monkeypatch.setattr(growing, "STRANGE", -math.inf)
+    monkeypatch.setattr(growing, "found_again", lambda _, together, __: tried.append("whole") or together)
+    monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
+    monkeypatch.setattr(growing, "begun_in_ways", lambda *_: [])
+    monkeypatch.setattr(growing, "raced", lambda *_: found)
+    smoother._looked = 0
+    assert smoother._found_again(task, [first]) == [first]
+    assert tried == ["whole"]
+    said = smoother._answer(task, [first])
+    assert (said.claimed, "other starts" in said.reason) == (False, True)
+    found = []  # nothing else
+    assert smoother._found_again(task, [first])[0] is first
+    assert tried == ["whole", "short"]
+    assert smoother._answer(task, [first]).claimed
+    assert smoother._found_again(task, [first]) == [first]
+    assert tried == ["whole", "short"]  # neither again until there is more
+    found, smoother._looked = [cheaper], 0
+    smoother._found_again(task, [first])
+    assert smoother._found_again(task, [first])[0] is cheaper
+    assert tried == ["whole", "short", "whole", "short", "whole"]  # which is to be found twice, too
+
+
+def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):
+    task, _ = lived.raced
+    (early,) = lived._right(task, task.record(2.0))
+    assert raced(task, [early], early.cost - 1.0)[0].intervals == early.intervals
+    forked = []
+    monkeypatch.setattr(growth, "_forked", lambda *it: forked.append(it) or growth._window(*it[:2], 0.4, it[2]))
+    monkeypatch.setattr(growth, "FORKED", 0.0)  # every window is foretold badly
+    for forks in (0, 1):
+        forked.clear()
+        further = advanced(task, early, early.intervals + 45, forks=forks)
+        assert further.intervals == early.intervals + 45
+        assert len(forked) == forks
 
 
 def test_what_is_late_is_counted_and_dropped():

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import simulated
+from simulated import Run, simulated
 
 from palmd.model import sharp
 from palmd.model.shape import coefficients_of
@@ -16,10 +16,13 @@ from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
+from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.ridden import narrowed, normal_at_first, turning
+from palmd.observer.rides import rides_of, same
 from palmd.observer.search import Search, overfits
-from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, LAST, Candidate, SidedSearch, Stage, followed
+from palmd.observer.sharp_reconstruct import _told, explained_smoothly, sharp_reconstruction
+from palmd.observer.sided import CALM, FINE, LAST, WAYS, Candidate, SidedSearch, Stage, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -165,9 +168,43 @@ def test_a_smooth_outline_explains_what_it_moved_as():
     assert explained_smoothly(search, moved)  # the search finds back
 
 
-def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
+def hexagon() -> Run:
     body = uniform_body("hexagon", rounded_polygon([(x * 1e-3, y * 1e-3) for x, y in CORNERS], 1e-3), 0.2)
-    run = simulated("friction", 2, SECONDS, body=body)
+    return simulated("friction", 2, SECONDS, body=body)
+
+
+def test_rides_are_told_together_and_a_narrower_side_gives_less():
+    run = hexagon()
+    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    ride = same(rides_of(search.record))[0][0]
+    told = search._along(WAYS[0], [replace(ride, end=2.7), replace(ride, start=2.9)])
+    record, guess = told.record, told.fit.guess
+    assert len(record.torn) == 1
+    assert told.fit.chi2 < 1.1
+    touched = touched_by(normal_angles(record.palms, guess.x[:, 0]))
+    assert score_outline(directions(), sharp.support(directions(), guess.p), touched, run.truth.h).e_h < 5e-5
+    residuals = Residuals(sharp.library_for(1), record)
+    wider = narrowed(guess, record, ride.palm, 2.0 * math.exp(guess.p[sharp.WIDTH]))
+    assert np.abs(residuals.contacts(wider) - residuals.contacts(guess)).max() < 0.5
+    assert np.abs(guess.x - turning(record, ride.palm))[:, 0].max() < 0.01
+    assert abs(math.remainder(guess.p[sharp.NORMALS] - normal_at_first(record, ride.palm), math.tau)) < 0.01
+
+
+def test_what_finer_nodes_tell_otherwise_is_in_the_band():
+    run = hexagon()
+    search = Search(longest_segment(run.events), run.rig)
+    sided = SidedSearch(search)
+    ride = same(rides_of(sided.record))[0][0]
+    best = sided._along(WAYS[0][1:], [replace(ride, end=3.0)])
+    larger = best.fit.guess.p.copy()
+    larger[C.SHAPE] += 5e-5
+    finer = replace(best, fit=replace(best.fit, guess=Guess(best.fit.guess.x, larger)))
+    alone, beside = (_told(best, other, sided, search, 0.0) for other in (None, finer))
+    assert np.hypot(alone.h_sd, 5e-5) == pytest.approx(beside.h_sd, rel=1e-2)
+
+
+def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
+    run = hexagon()
     rig = run.rig.known_to(AS_CALIBRATED)
     answer = sharp_reconstruction(Search(longest_segment(run.events), rig), 0, time.perf_counter())
     assert answer is not None

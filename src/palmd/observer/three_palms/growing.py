@@ -49,6 +49,7 @@ MOST_RIVALS = 2
 OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
 STRANGE = 1.5  # one-sigmas of the cost, beyond which more is tried
 SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
+FORKED_A_LAP = 1  # windows of each: whoever needs more is found sooner from contacts of the whole record
 PROVEN_S = 5.0  # of going on since it was first believed: whoever is wrong is lost by then
 LATENCY_S = 0.7  # that a simulated one takes; its first answer takes longer
 FIRST_LATENCY_S = 1.5
@@ -82,6 +83,7 @@ class GrowingBody:
         self._attempt = 0
         self._reached = -math.inf
         self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
+        self._owed = False  # short starts, in the next lap
         self._believed_since = math.inf
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
@@ -103,7 +105,7 @@ class GrowingBody:
         if not self._running and not self._try(task):
             return _unknown(task, begun, "no motion is known yet that explains the readings")
         self._reached = task.end
-        ended = raced(task, self._running)
+        ended = raced(task, self._running, forks=FORKED_A_LAP)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         first = ended[0]
         if first.lost or first.intervals < task.intervals(task.end - task.start):
@@ -193,20 +195,34 @@ class GrowingBody:
         return bool(self._running)
 
     def _found_again(self, task: Task, ended: list[Grown]) -> list[Grown]:
-        """The rivals with what other blind starts lead to, where it is time to look for some."""
+        """The rivals with what other blind starts lead to, where it is time to look for some.
+
+        Of one kind in a lap, lest the answer waits for all: those of the whole record, then, if the motion is still
+        strange, those of its first second.
+        """
         first = ended[0]
-        strange = first.strange > STRANGE
-        if self._folded or first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and not strange):
+        strange, owed = first.strange > STRANGE, self._owed
+        self._owed = False
+        if owed and strange and not self._folded:
+            ended = self._short_starts(task, ended)
+            if ended[0].same_as(first):
+                return ended
+        elif self._folded or first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and not strange):
             return ended
+        else:
+            self._owed = strange and first.intervals * SPACING_S < SHORT_UNTIL_S
         self._looked = first.intervals
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
-        if strange and first.intervals * SPACING_S < SHORT_UNTIL_S:
-            # contacts of all the record may lead nowhere right: many ways from its first second
-            whole = replace(task, contacts=ContactCurves.smoothed(task.readings))
-            short = raced(whole, begun_in_ways(whole, rivals(whole, REST_S + SHORT_S)))
-            together += [each for each in short if each.intervals == first.intervals and not each.lost]
-            together = apart(sorted(together, key=lambda each: each.cost))
         return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS))
+
+    def _short_starts(self, task: Task, ended: list[Grown]) -> list[Grown]:
+        """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""
+        first = ended[0]
+        whole = replace(task, contacts=ContactCurves.smoothed(task.readings))
+        begun = begun_in_ways(whole, rivals(whole, REST_S + SHORT_S))
+        short = raced(whole, begun, first.cost + BEHIND, FORKED_A_LAP)
+        together = [each for each in (*ended, *short) if each.intervals == first.intervals and not each.lost]
+        return apart(sorted(together, key=lambda each: each.cost))
 
     def _give_up(self, first: Grown, task: Task) -> None:
         """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
@@ -229,6 +245,8 @@ class GrowingBody:
         reason = doubt(task, ended, h_sd[touched], proven=proven)
         if not reason and not first.found_twice:
             reason = "no second start has come to the same motion yet"
+        if not reason and self._owed:
+            reason = "the readings are not explained to their noise, and other starts are still to be tried"
         if not reason:
             self._believed_since = min(self._believed_since, float(first.record.t[-1]))
         mass, mass_sd = mass_of(rig, first)

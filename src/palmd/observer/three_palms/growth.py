@@ -171,8 +171,11 @@ def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
     return apart(sorted(further, key=lambda each: each.cost))
 
 
-def raced(task: Task, running: list[Grown]) -> list[Grown]:
-    """All of them followed side by side: who falls behind in cost is given up, who meets another goes on as one."""
+def raced(task: Task, running: list[Grown], enough: float = math.inf, forks: float = math.inf) -> list[Grown]:
+    """All of them followed side by side: who falls behind in cost is given up, who meets another goes on as one.
+
+    None is followed that has come to cost more than `enough`; nor forked in more than so many windows a lap.
+    """
     end = task.intervals(task.end - task.start)
     ended: list[Grown] = []
     while running:
@@ -181,12 +184,12 @@ def raced(task: Task, running: list[Grown]) -> list[Grown]:
             break
         until = min(reached + round(LAP_S / SPACING_S), end) if len(running) > 1 else end
         first, *others = running
-        first = advanced(task, first, until)
-        most = math.inf if first.lost else first.cost + BEHIND
-        running = [first, *(advanced(task, each, until, most) for each in others)]
+        first = advanced(task, first, until, enough, forks)
+        most = enough if first.lost else min(first.cost + BEHIND, enough)
+        running = [first, *(advanced(task, each, until, most, forks) for each in others)]
         ended += [each for each in running if each.lost]
         running = [each for each in running if not each.lost]
-        most = min((each.cost for each in running if each.intervals == until), default=0.0) + BEHIND
+        most = min(min((each.cost for each in running if each.intervals == until), default=0.0) + BEHIND, enough)
         ended += [each for each in running if each.cost > most]
         running = apart(sorted((each for each in running if each.cost <= most), key=lambda each: each.cost))
     return ended + apart([smoothed(task, each, 15) for each in running])
@@ -293,8 +296,11 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     return smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
 
 
-def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grown:
-    """The rival followed to so many intervals, or to where it is lost or costs more than `most`."""
+def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: float = math.inf) -> Grown:
+    """The rival followed to so many intervals, or to where it is lost or costs more than `most`.
+
+    Windows beyond so many `forks` are taken as they are foretold.
+    """
     while now.intervals < until and not now.lost and now.cost <= most:
         early = now.intervals * SPACING_S < FORKS_S
         if now.since_whole > (AGAIN_EARLY if early else AGAIN):
@@ -305,9 +311,9 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf) -> Grow
             now = smoothed(task, now)
             further = _window(task, now, WINDOWS_S[0], until)
         if further.surprise > surprising:
-            if early:
-                further = _forked(task, now, until)
-            else:
+            if early and forks > 0:
+                further, forks = _forked(task, now, until), forks - 1
+            elif not early:
                 for seconds in WINDOWS_S[1:]:
                     further = _window(task, now, seconds, until)
                     if further.surprise < FORETOLD:

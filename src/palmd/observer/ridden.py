@@ -1,0 +1,74 @@
+"""Where the search begins for what rides: the motion, the side's length and where on it the object stands. Pure.
+
+An object that rides turns with its palm but for what the side gives: on a side that is passed within w, a contact at e
+from its middle is at the angle 2 w artanh(2 e / L) from its normal. e is read: by how far the contact on the ridden
+palm is from the corner on the other, which both are fixed to the object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.observer.normal_equations import Guess
+from palmd.observer.outline import normal_angles
+from palmd.observer.record import Record
+from palmd.observer.rides import Ride
+from palmd.system.mechanism import OPENING, PALMS, normal_directions
+
+TRIM_S = 0.1  # of both ends of a ride, where the object tips or still rocks
+SPAN, LONGER = (2.0, 98.0), 1.5  # percentiles of e that the side reaches over, and by how much it does
+MOST_OUT = 0.95  # of half its length, where a contact may stand at first
+MEAN_OF = 5  # readings
+
+
+def trimmed(rides: Sequence[Ride]) -> list[tuple[float, float]]:
+    """From when to when (s) each lasts without its ends."""
+    return [(ride.start + TRIM_S, ride.end - TRIM_S) for ride in rides]
+
+
+def turning(record: Record, palm: int) -> FloatArray:
+    """Angle since the first node and rate (K + 1, 2) of what turns with the palm (0, 1)."""
+    joints = len(PALMS)
+    angle, spin = (record.palms[:, j : j + palm + 1].sum(axis=1) for j in (0, joints))
+    return np.stack([angle - angle[0], spin], axis=1)
+
+
+def normal_at_first(record: Record, palm: int) -> float:
+    """Normal (rad) by which the palm feels what is not turned yet."""
+    return float(normal_directions(tuple(record.palms[0, : len(PALMS)]), 0.0)[palm])
+
+
+def begun(record: Record, ride: Ride, p: FloatArray) -> Guess:
+    """The motion on the parts of `record`, and the constants `p`, of one side, with its length and where it is."""
+    palm, (high, rho) = ride.palm, ride.corner
+    mine = record.contact_pad == PALMS[palm]
+    t, opening = (record.t[record.contact_step] + record.contact_offset)[mine], record.contact_palms[mine, OPENING]
+    e = record.contact_value[mine] - (rho + high * np.cos(opening)) / np.sin(opening)
+    low, most = np.percentile(e, SPAN)
+    p = p.copy()
+    p[LENGTHS] = max(LONGER * float(most - low), p[LENGTHS])
+    away = np.empty((len(record.t), 2))
+    for (start, end), nodes in zip(record.spans, np.split(np.arange(len(record.t)), record.torn + 1), strict=True):
+        part = slice(*np.searchsorted(t, (start, end)))
+        padded = np.pad(e[part], MEAN_OF // 2, mode="edge")
+        mean = np.convolve(padded, np.full(MEAN_OF, 1.0 / MEAN_OF), "valid")
+        out = (2.0 / p[LENGTHS]) * (np.interp(record.t[nodes], t[part], mean) - (low + most) / 2)
+        angle = 2.0 * math.exp(p[WIDTH]) * np.arctanh(np.clip(out, -MOST_OUT, MOST_OUT)) * (1.0, -1.0)[palm]
+        away[nodes] = np.stack([angle, np.gradient(angle, record.t[nodes])], axis=1)
+    return Guess(turning(record, palm) - away, p)
+
+
+def narrowed(guess: Guess, record: Record, palm: int, width: float) -> Guess:
+    """The same contacts on a side that is passed within `width` (rad): it gives as much less."""
+    give = 1.0 - width / math.exp(guess.p[WIDTH])
+    p = guess.p.copy()
+    p[WIDTH] = math.log(width)
+    away = normal_angles(record.palms, guess.x[:, 0])[:, palm] - p[NORMALS]
+    away -= math.tau * np.round(away / math.tau)
+    spin = turning(record, palm)[:, 1] - guess.x[:, 1]
+    return Guess(guess.x + give * np.stack([away, spin], axis=1), p)
