@@ -41,7 +41,7 @@ def test_a_run_explores_more_than_the_open_loop_plans_and_is_told_in_full():
     assert all(row.coverage < explored.coverage for row in others)
     assert explored.reachable > 0.9
     assert 0.0 < explored.valid_s < 8.0
-    assert explored.hausdorff_m < 1e-3
+    assert explored.hausdorff_m < 3.0 * explored.band_m  # a third of it nobody has touched
     assert explored.e_h_m <= explored.hausdorff_m
     assert explored.decisions > 3
     assert (explored.losses, explored.outside, explored.refused, explored.recovered) == (0, 0, 0, True)
