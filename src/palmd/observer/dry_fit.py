@@ -1,7 +1,8 @@
 """Least squares of an object that sticks to one palm and slips along the other, on a record of readings. Pure.
 
 Unknown are the constants: coefficients of h, ln ρ, ln m, μ, those of the rig (`model.smoothing.R`) and, where the stuck
-palm changes, by how much the object turned in that moment. Between two changes ψ is what keeps Q1 or Q2
+palm changes, by how much the object turned in that moment; and where the pads' forces have gains that are off, how
+each wanders (`observer.force_gain`), in one-sigmas. Between two changes ψ is what keeps Q1 or Q2
 (`model.rolling`), so it needs no nodes and no process noise; its derivatives follow from the implicit function theorem.
 What bows and lags move is taken to first order, and a bow's part in how the object rolls is left out.
 """
@@ -19,16 +20,19 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
+from palmd.observer import stuck_palms
 from palmd.observer.factor import Prior
+from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
 from palmd.observer.palm_path import PalmPath
-from palmd.observer.record import Record
-from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, STANDING, Palms
-from palmd.system.mechanism import JOINTS, OPENING, directions
+from palmd.observer.record import LEAST_FORCE_N, Record
+from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, FilterStart, Palms
+from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
 RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
+KEPT = 16  # filters that begin with a fit: they know the object
 TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
 BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
@@ -83,9 +87,17 @@ class _Terms:
 class DryModel:
     """The least-squares problem of one record and one sequence of stuck palms."""
 
-    def __init__(self, record: Record, path: PalmPath, prior: Prior, phases: Sequence[Rolling]):
-        """`prior` is of the constants of `model.smoothing`."""
+    def __init__(
+        self,
+        record: Record,
+        path: PalmPath,
+        prior: Prior,
+        phases: Sequence[Rolling],
+        gain_stds: Sequence[float] = (0.0, 0.0),
+    ):
+        """`prior` is of the constants of `model.smoothing`; `gain_stds` of each pad's forces, relative, all along."""
         self.record, self.prior, self.phases = record, prior, phases
+        self._path, self._gain_stds = path, gain_stds
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
         self._t, index = np.unique(np.concatenate([record.t, contact_t, force_t]), return_inverse=True)
@@ -100,7 +112,18 @@ class DryModel:
         apart = np.abs(force_t[:, None] - starts[None, 1:]).min(axis=1, initial=math.inf)
         moving = np.abs(self._reported[self._forces, 3]) > STANDING
         self._weight = (moving & (apart > BLIND_S)) * record.force_weight
-        self.size = TURNS + len(phases) - 1
+        self._gains = [
+            (mine, modes_at(force_t[mine], [(float(record.t[0]), float(record.t[-1]))], std))
+            for palm, std in zip(PALMS, gain_stds, strict=True)
+            if std and (mine := np.flatnonzero(record.force_pad == palm)).size
+        ]
+        gains = TURNS + len(phases) - 1
+        self.size = gains + sum(modes.shape[1] + 1 for _, modes in self._gains)
+        self.gains = slice(gains, self.size)
+
+    def with_phases(self, phases: Sequence[Rolling]) -> DryModel:
+        """Of the same record, and another sequence of stuck palms."""
+        return DryModel(self.record, self._path, self.prior, phases, self._gain_stds)
 
     def begun(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
         """z of an object of this outline, on palms that rub so unequally."""
@@ -128,6 +151,26 @@ class DryModel:
             if settled:
                 break
         return self._found(z, now, settled)
+
+    def filter_start(self, fit: DryFit, blind: FilterStart) -> FilterStart:
+        """What filters begin with in the place of what was `blind`: the fit, at twice its one-sigmas."""
+        of_z, to_x = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
+        x = np.zeros(len(blind.x))
+        x[stuck_palms.SHAPE], x[stuck_palms.LN_MASS] = fit.z[SHAPE], fit.z[LN_MASS]
+        to_x[stuck_palms.SHAPE, SHAPE], to_x[stuck_palms.LN_MASS, LN_MASS] = np.eye(SHAPE.stop), 1.0
+        for which, sign in ((stuck_palms.MU1, 1.0), (stuck_palms.MU2, -1.0)):
+            x[which] = fit.z[MU] * (1.0 + sign * fit.z[ASYMMETRY])
+            to_x[which, [MU, ASYMMETRY]] = 1.0 + sign * fit.z[ASYMMETRY], sign * fit.z[MU]
+        covariance = 4.0 * to_x @ of_z @ to_x.T
+        weighed = stuck_palms.LN_MASS
+        covariance[weighed, weighed] += blind.covariance[weighed, weighed] - MASS_SD**2
+        return FilterStart(x, covariance, blind.wanders, KEPT, decision_steps=1)
+
+    def begun_from(self, other: DryFit) -> FloatArray:
+        """z of the object and the rig of a fit to other phases."""
+        z = np.zeros(self.size)
+        z[:TURNS] = other.z[:TURNS]
+        return z
 
     def turned_sd(self, fit: DryFit, covariance: FloatArray) -> float:
         """One-sigma of ψ at the last node (rad)."""
@@ -244,6 +287,8 @@ class DryModel:
             return mass * np.where(first, *forces)
 
         value = told(felt)
+        modes = self._gain_modes(value)
+        share = 1.0 + modes @ z[self.gains]
         gains = [(told([*felt[:i], felt[i] + _STEP, *felt[i + 1 :]]) - value) / _STEP for i in range(len(felt))]
         jacobian = np.zeros((len(at), self.size))
         turned = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
@@ -256,8 +301,23 @@ class DryModel:
         jacobian -= both[:, None] * slope[at]
         jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = gains[4], gains[5], value
         jacobian[:, ASYMMETRY] = gains[8]
+        jacobian *= share[:, None]
+        jacobian[:, self.gains] = value[:, None] * modes
         sd = np.sqrt(record.force_variance)
-        return _gated((record.force_value - value) / sd, jacobian / sd[:, None], self._weight)
+        return _gated((record.force_value - share * value) / sd, jacobian / sd[:, None], self._weight)
+
+    def _gain_modes(self, felt: FloatArray) -> FloatArray:
+        """(forces, modes): the share by which each mode of a pad's gain moves the forces, `felt` (N).
+
+        What that changes in a play's place is left out of the derivatives.
+        """
+        columns = np.zeros((len(felt), self.gains.stop - self.gains.start))
+        at = 0
+        for mine, modes in self._gains:
+            of_pad = np.column_stack([modes, BEHIND * place_in_play(np.maximum(felt[mine], LEAST_FORCE_N))])
+            columns[mine, at : at + of_pad.shape[1]] = of_pad
+            at += of_pad.shape[1]
+        return columns
 
     def _prior_terms(self, z: FloatArray) -> _Terms:
         prior = self.prior
@@ -265,13 +325,15 @@ class DryModel:
         residual = np.concatenate([
             (prior.mean[C.SHAPE :] - z[SHAPE]) / prior.sd[C.SHAPE :],
             [(prior.mean[C.LN_RHO] + math.log(z[0]) - z[LN_RHO]) / rho_sd if z[0] > 0.0 else math.inf],
-            [(FRICTION - z[MU]) / FRICTION_SD], -z[RIG] / prior.sd[C.RIG : C.SHAPE], -z[TURNS:] / TURN_SD,
+            [(FRICTION - z[MU]) / FRICTION_SD], -z[RIG] / prior.sd[C.RIG : C.SHAPE],
+            -z[TURNS : self.gains.start] / TURN_SD, -z[self.gains],
         ])  # fmt: skip
         jacobian = np.zeros((len(residual), self.size))
         jacobian[SHAPE, SHAPE] = np.diag(1.0 / prior.sd[C.SHAPE :])
         jacobian[SHAPE.stop, [LN_RHO, 0]] = 1.0 / rho_sd, -1.0 / (z[0] * rho_sd)
         jacobian[SHAPE.stop + 1, MU] = 1.0 / FRICTION_SD
-        sd = np.concatenate([prior.sd[C.RIG : C.SHAPE], np.full(self.size - TURNS, TURN_SD)])
+        turns, gains = self.gains.start - TURNS, self.size - self.gains.start
+        sd = np.concatenate([prior.sd[C.RIG : C.SHAPE], np.full(turns, TURN_SD), np.ones(gains)])
         jacobian[SHAPE.stop + 2 :, RIG.start :] = np.diag(1.0 / sd)
         return _Terms(residual, jacobian, float(residual @ residual), 0.0, 0.0)
 

@@ -16,17 +16,21 @@ from palmd.observer.factor import given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.search import DIFFERENT_M, DOUBT, Search, consistent, still
-from palmd.observer.stuck_palms import stuck_guess
+from palmd.observer.record import Record, lay_out
+from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
+from palmd.observer.stuck_palms import CHANGE_COST, FilterStart, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
+from palmd.system.mechanism import PALMS
 
 LEAST_S = 5.0
+ROUNDS, WORTH = 3, 10.0  # of following the palms anew, from the fit; and by what the cost must fall for another
+HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
 MOST_STRAIN, MOST_TURN_STRAIN = 60.0, 2.0  # of the cost, by the prior; and for each change of the stuck palm
 MOST_ASKED = 1.0  # friction over normal force: nothing that lies on a pad sticks better
 LEAST_FRICTION = 3.0  # sigmas: what slides freely is another model's
-RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second beginning: of the radius, and of what is believed of the outline
+RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: of the radius, and of what is believed of the outline
 
 
 def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
@@ -34,8 +38,7 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
     None where it does not, beyond doubt; for flat palms.
     """
-    record = search.record
-    if search.rig.curved or still(record) or search.segment.end - search.segment.start < LEAST_S:
+    if search.rig.curved or still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
     try:
         found = _found(search, seed)
@@ -45,19 +48,49 @@ def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstructio
 
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
-    record, prior = search.record, search.prior
-    guess = stuck_guess(record, prior, search.rig.friction_sd)
+    record, prior = _with_forces(search), search.prior
+    gain_stds = [pad.force_gain_std for pad in search.rig.pads]
+    if not all((record.force_pad == palm).any() for palm in PALMS):
+        return None
+    start = blind(record, prior, search.rig.friction_sd, gain_stds)
+    guess = stuck_guess(record, start)
     if guess is None:
         return None
-    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t))
+    model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
+    model, fit = _followed_anew(model, fit, start)
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
+
+
+def _followed_anew(model: DryModel, fit: DryFit, start: FilterStart) -> tuple[DryModel, DryFit]:
+    """With the sequence of stuck palms that filters find when they know the object, where that explains more."""
+    for _ in range(ROUNDS if max(fit.chi2, fit.force_chi2) < HOPELESS else 0):
+        guess = stuck_guess(model.record, model.filter_start(fit, start))
+        if guess is None:
+            break
+        other = model.with_phases(phases_of(guess.palms, model.record.t))
+        then = other.fit(other.begun_from(fit))
+        gained = fit.cost - then.cost + CHANGE_COST * (len(model.phases) - len(other.phases))
+        if gained > 0.0:
+            model, fit = other, then
+        if gained < WORTH:
+            break
+    return model, fit
+
+
+def _with_forces(search: Search) -> Record:
+    """The search's record, with the forces of pads whose gain is uncertain: here it is told with the object."""
+    record = search.record
+    if not any(pad.force_gain_std for pad in search.rig.pads):
+        return record
+    trusting = search.rig.with_pads(force_gain_std=0.0)
+    return lay_out(search.segment.pads, search.path, trusting, float(record.t[0]), search.segment.end, SPACING_S)
 
 
 def _doubtful(model: DryModel, fit: DryFit) -> bool:
     record = model.record
     explained = consistent(fit.chi2, len(record.contact_value)) and consistent(fit.force_chi2, len(record.force_value))
-    likely = fit.strain < MOST_STRAIN + MOST_TURN_STRAIN * len(model.phases)
+    likely = fit.strain < MOST_STRAIN + MOST_TURN_STRAIN * len(model.phases) + len(fit.z[model.gains])
     return not (fit.settled and explained and likely and fit.outliers < MOST_OUTLIERS and fit.asked < MOST_ASKED)
 
 

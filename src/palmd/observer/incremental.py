@@ -164,7 +164,10 @@ class IncrementalSmoother:
             return None
         everything = np.concatenate([best.guess.p, best.guess.x[-1]])
         covariance = answer.belief.considering(posterior.covariance)
-        x, P, spread = given_the_rig(everything, covariance)
+        try:
+            x, P, spread = given_the_rig(everything, covariance)
+        except np.linalg.LinAlgError:  # of a fit that has run aground on readings of no such motion
+            return None
         made_convex(x, P, _OUTLINE)
         established = self._follower is not None
         against = answer.belief.contradicted

@@ -3,13 +3,14 @@
 Where friction has no dither an object nearly always sticks to one palm and slips along the other, which way is the
 palms' doing (`model.rolling`). Given which, how it turns follows from the palms and the outline, and an extended Kalman
 filter tells the outline from contacts and forces. Which, nobody says, and where friction is small forces alone do not
-either; so every `DECISION_S` each filter goes on with either palm, and those that have explained all readings best are
+either; so every few steps each filter goes on with either palm, and those that have explained all readings best are
 kept.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +20,14 @@ from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.factor import Prior
+from palmd.observer.force_gain import BEHIND, BEHIND_S, DRIFT_S
 from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 FRICTION, FRICTION_SD = 0.25, 0.15
-STANDING = 2e-3  # rad/s: palms that turn against each other no faster tell nothing
-STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; and how many of them until the next time the palm may change
-KEPT = 48  # filters
+STANDING = 1.5e-2  # rad/s: palms that turn against each other no faster may stand, or turn the other way
+STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; until the palm may change, while little is known of the object
+KEPT = 48  # filters, the same
 CHANGE_COST = 8.0  # of twice the log-likelihood: it changes once or twice a second
 TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad, at a change, which is somewhere between two decisions; and at each step
 ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way from now on
@@ -37,8 +39,10 @@ MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does t
 HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
 
 SHAPE = slice(1, 2 + 2 * ORDER)  # after ψ
-LN_MASS, MU1, MU2 = range(SHAPE.stop, SHAPE.stop + 3)
+LN_MASS = slice(SHAPE.stop, SHAPE.stop + len(PALMS))  # as each pad weighs it
+MU1, MU2 = range(LN_MASS.stop, LN_MASS.stop + 2)
 SIZE = MU2 + 1
+WEIGHED = np.arange(LN_MASS.start, LN_MASS.stop)
 _LITTLE = 1e-6
 
 Palms = npt.NDArray[np.intp]
@@ -77,55 +81,78 @@ class _Filters:
         return _Filters(*(getattr(self, name)[kept] for name in self.__slots__))
 
 
-def stuck_guess(record: Record, prior: Prior, asymmetry_sd: float) -> StuckGuess | None:
-    """The likeliest; None where a pad tells no force, or nothing that sticks explains the readings.
+@dataclass(frozen=True, slots=True)
+class FilterStart:
+    """What filters begin with: mean (SIZE) and covariance, and what pads' gains vary by in a step (2).
+
+    kept: filters; decision_steps: until the next time the palm may change.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+    wanders: FloatArray
+    kept: int = KEPT
+    decision_steps: int = DECISION_STEPS
+
+
+def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence[float] = (0.0, 0.0)) -> FilterStart:
+    """As little as is known beforehand. Raises ValueError where a pad tells no force.
 
     prior: of the constants of `model.smoothing`. asymmetry_sd: of what is believed of the palms' friction, 0 where both
-    rub alike. The rig is taken as it is described.
+    rub alike. gain_stds: of each pad's forces, relative, all along.
     """
-    if not all((record.force_pad == palm).any() for palm in PALMS):
-        return None
-    pull = _pull(record, float(prior.mean[C.SHAPE]))
-    filters = _begun(_mass(record), prior, asymmetry_sd)
-    begun = filters.x[0]
+    x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(_mass(record)), FRICTION
+    covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
+    covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
+    apart = (FRICTION * asymmetry_sd) ** 2
+    covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return FilterStart(x, covariance, np.array([_wandering(std) for std in gain_stds]))
+
+
+def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
+    """The likeliest; None where nothing that sticks explains the readings. The rig is taken as it is described."""
+    pull = _pull(record, float(beginning.x[SHAPE.start]))
+    filters = _begun(beginning)
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
     read = 0
     for number, (start, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
-        if number % DECISION_STEPS == 0:
-            filters = _decided(_best(filters)) if number else filters
+        if number % beginning.decision_steps == 0:
+            filters = _decided(_best(filters, beginning.kept)) if number else filters
             hopeless = filters.nis.min() > HOPELESS * read and record.t[start] > record.t[0] + HOPELESS_S
             if hopeless:
                 return None
             filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
         before = filters.x[:, 0]
         filters = _rolled(filters, record.palms[start], record.palms[end])
+        filters.covariance[:, WEIGHED, WEIGHED] += beginning.wanders
         part = record.between(start, end)
         read += part.readings
         if part.readings:
             filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
-            filters = filters.which(np.flatnonzero(_going(filters, begun)))
+            filters = filters.which(np.flatnonzero(_going(filters, beginning.x)))
             if not len(filters.cost):
                 return None
     best = filters.which(np.array([int(np.argmin(filters.cost))]))
     x = best.x[0]
-    at_nodes = np.repeat(best.past[0], DECISION_STEPS * stride)[: len(record.t) - 1]
+    at_nodes = np.repeat(best.past[0], beginning.decision_steps * stride)[: len(record.t) - 1]
     mu = 0.5 * float(x[MU1] + x[MU2])
     return StuckGuess(
-        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS]), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
+        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS].mean()), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
     )
 
 
-def _begun(mass: float, prior: Prior, asymmetry_sd: float) -> _Filters:
+def _wandering(std: float) -> float:
+    """The variance of what a gain of this `std`, and a play, add in a step; 0 of a pad whose gain is known."""
+    return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
+
+
+def _begun(beginning: FilterStart) -> _Filters:
     """One filter for each palm."""
-    x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(mass), FRICTION
-    covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
-    covariance[LN_MASS, LN_MASS] = MASS_SD**2
-    apart = (FRICTION * asymmetry_sd) ** 2
-    covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
     palm, none = np.array([0, 1]), np.zeros(2)
-    return _Filters(np.tile(x, (2, 1)), np.tile(covariance, (2, 1, 1)), palm, np.zeros((2, 0), np.intp), none, none)
+    x, covariance = np.tile(beginning.x, (2, 1)), np.tile(beginning.covariance, (2, 1, 1))
+    return _Filters(x, covariance, palm, np.zeros((2, 0), np.intp), none, none)
 
 
 def _decided(filters: _Filters) -> _Filters:
@@ -137,12 +164,12 @@ def _decided(filters: _Filters) -> _Filters:
     return _Filters(*both)
 
 
-def _best(filters: _Filters) -> _Filters:
-    """The best, without those that go the same way as a better one."""
+def _best(filters: _Filters, count: int) -> _Filters:
+    """The `count` best, without those that go the same way as a better one."""
     ordered = filters.which(np.argsort(filters.cost, kind="stable"))
     psi, palm = ordered.x[:, 0], ordered.palm
     alike = (np.abs(psi[:, None] - psi) < ALIKE_RAD) & (palm[:, None] == palm)
-    return ordered.which(np.flatnonzero(~np.tril(alike, -1).any(axis=1))[:KEPT])
+    return ordered.which(np.flatnonzero(~np.tril(alike, -1).any(axis=1))[:count])
 
 
 def _rolled(filters: _Filters, palms: FloatArray, then: FloatArray) -> _Filters:
@@ -197,8 +224,10 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
     gain = np.linalg.solve(spread, told)
     nis = np.einsum("nm,nm->n", miss, np.linalg.solve(spread, miss[:, :, None])[:, :, 0])
     nis = np.minimum(nis, MOST_NIS * part.readings)
+    covariance = covariance - told.transpose(0, 2, 1) @ gain
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))  # what rounding makes of it else grows and grows
     return replace(
-        filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance - told.transpose(0, 2, 1) @ gain,
+        filters, x=x + np.einsum("nms,nm->ns", gain, miss), covariance=covariance,
         cost=filters.cost + nis + np.linalg.slogdet(spread)[1], nis=filters.nis + nis,
     )  # fmt: skip
 
@@ -206,7 +235,9 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
 def _going(filters: _Filters, begun: FloatArray) -> npt.NDArray[np.bool_]:
     """Which have not diverged from x as they were `begun`."""
     mass, radius = filters.x[:, LN_MASS] - begun[LN_MASS], filters.x[:, SHAPE.start] / begun[SHAPE.start]
-    going: npt.NDArray[np.bool_] = (np.abs(mass) < LOST) & (np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST)
+    going: npt.NDArray[np.bool_] = (np.abs(mass).max(axis=1) < LOST) & (
+        np.abs(np.log(np.maximum(radius, _LITTLE))) < LOST
+    )
     return going & np.isfinite(filters.cost)
 
 
@@ -230,11 +261,12 @@ def _forces(
     of_each = np.repeat(np.arange(len(psi)), psi.shape[1])
     stuck, x = filters.palm[of_each], filters.x[of_each]
     lying = Lying.at(np.tile(part.force_palms, (len(psi), 1)), psi.ravel(), ORDER)
-    first, mass = np.tile(part.force_pad == 1, len(psi)), np.exp(x[:, LN_MASS])
+    first, each = np.tile(part.force_pad == 1, len(psi)), np.arange(psi.size)
+    weighed = np.where(first, LN_MASS.start, LN_MASS.start + 1)
+    mass = np.exp(x[each, weighed])
     pull_x, pull_y = (np.tile(each, len(psi)) for each in pull)
     signs = np.where(stuck, SLIPS_SIGN[0], SLIPS_SIGN[1]) * np.sign(lying.palms[:, len(JOINTS) + OPENING])
     rubs = np.where(stuck, MU1, MU2)
-    each = np.arange(psi.size)
     lies = (*lying.h, *lying.slope)
     felt: list[FloatArray] = [*(_times(rows, x[:, SHAPE]) for rows in lies), x[each, rubs]]
 
@@ -251,7 +283,7 @@ def _forces(
     for gain, rows, then in zip(gains, lies, (*lying.slope, *lying.bend), strict=False):
         by[:, SHAPE] += gain[:, None] * rows
         by[:, 0] -= gain * _times(then, x[:, SHAPE])
-    by[:, LN_MASS], by[each, rubs] = value, gains[4]
+    by[each, weighed], by[each, rubs] = value, gains[4]
     return value.reshape(psi.shape), by.reshape(*psi.shape, SIZE)
 
 

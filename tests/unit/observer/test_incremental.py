@@ -52,6 +52,19 @@ class Beside:
         return last
 
 
+def test_a_covariance_that_is_none_is_no_answer_and_nothing_breaks(monkeypatch):
+    """Of what sticks to a palm, fits can run aground so; the observer beside it has to go on."""
+
+    def not_positive_definite(*_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    run = simulated("friction", 700, 3.0)
+    smoother = IncrementalSmoother(run.rig)
+    smoother.add(Session(1, 0.0), run.events)
+    monkeypatch.setattr("palmd.observer.incremental.given_the_rig", not_positive_definite)
+    assert smoother.answer() is None
+
+
 @pytest.fixture(scope="module")
 def rested() -> tuple[Beside, list[Improvement | None]]:
     """An object that lies still for a long while, and the answers before, at the end of that, and after."""

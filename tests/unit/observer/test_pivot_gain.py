@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from palmd.observer.force_gain import BEHIND, DRIFT_S
 from palmd.observer.pivot.arm_path import axis_path
-from palmd.observer.pivot.fit import BEHIND, DRIFT_S, gain_modes
+from palmd.observer.pivot.fit import gain_modes
 from palmd.observer.pivot.growing import CLAIMED_M, answer_of
 from palmd.observer.pivot.reconstruct import reconstruct, refused
 from palmd.observer.pivot.record import PivotRecord, Rows, TouchSpan

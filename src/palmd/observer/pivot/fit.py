@@ -16,6 +16,7 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.compiled import Library
 from palmd.model.pivot import BATCH, CONSTANTS, MOTION, ORDER, P, U
+from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
 from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
 from palmd.system.pivot import normal_of
 
@@ -28,8 +29,6 @@ WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, a
 # What most bodies are like: how far the centre of mass is off the outline's middle, and the radius of gyration in mean
 # radii with its relative one-sigma (a uniform convex body has 0.70 to 0.72, a ring 1).
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
-# How soon a pad's gain drifts, what it falls behind a changing force by (one sigma), and how soon that turns round.
-DRIFT_S, BEHIND, BEHIND_S, KNOT_S = 20.0, 0.02, 3.0, 2.0
 STRAY_M, STRAY_READINGS, LEAST_SQUARE_M2 = 2.5e-6, 60, 1e-8
 _READINGS, _HEIGHTS, _FORCES = range(3)  # kinds of rows, in the order of the kernels
 _PSI_SCALE = 0.05
@@ -304,27 +303,16 @@ def gain_modes(record: PivotRecord, felt: FloatArray | None = None) -> FloatArra
     rows, std = record.forces, record.rig.pad.force_gain_std
     if not std or not len(rows.t):
         return np.zeros((len(rows.t), 0))
-    spans = [(touch.begin, touch.end) for touch in record.touches]
-    knots = np.concatenate([np.linspace(a, b, math.ceil((b - a) / KNOT_S) + 1) for a, b in spans])
-    apart = np.abs(knots[:, None] - knots)
-    covariance = std**2 * np.exp(-apart / DRIFT_S) + BEHIND**2 * np.exp(-apart / BEHIND_S)
-    left = np.clip(np.searchsorted(knots, rows.t, side="right") - 1, 0, len(knots) - 2)
-    share = (rows.t - knots[left]) / (knots[left + 1] - knots[left])
-    between: FloatArray = np.zeros((len(rows.t), len(knots)))
-    each = np.arange(len(rows.t))
-    between[each, left], between[each, left + 1] = 1.0 - share, share
-    modes: FloatArray = between @ np.linalg.cholesky(covariance)
+    modes = modes_at(rows.t, [(touch.begin, touch.end) for touch in record.touches], std)
     return modes if felt is None else np.column_stack([modes, BEHIND * _behind(record, felt)])
 
 
 def _behind(record: PivotRecord, felt: FloatArray) -> FloatArray:
-    """Where in a play of `BEHIND` the pad is at each force: −1 while it rises, 1 while it falls."""
+    """Where in its play the pad is at each force, touch by touch."""
     place: FloatArray = np.zeros(len(felt))
     for touch in record.touches:
-        told = 0.0
-        for i in np.flatnonzero((record.forces.t >= touch.begin) & (record.forces.t <= touch.end)).tolist():
-            told = min(max(told, felt[i] * (1.0 - BEHIND)), felt[i] * (1.0 + BEHIND))
-            place[i] = (told / felt[i] - 1.0) / BEHIND
+        mine = (record.forces.t >= touch.begin) & (record.forces.t <= touch.end)
+        place[mine] = place_in_play(felt[mine])
     return place
 
 
