@@ -13,7 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model.shape import turned
 from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.model.smoothing import ORDER, C
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record
@@ -24,11 +26,46 @@ TRIM_S = 0.1  # of both ends of a ride, where the object tips or still rocks
 SPAN, LONGER = (2.0, 98.0), 1.5  # percentiles of e that the side reaches over, and by how much it does
 MOST_OUT = 0.95  # of half its length, where a contact may stand at first
 MEAN_OF = 5  # readings
+WINDOW_S, WINDOW_SIGMAS = 0.2, 5.0  # in which the χ² of a pad's readings tells that nothing explains them
+NEAR_S = 1e-9  # of a node
+LEAST_PART_S = 0.3  # of what is left between
 
 
 def trimmed(rides: Sequence[Ride]) -> list[tuple[float, float]]:
     """From when to when (s) each lasts without its ends."""
     return [(ride.start + TRIM_S, ride.end - TRIM_S) for ride in rides]
+
+
+def calm(record: Record, residuals: FloatArray) -> list[tuple[float, float]]:
+    """The parts (s) of `record` without what is not explained, and `TRIM_S` about it: it tips or rocks there.
+
+    A long ride hides it among all its readings. residuals: of its contacts, in sigmas.
+    """
+    t, wrong = record.t[record.contact_step] + record.contact_offset, list[tuple[float, float]]()
+    for pad in PALMS:
+        mine = record.contact_pad == pad
+        at, sums = t[mine], np.concatenate([[0.0], np.cumsum(residuals[mine] ** 2)])
+        first, last = np.arange(len(at)), np.searchsorted(at, at + WINDOW_S)
+        count = last - first
+        bad = sums[last] - sums[first] > count + WINDOW_SIGMAS * np.sqrt(2.0 * count)
+        wrong += [(start - TRIM_S, end + TRIM_S) for start, end in zip(at[bad], at[last[bad] - 1], strict=True)]
+    wrong.sort()
+    parts = list[tuple[float, float]]()
+    for start, end in record.spans:
+        for gone, back in [*(each for each in wrong if each[1] > start and each[0] < end), (end, end)]:
+            if gone - start > LEAST_PART_S:
+                parts.append((start, gone))
+            start = max(start, back)
+    return parts
+
+
+def kept(guess: Guess, own: FloatArray, wanted: FloatArray) -> Guess:
+    """The same of the nodes at the times `wanted` of `own`, ψ beginning at 0: the outline turns instead."""
+    x, p = guess.x[np.searchsorted(own, wanted - NEAR_S)], guess.p.copy()
+    turn = float(x[0, 0])
+    p[C.SHAPE : NORMALS] = turned(-turn, ORDER) @ p[C.SHAPE : NORMALS]
+    p[NORMALS:LENGTHS] += turn
+    return Guess(x - (turn, 0.0), p)
 
 
 def turning(record: Record, palm: int) -> FloatArray:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import sharp
@@ -16,7 +17,7 @@ from palmd.model.smoothing import ORDER, RIG, C
 from palmd.observer.factor import friction_of, given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import directions, normal_angles, touched_by
+from palmd.observer.outline import directions, normal_angles, sd_of, touched_by
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import Search, explained, minima, still
 from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
@@ -31,6 +32,9 @@ MOST_SLACK = 0.02  # of the cost, for each contact reading: more, and blows expl
 MOST_STRETCHES = 2  # of a segment that are looked at, longest first
 # What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
 MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
+LEFT = (
+    1 / 3
+)  # of what nodes twice as far apart tell otherwise: about a quarter of the error is left (docs/theory/sides.md)
 
 
 def sharp_reconstruction(
@@ -55,13 +59,13 @@ def sharp_reconstruction(
         yield from sided.stretches(followed)[:MOST_STRETCHES]
 
     for found in longest():
-        finer: Candidate | None = None
+        other: Candidate | None = found[0]  # on nodes farther apart than those of what comes first
         for best in sided.refined(found[0]):
             if not _doubtful(best, found):
-                told = _told(best, finer, sided, search, begun)
+                told = _told(best, other, sided, search, begun)
                 if told is not None:
                     return told
-            finer = best if best.explains else None  # and may not be told: the next has nodes farther apart
+            other = best if best.explains else None  # and may not be told: the next has nodes farther apart
     return None
 
 
@@ -106,9 +110,9 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
 
 
 def _told(
-    best: Candidate, finer: Candidate | None, sided: SidedSearch, search: Search, begun: float
+    best: Candidate, other: Candidate | None, sided: SidedSearch, search: Search, begun: float
 ) -> Reconstruction | None:
-    """None where `best` is no minimum, or tells too little; by how much `finer` nodes tell otherwise is in the band."""
+    """None where `best` is no minimum, or tells too little; by how much `other` nodes tell otherwise is in the band."""
     try:
         covariance = OVERCONFIDENCE**2 * sided.posterior(best).covariance
     except np.linalg.LinAlgError:
@@ -119,10 +123,14 @@ def _told(
     theta, touched = directions(), touched_by(normals)
     h = sharp.support(theta, p)
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
-    model_sd = np.hypot(MODEL_SD_M, 0.0 if finer is None else h - sharp.support(theta, finer.fit.guess.p))
+    free = _gauge_free(theta, touched, p, rows)
+    left = np.zeros(len(theta))
+    if other is not None:
+        left = _gauge_free(theta, touched, p, (h - sharp.support(theta, other.fit.guess.p))[:, None])[:, 0]
+        left *= LEFT if len(record.t) > len(other.record.t) else 1.0
+    model_sd = np.hypot(MODEL_SD_M, left)
     h_sd, told_sd = (
-        np.hypot(_band(theta, theta[touched], p, each), model_sd)
-        for each in (covariance[shape, shape], given(covariance, RIG, shape))
+        np.hypot(sd_of(free, each), model_sd) for each in (covariance[shape, shape], given(covariance, RIG, shape))
     )
     if float(np.sqrt(np.mean(told_sd[touched] ** 2))) > SHARP_M:
         return None
@@ -144,22 +152,14 @@ def _told(
     )  # fmt: skip
 
 
-def _band(theta: FloatArray, touched: FloatArray, p: FloatArray, covariance: FloatArray) -> FloatArray:
-    """One-sigma of h (m) on `theta` after the rotation that fits the `touched` normals best.
-
-    `covariance` is of the constants from `C.SHAPE` on.
-    """
+def _gauge_free(theta: FloatArray, touched: npt.NDArray[np.bool_], p: FloatArray, rows: FloatArray) -> FloatArray:
+    """What `rows` (n, k) change of h on `theta`, after the rotation that fits the `touched` normals best."""
     step = 1e-4
-
-    def slope(at: FloatArray) -> FloatArray:
-        return (sharp.support(at + step, p) - sharp.support(at - step, p)) / (2 * step)
-
-    free = sharp.outline_rows(theta, p)
-    there = slope(touched)
-    turn = there @ sharp.outline_rows(touched, p) / max(float(there @ there), 1e-30)
-    free = free - np.outer(slope(theta), turn)
-    variance: FloatArray = ((free @ covariance) * free).sum(axis=1)
-    return np.sqrt(np.maximum(variance, 0.0))
+    slope = (sharp.support(theta + step, p) - sharp.support(theta - step, p)) / (2 * step)
+    there = slope[touched]
+    turn = there @ rows[touched] / max(float(there @ there), 1e-30)
+    free: FloatArray = rows - np.outer(slope, turn)
+    return free
 
 
 def sides_of(p: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ side, at the normal by which either palm feels the object there; the readings ch
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from palmd.observer.first_guess import blind_starts
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lay_out
-from palmd.observer.ridden import begun, narrowed, normal_at_first, trimmed, turning
+from palmd.observer.ridden import begun, calm, kept, narrowed, normal_at_first, trimmed, turning
 from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
 from palmd.observer.smoother import Fit, Posterior, Smoother
@@ -47,9 +47,10 @@ COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf),
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
-LAST_S, LAST = 0.0025, ((0.001, 1.0, NOISE.gate),)  # spacing of the nodes (s)
+LAST_S = 0.0025  # spacing of the nodes (s) in the end
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
+MOST_CUT = 0.2  # of the rides, that may be left out as nothing explains it
 HOPELESS = 5.0  # cost for each reading of a ride, on a wide side, that narrower ones will not bring down
 PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
 ITERATIONS, LAST_ITERATIONS = 25, 60
@@ -147,7 +148,11 @@ class SidedSearch:
         """
         for rides in same(rides_of(self.record)):
             if sum(end - start for start, end in trimmed(rides)) > LEAST_S and any(ride.rolls for ride in rides):
-                yield tuple(sorted((self._along(way, rides) for way in WAYS), key=lambda each: each.deviance))
+                found = _in_order(self._along(way, rides) for way in WAYS)
+                spans = self._calm(found[0])
+                if sum(end - start for start, end in spans) > max(LEAST_S, (1.0 - MOST_CUT) * found[0].lasts):
+                    found = _in_order(self._cut(each, spans) for each in found)
+                yield found
 
     def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
         record, palm = self.record.within(trimmed(rides)), rides[0].palm
@@ -160,6 +165,20 @@ class SidedSearch:
             guess = narrowed(guess, record, palm, width)
             guess = self._fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=noise).fit.guess
         return self._fitted(record, sides, guess)
+
+    @staticmethod
+    def _calm(found: Candidate) -> list[tuple[float, float]]:
+        """The parts (s) of its record that `found` explains all along."""
+        return calm(found.record, _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess))
+
+    def _cut(self, found: Candidate, spans: list[tuple[float, float]]) -> Candidate:
+        """The same, of these parts (s) alone."""
+        record = self.record.within(spans)
+        if len(record.t) == len(found.record.t):
+            return found
+        guess = kept(found.fit.guess, found.record.t, record.t)
+        turn = float(guess.p[NORMALS] - found.fit.guess.p[NORMALS])
+        return self._fitted(record, tuple(FlatSide(side.normal + turn) for side in found.sides), guess)
 
     def stretches(self, log: Callable[[Candidate], None] | None = None) -> list[tuple[Candidate, ...]]:
         """The parts of the segment that are explained, longest first: outlines and motions of each, best first.
@@ -301,17 +320,24 @@ class SidedSearch:
                 yield sides, Guess(guess.x, p)
 
     def refined(self, candidate: Candidate) -> Iterator[Candidate]:
-        """The same iterated to the end: on finer nodes, and as it is where they lead astray."""
+        """The same iterated to the end: on finer nodes, and as it is where they lead astray.
+
+        On finer ones the width is held: on a side that narrows steps become blows, which explain what they like.
+        """
         search, start, end = self._search, candidate.record.t[0], candidate.record.t[-1]
         finer = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
         record = finer.within(candidate.record.spans)
         guess = candidate.fit.guess
-        yield self._fitted(record, candidate.sides, guess.on(candidate.record.t, record.t), LAST, LAST_ITERATIONS)
+        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
+        there = guess.on(candidate.record.t, record.t)
+        yield self._fitted(record, candidate.sides, there, (held,), LAST_ITERATIONS)
         yield self._fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
 
     def posterior(self, candidate: Candidate) -> Posterior:
-        """How sure it is of itself; raises LinAlgError where it is no minimum."""
-        return _smoother(candidate.sides, candidate.record, candidate.prior).posterior(candidate.fit)
+        """How sure it is of itself, the width open though it was held; raises LinAlgError where it is no minimum."""
+        ((width, width_sd, _),) = FINE
+        prior = self._prior(candidate.sides, width, width_sd)
+        return _smoother(candidate.sides, candidate.record, prior).posterior(candidate.fit)
 
     def _by_readings(self, record: Record, guess: Guess) -> Guess:
         """The guess carried on to the record's end by the readings alone, the outline taken as it is."""
@@ -374,6 +400,10 @@ class SidedSearch:
 
 def _smoother(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
     return SidedSmoother(sharp.library_for(len(sides)), record, prior)
+
+
+def _in_order(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    return tuple(sorted(candidates, key=lambda each: each.deviance))
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:

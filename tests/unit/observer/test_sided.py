@@ -11,18 +11,18 @@ import pytest
 from simulated import Run, simulated
 
 from palmd.model import sharp
-from palmd.model.shape import coefficients_of
+from palmd.model.shape import coefficients_of, turned
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
-from palmd.observer.ridden import narrowed, normal_at_first, turning
+from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first, turning
 from palmd.observer.rides import rides_of, same
 from palmd.observer.search import Search, overfits
-from palmd.observer.sharp_reconstruct import _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, LAST, WAYS, Candidate, SidedSearch, Stage, followed
+from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
+from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage, followed
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -92,7 +92,7 @@ def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
     assert not jumped.goes_on(before)
 
 
-@pytest.mark.parametrize("stage", [*FINE, *LAST])
+@pytest.mark.parametrize("stage", FINE)
 @pytest.mark.parametrize("width_rad", [1.5e-4, 2e-3])
 def test_no_side_is_unlikely_for_how_sharply_it_is_passed(stage, width_rad):
     width, sd, _ = stage
@@ -190,17 +190,58 @@ def test_rides_are_told_together_and_a_narrower_side_gives_less():
     assert abs(math.remainder(guess.p[sharp.NORMALS] - normal_at_first(record, ride.palm), math.tau)) < 0.01
 
 
-def test_what_finer_nodes_tell_otherwise_is_in_the_band():
+def test_what_other_nodes_tell_otherwise_is_in_the_band():
     run = hexagon()
     search = Search(longest_segment(run.events), run.rig)
     sided = SidedSearch(search)
     ride = same(rides_of(sided.record))[0][0]
     best = sided._along(WAYS[0][1:], [replace(ride, end=3.0)])
-    larger = best.fit.guess.p.copy()
+    larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 5e-5
-    finer = replace(best, fit=replace(best.fit, guess=Guess(best.fit.guess.x, larger)))
-    alone, beside = (_told(best, other, sided, search, 0.0) for other in (None, finer))
-    assert np.hypot(alone.h_sd, 5e-5) == pytest.approx(beside.h_sd, rel=1e-2)
+    other_way_round[C.SHAPE : sharp.NORMALS] = turned(-4e-3, ORDER) @ larger[C.SHAPE : sharp.NORMALS]
+    other_way_round[sharp.NORMALS : sharp.LENGTHS] += 4e-3
+    finer, finer_too = (
+        replace(best, fit=replace(best.fit, guess=Guess(best.fit.guess.x, p))) for p in (larger, other_way_round)
+    )
+    coarser = replace(finer, record=best.record.until(1.0))
+    alone, *others = (_told(best, other, sided, search, 0.0) for other in (None, finer, finer_too, coarser))
+    off = score_outline(alone.theta, alone.h, alone.touched, sharp.support(alone.theta, larger)).e_h
+    assert off > 2e-5
+    for told, share in zip(others, (1.0, 1.0, LEFT), strict=True):
+        more = np.mean((told.h_sd**2 - alone.h_sd**2)[alone.touched])
+        assert math.sqrt(more) == pytest.approx(share * off, rel=0.1)
+
+
+def test_what_rocks_in_a_ride_is_left_out_of_it():
+    run = hexagon()
+    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    record = search.record
+    at = record.t[record.contact_step] + record.contact_offset
+    quiet = np.random.default_rng(1).normal(size=len(at))
+    assert calm(record, quiet) == record.spans
+    rocks = np.where((record.contact_pad == 2.0) & (at > 2.0) & (at < 2.15), 6.0, quiet)
+    (start, gone), (back, end) = calm(record, rocks)
+    assert (start, end) == record.spans[0]
+    assert gone == pytest.approx(2.0 - 2.0 * TRIM_S, abs=TRIM_S)
+    assert back == pytest.approx(2.15 + 2.0 * TRIM_S, abs=TRIM_S)
+
+
+def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
+    run = hexagon()
+    record = SidedSearch(Search(longest_segment(run.events), run.rig)).record
+    p = np.zeros(sharp.CONSTANTS)
+    p[C.SHAPE : sharp.NORMALS] = 0.017, *np.random.default_rng(2).normal(0.0, 2e-4, sharp.FOURIER - 1)
+    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(0.012), 10.0, 1e4
+    p[sharp.NORMALS : sharp.LENGTHS] = 0.7, 1.0, 2.0, 3.0
+    p[sharp.LENGTHS], p[sharp.WIDTH] = 0.015, math.log(1e-3)
+    guess = Guess(np.stack([np.sin(record.t), np.cos(record.t)], axis=1), p)
+    part = record.within([(1.0, 2.0), (3.0, 4.0)])
+    left = kept(guess, record.t, part.t)
+    assert left.x[0, 0] == 0.0
+    ends = np.searchsorted(record.t, np.array(part.spans) - 1e-9)
+    inside = np.logical_or.reduce([(record.contact_step >= i) & (record.contact_step < j) for i, j in ends])
+    whole, parts = (Residuals(sharp.library_for(1), each).contacts(g) for each, g in ((record, guess), (part, left)))
+    assert parts == pytest.approx(whole[inside], abs=1e-5)
 
 
 def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_corner():
