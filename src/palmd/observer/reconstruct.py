@@ -305,11 +305,13 @@ def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
 
 
 def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
-    fit, record, library = main.fit, main.record, main.search.library
+    fit, record, library, reason = main.fit, main.record, main.search.library, main.reason
+    if reason and not explained(fit, record):
+        reason += _if_concave(rig)
     try:
         answered = marginalised(library, record, main.known, fit)
     except np.linalg.LinAlgError:
-        return _nothing(main.reason or "the fit is not a minimum", begun, fit.chi2)
+        return _nothing(reason or "the fit is not a minimum", begun, fit.chi2)
     x, by_prior = answered.mean.x, (answered.mean.p[RIG], answered.covariance[RIG, RIG])
     everything, covariance = np.concatenate([answered.mean.p, x[-1]]), main.belief.considering(answered.covariance)
     convex = made_convex(everything, covariance, _OUTLINE)
@@ -317,9 +319,6 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
     normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
-    reason = main.reason
-    if reason and not explained(fit, record):
-        reason += _if_concave(rig)
     told = outline_of(p[C.SHAPE :], given(covariance, RIG, _OUTLINE), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
         reason = "the readings tell too little of the outline"
