@@ -38,6 +38,7 @@ BLIND_S = 0.015  # before and after a change, in which forces tell of blows
 GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
+SAME_DECIMALS = 9  # of times (s)
 LITTLE = 0.1  # of the cost: where no step lowers it and none promises more, outliers that come and go are in the way
 MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
 _STEP = 1e-6
@@ -100,7 +101,9 @@ class DryModel:
         self._path, self._gain_stds = path, gain_stds
         contact_t = record.t[record.contact_step] + record.contact_offset
         force_t = record.t[record.force_step] + record.force_offset
-        self._t, index = np.unique(np.concatenate([record.t, contact_t, force_t]), return_inverse=True)
+        # A node's time and a reading's may differ by rounding alone: no rate is told between them.
+        times = np.round(np.concatenate([record.t, contact_t, force_t]), SAME_DECIMALS)
+        self._t, index = np.unique(times, return_inverse=True)
         self._nodes, self._contacts, self._forces = np.split(index, np.cumsum([len(record.t), len(contact_t)]))
         self._reported = path.at(self._t)
         starts = np.array([phase.start for phase in phases])

@@ -249,6 +249,26 @@ def test_pads_read_what_the_smoothers_kernel_says_on_a_rig_that_is_off(dry):
         assert value[k] == pytest.approx(told, abs=3e-6)
 
 
+def test_a_reading_at_a_nodes_time_but_for_rounding_is_foretold_as_the_others_are(dry):
+    """Over 1e-15 s the rate of ψ is what rounding makes of it: a cost that is rough, where no fit settles."""
+    search = searched(dry[0], 4.0)
+    record = search.record
+    k = len(record.contact_step) // 2
+    node = float(record.t[record.contact_step[k]])
+    offset = record.contact_offset.copy()
+    offset[k] = np.nextafter(node, math.inf) - node
+    record = replace(record, contact_offset=offset)
+    palms = (np.arange(len(record.t)) // 300 % 2).astype(np.intp)
+    model = DryModel(record, search.path, search.prior, phases_of(palms, record.t))
+    z = model.begun(search.prior.mean[C.SHAPE :], 0.1, DRY.mu, 0.0)
+    z[RIG.start + R.LAG : RIG.start + R.LAG + 2] = 3e-3
+    foretold = []
+    for step in range(4):
+        z[4] = step * 1e-6
+        foretold.append(model._contact_terms(z, *model._followed(z)).residual[k])
+    assert np.diff(foretold, 3) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_the_derivatives_are_those_of_finite_differences(dry):
     model, z = drawn(searched(dry[0], 4.0))
     psi, slope = model._followed(z)
