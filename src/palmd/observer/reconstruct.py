@@ -89,9 +89,8 @@ def reconstruct(
     found = _by_length(data_segments(events))
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
-    live = attempts_for(rig)
-    attempts = tuple(enumerate((live[0], *LATER, *live[1:])))  # what is hard from the beginning is easy from later on
     search = _search(found[0], rig)
+    attempts = attempts_on(search)
     first = _part(search, seed, attempts[:BEFORE_OTHERS])
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
@@ -101,7 +100,7 @@ def reconstruct(
         return unlike
     main = _part(search, seed, attempts[BEFORE_OTHERS:], first)
     if main is None or main.reason:
-        apart = _part(_search(shorter[0], rig), seed, attempts) if swapped else None
+        apart = _part_of(_search(shorter[0], rig), seed) if swapped else None
         if apart is not None and not apart.reason:
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
@@ -114,7 +113,7 @@ def reconstruct(
     main = _found_again(main, seed)
     if main.reason:
         return _result(main, (), rig, begun)
-    parts = [main, *(_part(_search(segment, rig), seed, attempts) for segment in found[1:MOST_PARTS])]
+    parts = [main, *(_part_of(_search(segment, rig), seed) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
 
@@ -193,6 +192,17 @@ def _whole(told: Reconstruction, segment: DataSegment) -> bool:
 def _sharp(told: Reconstruction, search: Search) -> bool:
     """Whether it has flat sides without which its motion is not explained: no smooth outline need be looked for."""
     return len(told.sides) > 0 and not explained_smoothly(search, told)
+
+
+def attempts_on(search: Search) -> Numbered:
+    """What is tried on a record: what is hard from the beginning is easy from later on, where enough is left then."""
+    live, lasts = attempts_for(search.rig), float(search.record.t[-1] - search.record.t[0])
+    later = [each for each in LATER if each.later_s + each.seconds <= lasts]  # others would be no second opinion
+    return tuple(enumerate((live[0], *later, *live[1:])))
+
+
+def _part_of(search: Search, seed: int) -> _Part | None:
+    return _part(search, seed, attempts_on(search))
 
 
 def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None = None) -> _Part | None:

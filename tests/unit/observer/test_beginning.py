@@ -90,3 +90,12 @@ def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkey
     assert answer.converged, answer.reason
     assert answer.t[-1] - answer.t[0] > 9.9
     assert sbc.row_of(sbc.SbcTask("odd", 64002, 10.0), told, answer).worst_z < 3.0
+
+
+def test_a_record_too_short_to_be_sought_from_later_on_has_a_second_opinion_all_the_same():
+    body, surface = sbc.believed("nominal", 67007)
+    log, _ = calibrated_run("nominal", 67007, 10.0, body, "calibrated", surface)
+    begin = log.events[0].t_sample
+    answer = reconstruct([event for event in log.events if event.t_sample < begin + 1.6], log.rig)
+    assert answer.converged
+    assert not answer.contradicted.any()  # the first search comes to an outline a millimetre off, and a rig to fit it
