@@ -51,9 +51,14 @@ def with_beginning(
             more //= 2
         else:
             return None
-    turned = p.copy()
-    turned[C.SHAPE :] = shape.turned(-float(x[0, 0]), ORDER) @ p[C.SHAPE :]  # ψ is gauge: 0 at the first node
-    return Guess(x - [x[0, 0], 0.0], turned)
+    return from_zero(Guess(x, p))
+
+
+def from_zero(guess: Guess) -> Guess:
+    """The same with ψ = 0 at the first node: that is gauge, and the outline is turned instead."""
+    psi, p = float(guess.x[0, 0]), guess.p.copy()
+    p[C.SHAPE :] = shape.turned(-psi, ORDER) @ p[C.SHAPE :]
+    return Guess(guess.x - [psi, 0.0], p)
 
 
 def known_of(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor:

@@ -99,8 +99,7 @@ class DryModel:
         """`prior` is of the constants of `model.smoothing`; `gain_stds` of each pad's forces, relative, all along."""
         self.record, self.prior, self.phases = record, prior, phases
         self._path, self._gain_stds = path, gain_stds
-        contact_t = record.t[record.contact_step] + record.contact_offset
-        force_t = record.t[record.force_step] + record.force_offset
+        contact_t, force_t = record.contact_t, record.force_t
         # A node's time and a reading's may differ by rounding alone: no rate is told between them.
         times = np.round(np.concatenate([record.t, contact_t, force_t]), SAME_DECIMALS)
         self._t, index = np.unique(times, return_inverse=True)

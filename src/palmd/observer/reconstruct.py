@@ -17,6 +17,7 @@ from palmd.blas import one_thread
 from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
+from palmd.observer.beginning import from_zero
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
@@ -28,7 +29,6 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
-from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
@@ -238,13 +238,11 @@ def _found_again(part: _Part, seed: int) -> _Part:
         other = _part(_search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
-        nodes = part.fit.guess.on(part.record.t, other.record.t)
-        p = nodes.p.copy()
-        p[C.SHAPE :] = shape.turned(-float(nodes.x[0, 0]), ORDER) @ p[C.SHAPE :]  # ψ is gauge: 0 at each first node
+        there = from_zero(part.fit.guess.on(part.record.t, other.record.t))
         smoother = Smoother(other.search.library, other.record, other.known)
-        mine = smoother.fit(Guess(nodes.x - [nodes.x[0, 0], 0.0], p), other.fit.noise)
+        mine = smoother.fit(there, other.fit.noise)
         told = smoother.posterior_if_any(min(mine, other.fit, key=lambda fit: fit.cost))
-        if told is not None and told.distance2(p) < SAME:
+        if told is not None and told.distance2(there.p) < SAME:
             return part
         return other if other.fit.cost < mine.cost + DOUBT else replace(part, reason=AMBIGUOUS)
     return part

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.observer.likeness import UNTOLD, Likeness
+from palmd.observer.record import lasting
 from palmd.observer.visits import Counts
 
 PAUSE_S = 0.05  # between nodes, from which on nothing is told of the motion there
@@ -68,7 +69,7 @@ class Reconstruction:
     @property
     def lasts(self) -> float:
         """For how long it is told (s), without the pauses."""
-        return sum(end - start for start, end in self.spans)
+        return lasting(self.spans)
 
     @property
     def rig_sd(self) -> FloatArray:

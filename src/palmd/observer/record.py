@@ -59,6 +59,16 @@ class Record:
         return np.diff(self.t)
 
     @property
+    def contact_t(self) -> FloatArray:
+        """When each contact was read (s)."""
+        return self.t[self.contact_step] + self.contact_offset
+
+    @property
+    def force_t(self) -> FloatArray:
+        """When each force was read (s)."""
+        return self.t[self.force_step] + self.force_offset
+
+    @property
     def readings(self) -> int:
         """How many there are, of contacts and of forces."""
         return len(self.contact_value) + len(self.force_value)
@@ -145,6 +155,11 @@ class Record:
         inputs[:n, 0], inputs[:n, 1], inputs[:n, 2] = self.dt[step], offset, pad
         inputs[:n, 3:9], inputs[:n, 9:-2], inputs[:n, -2:] = palms, self.rig, self.pad_lengths
         return inputs
+
+
+def lasting(spans: Sequence[tuple[float, float]]) -> float:
+    """How long (s) they are together."""
+    return sum(end - start for start, end in spans)
 
 
 def _joined(parts: Sequence[Record]) -> Record:

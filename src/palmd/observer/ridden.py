@@ -41,7 +41,7 @@ def calm(record: Record, residuals: FloatArray) -> list[tuple[float, float]]:
 
     A long ride hides it among all its readings. residuals: of its contacts, in sigmas.
     """
-    t, wrong = record.t[record.contact_step] + record.contact_offset, list[tuple[float, float]]()
+    t, wrong = record.contact_t, list[tuple[float, float]]()
     for pad in PALMS:
         mine = record.contact_pad == pad
         at, sums = t[mine], np.concatenate([[0.0], np.cumsum(residuals[mine] ** 2)])
@@ -84,7 +84,7 @@ def begun(record: Record, ride: Ride, p: FloatArray) -> Guess:
     """The motion on the parts of `record`, and the constants `p`, of one side, with its length and where it is."""
     palm, (high, rho) = ride.palm, ride.corner
     mine = record.contact_pad == PALMS[palm]
-    t, opening = (record.t[record.contact_step] + record.contact_offset)[mine], record.contact_palms[mine, OPENING]
+    t, opening = record.contact_t[mine], record.contact_palms[mine, OPENING]
     e = record.contact_value[mine] - (rho + high * np.cos(opening)) / np.sin(opening)
     low, most = np.percentile(e, SPAN)
     p = p.copy()

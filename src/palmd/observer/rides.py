@@ -57,7 +57,7 @@ class _Trace:
     def __init__(self, record: Record, pad: int):
         mine = record.contact_pad == pad
         opening = record.contact_palms[mine, OPENING]
-        self.t = (record.t[record.contact_step] + record.contact_offset)[mine]
+        self.t = record.contact_t[mine]
         root = 1.0 / (np.sqrt(record.contact_variance[mine]) * np.sin(opening))
         row = np.stack([root, root * np.cos(opening), root * np.sin(opening) * record.contact_value[mine]], axis=1)
         squares = row[:, :, None] * row[:, None, :]

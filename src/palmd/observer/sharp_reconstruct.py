@@ -32,9 +32,8 @@ MOST_SLACK = 0.02  # of the cost, for each contact reading: more, and blows expl
 MOST_STRETCHES = 2  # of a segment that are looked at, longest first
 # What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
 MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
-LEFT = (
-    1 / 3
-)  # of what nodes twice as far apart tell otherwise: about a quarter of the error is left (docs/theory/sides.md)
+# Of what nodes twice as far apart tell otherwise: about a quarter of the error is left (docs/theory/sides.md).
+LEFT = 1 / 3
 
 
 def sharp_reconstruction(

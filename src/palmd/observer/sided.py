@@ -25,7 +25,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.first_guess import blind_starts
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
-from palmd.observer.record import Record, lay_out
+from palmd.observer.record import Record, lasting, lay_out
 from palmd.observer.ridden import begun, calm, kept, narrowed, normal_at_first, trimmed, turning
 from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
@@ -91,7 +91,7 @@ class Candidate:
     @property
     def lasts(self) -> float:
         """How long its record is (s)."""
-        return sum(end - start for start, end in self.record.spans)
+        return lasting(self.record.spans)
 
     @property
     def explains(self) -> bool:
@@ -147,10 +147,10 @@ class SidedSearch:
         Best first: the same minimum twice, or another.
         """
         for rides in same(rides_of(self.record)):
-            if sum(end - start for start, end in trimmed(rides)) > LEAST_S and any(ride.rolls for ride in rides):
+            if lasting(trimmed(rides)) > LEAST_S and any(ride.rolls for ride in rides):
                 found = _in_order(self._along(way, rides) for way in WAYS)
                 spans = self._calm(found[0])
-                if sum(end - start for start, end in spans) > max(LEAST_S, (1.0 - MOST_CUT) * found[0].lasts):
+                if lasting(spans) > max(LEAST_S, (1.0 - MOST_CUT) * found[0].lasts):
                     found = _in_order(self._cut(each, spans) for each in found)
                 yield found
 

@@ -308,7 +308,7 @@ def _pull(record: Record, radius: float) -> tuple[FloatArray, FloatArray]:
 
 def _mass(record: Record) -> float:
     """Of a frictionless object whose forces these are (kg)."""
-    t = record.t[record.force_step] + record.force_offset
+    t = record.force_t
     pressed = sum(
         np.interp(record.t, t[mine], record.force_value[mine]) for mine in (record.force_pad == p for p in PALMS)
     )
