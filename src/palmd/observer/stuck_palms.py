@@ -114,8 +114,8 @@ def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence
     return FilterStart(x, covariance, np.array([_wandering(std) for std in gain_stds]))
 
 
-def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
-    """The likeliest; None where nothing that sticks explains the readings.
+def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | float:
+    """The likeliest; where nothing that sticks explains all readings, until when (s) they are explained.
 
     Of the rig the palms' standoffs are told with the object, the rest is taken as it is described.
     """
@@ -123,13 +123,15 @@ def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
     filters = _begun(beginning)
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
-    read = 0
+    read, explained, least = 0, float(record.t[0]), 0.0
     for number, (start, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
         if number % beginning.decision_steps == 0:
             filters = _decided(_best(filters, beginning.kept)) if number else filters
-            hopeless = filters.nis.min() > HOPELESS * read and record.t[start] > record.t[0] + HOPELESS_S
-            if hopeless:
-                return None
+            excess = float(filters.nis.min()) - HOPELESS * read
+            if excess < least:
+                explained, least = float(record.t[start]), excess
+            if excess > 0.0 and record.t[start] > record.t[0] + HOPELESS_S:
+                return explained
             filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
         before = filters.x[:, 0]
         filters = _rolled(filters, record.palms[start], record.palms[end])
@@ -140,7 +142,7 @@ def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
             filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
             filters = filters.which(np.flatnonzero(_going(filters, beginning.x)))
             if not len(filters.cost):
-                return None
+                return explained
     best = filters.which(np.array([int(np.argmin(filters.cost))]))
     x = best.x[0]
     at_nodes = np.repeat(best.past[0], beginning.decision_steps * stride)[: len(record.t) - 1]

@@ -246,6 +246,23 @@ def test_a_lump_that_sticks_is_reconstructed_blind(dry):
     assert answer.turned_sd > 0.0
 
 
+def test_what_comes_before_a_tumble_is_told(dry):
+    """Where it falls over it goes on elsewhere, as nothing that sticks does."""
+    log, truth = dry
+    tumbles = 6.3
+
+    def moved(event):
+        return replace(event, s=event.s + (4e-3 if event.pad == 1 else -4e-3))
+
+    events = [
+        moved(event) if isinstance(event, PadSample) and event.t_sample > tumbles else event for event in log.events
+    ]
+    search = searched(replace(log, events=tuple(events)))
+    answer = dry_reconstruction(search, 0, time.perf_counter())
+    assert tumbles - 0.6 < search.segment.start + answer.lasts < tumbles
+    assert score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"])).e_h < 1e-4
+
+
 @pytest.mark.parametrize("gain_std", [0.0, 0.03])
 def test_what_slides_under_dither_is_not_taken_for_sticking(gain_std):
     lines, _ = simulate_log("friction", 77, 5.0)
