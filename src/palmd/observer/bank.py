@@ -144,6 +144,10 @@ class Bank:
         """Running mean of the normalised innovation squared, (size)."""
         return self._nis[: self.size]
 
+    def nis_of(self, member: int) -> float:
+        """That of one filter."""
+        return float(self._nis[member])
+
     def refill(self) -> None:
         """All filters active again, with equal scores; their states are the caller's to set."""
         self._now[1] = self.full_size // self.block
@@ -226,6 +230,12 @@ class Bank:
             # one gone wild cannot be told, and is parked at the next reading
             cut_off(x[member], P[member], rows[int(values[member].argmin())])
         return not len(below)
+
+    def falls_below(self, member: int, rows: FloatArray) -> bool:
+        """Whether rows·x of one filter is negative anywhere."""
+        if self.compiled is not None:
+            return self.compiled.falls_below(member, rows)
+        return bool((rows @ self.x[member]).min() < 0.0)
 
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
         """Drop filters whose score is more than `margin` (nats) behind the best, block by block.
