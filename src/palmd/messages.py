@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -237,8 +237,7 @@ def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradi
     }
 
 
-@dataclass(frozen=True, slots=True)
-class PadView:
+class PadView(NamedTuple):
     """What is to be told of one pad: s, across (m) and age (s), NaN for none."""
 
     s: float = math.nan

@@ -408,10 +408,11 @@ class Core:
         look = t - self._t_look >= LOOK_S
         if look:
             self._t_look = t
-        commanded = self.state in COMMANDED
+        state = self.state
+        commanded, held = state in COMMANDED, state is State.HOLD
         present = self._passing | self._notes
         for name, watch in self._pad_watches.items():
-            present.update(watch.conditions(self.pads[name], under_way, self.state is State.HOLD, look))
+            present.update(watch.conditions(self.pads[name], under_way, held, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
         present.update(self.supervisor.recorder.conditions(t))

@@ -263,14 +263,14 @@ class Bank:
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
-        return bool((self._score[0] if self.size == 1 else self.score.max()) == LOST_SCORE)
+        return bool(self._score[self.best()] == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
         if self.size == 1:
             return _ONLY
         score = self.score
-        members: npt.NDArray[np.intp] = (score > score.max() - margin).nonzero()[0]
+        members: npt.NDArray[np.intp] = (score > score[score.argmax()] - margin).nonzero()[0]
         return members
 
     def blank(self) -> Snapshot:
