@@ -15,6 +15,7 @@ from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, growth, live
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
@@ -293,8 +294,8 @@ class Lived:
         R, omega = x[:, 6:15].reshape(-1, 3, 3), x[:, 15:]
         self.gauge = R[0].T
         # R = 1 at the first node: the body's frame is turned
-        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, 8)
-        prior = beliefs.prior(Y00 * p[0], 8, task.spin_sd)
+        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, ORDER)
+        prior = beliefs.prior(Y00 * p[0], ORDER, task.spin_sd)
         smoother = BodySmoother(record, prior, task.noise, self.rig.gravity)
         fit = smoother.fit(BodyMotion(R @ R[0].T, omega, p), 12)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
@@ -496,6 +497,23 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     smoother._found_again(task, [first])
     assert smoother._found_again(task, [first])[0] is cheaper
     assert tried == ["whole", "short", "whole", "short", "whole"]  # which is to be found twice, too
+
+
+def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_to_be_found_again(lived, monkeypatch):
+    _, (grown, *_) = lived.raced
+    smoother = lived.smoother
+
+    def cheaper(off):
+        spun = replace(grown.motion, omega=grown.motion.omega + off)
+        return replace(grown, motion=spun, cost=grown.cost - 80.0, confirmed=0)
+
+    monkeypatch.setattr(smoother, "_believed_since", 1.0)
+    assert smoother._instead_of(grown, grown) is grown
+    assert smoother._instead_of(grown, cheaper(0.03)).found_twice
+    assert smoother._believed_since == 1.0
+    assert not smoother._instead_of(grown, cheaper(0.2)).found_twice
+    assert smoother._believed_since == math.inf
+    assert not smoother._instead_of(grown, cheaper(0.03)).found_twice  # of what nobody believed
 
 
 def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):

@@ -8,10 +8,12 @@ import pytest
 
 from palmd.lab.space import errors
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import Y00, evaluator
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs, growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.search import Task
@@ -152,10 +154,10 @@ def test_a_rival_that_ends_early_is_refused(task):
 
 
 def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out():
-    p, touched = np.zeros(90), np.arange(len(icosphere()[0])) < 100
+    p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
-    fitted, short, missed = (surface(p, 1e-14 * np.eye(90), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
-    centre = 0.75 / np.sqrt(100 * 100 / len(touched))  # 100 lobes of degree 9 on the sphere
+    fitted, short, missed = (surface(p, 1e-15 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
+    centre = 0.75 / np.sqrt((ORDER + 2) ** 2 * 100 / len(touched))  # so many lobes of the next degree on the sphere
     assert fitted[0] == pytest.approx(np.hypot(0.2, centre) * fitted[-1], rel=0.01)
     assert short[0] == pytest.approx(np.hypot(0.6, centre) * fitted[-1], rel=0.01)
     assert missed[0] == pytest.approx(np.hypot(1.0, centre) * fitted[-1], rel=0.01)

@@ -20,13 +20,14 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import centres_of, curvatures, inertia
+from palmd.observer.three_palms.body import ORDER, centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
     HOPELESS,
     SPACING_S,
+    START_ORDER,
     ContactBall,
     Rival,
     Task,
@@ -36,7 +37,6 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
-ORDER = 8
 STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
@@ -141,8 +141,12 @@ class Grown:
         """Whether it explains as much about as well by another motion."""
         if self.intervals < other.intervals or self.cost > other.cost + DECISIVE:
             return False
+        return not self.moves_as(other)
+
+    def moves_as(self, other: Grown) -> bool:
+        """Whether both have about the same motion, of as long a record; their minima may lie beside each other."""
         off = self.motion.omega - other.motion.omega
-        return bool(np.sqrt(np.mean(off**2)) > OTHER_RAD_S)
+        return bool(np.sqrt(np.mean(off**2)) < OTHER_RAD_S)
 
 
 def best(task: Task) -> list[Grown]:
@@ -231,18 +235,20 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
     """All of a record from its beginning explained blindly, the cheapest first, each way but once.
 
     Contacts of many seconds lead to where rivals that grow from a short start do not come: those keep to their valley.
+    Sought with an outline of degree `START_ORDER`: higher ones bend to what the motion does not explain yet.
     Ends where two ways have met in the cheapest; none is gone on with that costs far more than `most`.
     """
     contacts = ContactCurves.smoothed(record.readings)
     ball = ContactBall.of(task.path, contacts, record)
-    prior = beliefs.prior(ball.radius, ORDER, task.spin_sd)
+    coarse, prior = (beliefs.prior(ball.radius, order, task.spin_sd) for order in (START_ORDER, ORDER))
     smoother = BodySmoother(record, prior, task.noise, task.rig.gravity)
     found: list[Grown] = []
     for way in ways:
         if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
             break
-        loose = loosely(task, record, prior, contacts, ball, way)
-        fit = smoother.fit(loose.motion, TRIES[0])
+        loose = loosely(task, record, coarse, contacts, ball, way)
+        sought = task.fitted(record, coarse, None, loose.motion, TRIES[1]).motion
+        fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
         if fit.cost > most + TOO_FAR:
             continue
         fit = smoother.fit(fit.motion)
