@@ -478,7 +478,7 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
     monkeypatch.setattr(growing, "STRANGE", -math.inf)
-    monkeypatch.setattr(growing, "found_again", lambda _, together, __: tried.append("whole") or together)
+    monkeypatch.setattr(growing, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
     monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
     monkeypatch.setattr(growing, "begun_in_ways", lambda *_: [])
     monkeypatch.setattr(growing, "raced", lambda *_: found)
@@ -500,20 +500,19 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
 
 
 def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_to_be_found_again(lived, monkeypatch):
-    _, (grown, *_) = lived.raced
-    smoother = lived.smoother
+    task, (first, *_) = lived.raced
 
-    def cheaper(off):
-        spun = replace(grown.motion, omega=grown.motion.omega + off)
-        return replace(grown, motion=spun, cost=grown.cost - 80.0, confirmed=0)
+    def found(off, *, believed):
+        omega = first.motion.omega + off
+        beside = replace(first, motion=replace(first.motion, omega=omega), cost=first.cost - 80.0, confirmed=0)
+        monkeypatch.setattr(growth, "anew", lambda *_: [beside])
+        monkeypatch.setattr(growth, "_tightened", lambda *_: first)
+        return growth.found_again(task, [replace(first, confirmed=0)], [None], believed=believed)[0]
 
-    monkeypatch.setattr(smoother, "_believed_since", 1.0)
-    assert smoother._instead_of(grown, grown) is grown
-    assert smoother._instead_of(grown, cheaper(0.03)).found_twice
-    assert smoother._believed_since == 1.0
-    assert not smoother._instead_of(grown, cheaper(0.2)).found_twice
-    assert smoother._believed_since == math.inf
-    assert not smoother._instead_of(grown, cheaper(0.03)).found_twice  # of what nobody believed
+    assert found(0.03, believed=True).found_twice
+    assert found(0.03, believed=True).cost == first.cost - 80.0
+    assert not found(0.03, believed=False).found_twice
+    assert not found(0.2, believed=True).found_twice
 
 
 def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):

@@ -114,7 +114,9 @@ class GrowingBody:
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
         grown, ended = first, self._found_again(task, ended)
-        first = ended[0] = self._instead_of(grown, ended[0])
+        first = ended[0]
+        if not (first.found_twice or first.same_as(grown)):
+            self._believed_since = math.inf
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
@@ -213,18 +215,8 @@ class GrowingBody:
             self._owed = strange and short
         self._looked = first.intervals
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
-        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS))
-
-    def _instead_of(self, grown: Grown, found: Grown) -> Grown:
-        """What was found, in place of what had grown: another motion is not believed before it is found again.
-
-        What harmonics leave out bends the cost: where the motion was believed, minima beside each other are of it.
-        """
-        if math.isfinite(self._believed_since) and found is not grown and found.moves_as(grown):
-            return replace(found, confirmed=found.intervals)
-        if not found.same_as(grown):
-            self._believed_since = math.inf
-        return found
+        believed = math.isfinite(self._believed_since)
+        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=believed)
 
     def _short_starts(self, task: Task, ended: list[Grown]) -> list[Grown]:
         """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""

@@ -261,24 +261,31 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
     return found
 
 
-def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis]) -> list[Grown]:
+def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, believed: bool = False) -> list[Grown]:
     """The rivals, the cheapest first, with what other starts of the same record lead to, until one meets the cheapest.
 
     That one is `confirmed`; so it is where all blind starts end far away, and one from itself, with much noise allowed
-    to the equations at first, comes back. All of `rivals` are of one record, from its beginning.
+    to the equations at first, comes back. All of `rivals` are of one record, from its beginning. Where the cheapest is
+    `believed`, it is enough that the other moves as it: what harmonics leave out makes minima beside each other.
     """
+
+    def met(again: Grown, first: Grown) -> Grown | None:
+        if again.same_as(first) or (believed and again.moves_as(first)):
+            return replace(again if again.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
+        return None
+
     for way in ways:
         first = rivals[0]
         for again in anew(task, first.record, [way], first.cost):
-            if again.same_as(first):
-                return [replace(first, confirmed=first.intervals), *rivals[1:]]
+            if (both := met(again, first)) is not None:
+                return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
     first, *others = rivals
     if all(each.cost > first.cost + BEHIND for each in others):
         again = _tightened(task, first, loosened(task, first.record, first.prior, first.motion).motion)
-        if again.same_as(first):
-            first = replace(first, confirmed=first.intervals)
-        return sorted([first, *others] if again.same_as(first) else [again, first, *others], key=lambda each: each.cost)
+        both = met(again, first)
+        found = [again, first] if both is None else [both]
+        return sorted([*found, *others], key=lambda each: each.cost)
     return rivals
 
 
