@@ -164,6 +164,15 @@ def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out()
     assert missed[-1] == pytest.approx(fitted[-1], rel=0.01)
 
 
+def test_what_is_read_beyond_its_noise_is_alike_in_many_numbers_and_widens_the_band():
+    p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
+    p[0] = 0.02 / Y00
+    noisy, missed = (surface(p, 1e-10 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.1))
+    beyond = beyond_sd(0.02, ORDER, touched)
+    ratio = (missed[touched] ** 2 - beyond[touched] ** 2) / (noisy[touched] ** 2 - beyond[touched] ** 2)
+    np.testing.assert_allclose(ratio, 1.0 + 0.1 * beliefs.NUMBERS_ALIKE, rtol=1e-6)
+
+
 def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touched():
     number = np.arange(len(icosphere()[0]))
     bands = [float(beyond_sd(0.02, 8, number < felt * len(number))[0]) for felt in (0.001, 0.01, 0.25, 1.0)]
