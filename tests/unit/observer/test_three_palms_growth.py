@@ -158,8 +158,8 @@ def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out()
     p[0] = 0.02 / Y00
     fitted, short, missed = (surface(p, 1e-15 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
     centre = 0.75 / np.sqrt((ORDER + 2) ** 2 * 100 / len(touched))  # so many lobes of the next degree on the sphere
-    assert fitted[0] == pytest.approx(np.hypot(0.2, centre) * fitted[-1], rel=0.01)
-    assert short[0] == pytest.approx(np.hypot(0.6, centre) * fitted[-1], rel=0.01)
+    assert fitted[0] == pytest.approx(np.hypot(0.5, centre) * fitted[-1], rel=0.01)
+    assert short[0] == pytest.approx(np.hypot(0.75, centre) * fitted[-1], rel=0.01)
     assert missed[0] == pytest.approx(np.hypot(1.0, centre) * fitted[-1], rel=0.01)
     assert missed[-1] == pytest.approx(fitted[-1], rel=0.01)
 
@@ -177,9 +177,9 @@ def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touc
     number = np.arange(len(icosphere()[0]))
     bands = [float(beyond_sd(0.02, 8, number < felt * len(number))[0]) for felt in (0.001, 0.01, 0.25, 1.0)]
     everywhere = BEYOND_8 * 0.02
-    assert bands[:2] == pytest.approx([np.hypot(0.2, 0.75) * everywhere] * 2, rel=0.02)
-    assert bands[2] == pytest.approx(np.hypot(0.2, 0.15) * everywhere, rel=0.01)
-    assert bands[3] == pytest.approx(0.2 * everywhere, rel=0.1)
+    assert bands[:2] == pytest.approx([np.hypot(0.5, 0.75) * everywhere] * 2, rel=0.02)
+    assert bands[2] == pytest.approx(np.hypot(0.5, 0.15) * everywhere, rel=0.01)
+    assert bands[3] == pytest.approx(0.5 * everywhere, rel=0.1)
 
 
 def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
