@@ -61,11 +61,16 @@ def calm(record: Record, residuals: FloatArray) -> list[tuple[float, float]]:
 
 def kept(guess: Guess, own: FloatArray, wanted: FloatArray) -> Guess:
     """The same of the nodes at the times `wanted` of `own`, ψ beginning at 0: the outline turns instead."""
-    x, p = guess.x[np.searchsorted(own, wanted - NEAR_S)], guess.p.copy()
-    turn = float(x[0, 0])
+    x = guess.x[np.searchsorted(own, wanted - NEAR_S)]
+    return rotated(Guess(x, guess.p), float(x[0, 0]))
+
+
+def rotated(guess: Guess, turn: float) -> Guess:
+    """The same in a frame in which all normals are greater by `turn` (rad)."""
+    p = guess.p.copy()
     p[C.SHAPE : NORMALS] = turned(-turn, ORDER) @ p[C.SHAPE : NORMALS]
     p[NORMALS:LENGTHS] += turn
-    return Guess(x - (turn, 0.0), p)
+    return Guess(guess.x - (turn, 0.0), p)
 
 
 def turning(record: Record, palm: int) -> FloatArray:

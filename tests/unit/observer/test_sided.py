@@ -15,6 +15,7 @@ from palmd.model.shape import coefficients_of, turned
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
+from palmd.observer.followed import followed
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
@@ -22,7 +23,7 @@ from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first,
 from palmd.observer.rides import rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage, followed
+from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
