@@ -18,13 +18,13 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import sharp
-from palmd.model.sharp import FOURIER, LENGTHS, NORMALS, WIDTH
-from palmd.model.smoothing import C
+from palmd.model.sharp import NORMALS, WIDTH
 from palmd.observer.factor import Prior
 from palmd.observer.followed import FOLLOW_WIDTH, followed
 from palmd.observer.normal_equations import Guess, Residuals
 from palmd.observer.outline import directions, normal_angles, touched_within
 from palmd.observer.record import Record
+from palmd.observer.ridden import STEP_RAD, outline_through
 
 NEAR_M = 1.5e-4  # of heights over a side that are to be the same
 NEAR_RHO_M = 5e-4  # of the radii of a corner that is to be the same
@@ -36,7 +36,7 @@ ARRIVES_RAD = 0.05  # of ψ, where it lies again
 RIDES_RAD = 0.02
 MISSED_M, MOST_MISSED = 1.2e-3, 0.1  # of readings in between, and their share
 MEAN_OF = 5  # nodes
-H_SD_M, SLOPE_SD_M, STEP_RAD = 2e-5, 1e-4, 1e-4  # by which the outline of two parts is to be that of each
+H_SD_M, SLOPE_SD_M = 2e-5, 1e-4  # by which the outline of two parts may not be that of each, at first
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,25 +111,20 @@ def _convex(one: Footing, other: Footing, turn: float) -> bool:
 def outlines_together(
     p: FloatArray, parts: Sequence[tuple[FloatArray, FloatArray]], prior: Prior, sides: int
 ) -> FloatArray:
-    """The constants `p`, their outline being each of `parts` on its normals, as far as it can: by least squares.
+    """The constants `p`, their outline being each of `parts` on its normals, as far as it can.
 
     parts: normals (rad) and constants, in one frame. Sides are where p has them, and as wide.
     """
-    rows, wanted = list[FloatArray](), list[FloatArray]()
+    h, slope = list[FloatArray](), list[FloatArray]()
     for normals, own in parts:
         own = own.copy()
         own[WIDTH] = p[WIDTH]
-        low, high = (sharp.outline_rows(normals + by, p) for by in (-STEP_RAD, STEP_RAD))
-        slope = (sharp.support(normals + STEP_RAD, own) - sharp.support(normals - STEP_RAD, own)) / (2 * STEP_RAD)
-        rows += [sharp.outline_rows(normals, p) / H_SD_M, (high - low) / (2 * STEP_RAD * SLOPE_SD_M)]
-        wanted += [sharp.support(normals, own) / H_SD_M, slope / SLOPE_SD_M]
-    linear = np.concatenate([np.arange(FOURIER), LENGTHS - C.SHAPE + np.arange(sides)])
-    mean, sd = prior.mean[C.SHAPE :][linear], prior.sd[C.SHAPE :][linear]
-    left = np.concatenate([np.concatenate(rows)[:, linear], np.diag(1.0 / sd)])
-    right = np.concatenate([*wanted, mean / sd])
-    p = p.copy()
-    p[C.SHAPE + linear] = np.linalg.lstsq(left, right, rcond=None)[0]
-    return p
+        here, after, before = (sharp.support(normals + by, own) for by in (0.0, STEP_RAD, -STEP_RAD))
+        h.append(here)
+        slope.append((after - before) / (2 * STEP_RAD))
+    normals = np.concatenate([each for each, _ in parts])
+    sd = np.full(len(normals), H_SD_M), np.full(len(normals), SLOPE_SD_M)
+    return outline_through(p, normals, (np.concatenate(h), np.concatenate(slope)), sd, prior, sides)
 
 
 def bridged(gap: Record, p: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray | None:

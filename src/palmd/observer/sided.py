@@ -39,7 +39,7 @@ from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lasting, lay_out
 from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
-from palmd.observer.rides import Ride, rides_of, same
+from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
 from palmd.observer.smoother import Fit, Posterior, Smoother
 
@@ -186,7 +186,8 @@ class SidedSearch:
     def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
         found = _in_order(self._along(way, rides) for way in WAYS)
         spans = self._calm(found[0])
-        if lasting(spans) > max(LEAST_S, (1.0 - MOST_CUT) * found[0].lasts):
+        least = LEAST_S if found[0].lasts > LEAST_S else 0.0
+        if lasting(spans) > max(least, (1.0 - MOST_CUT) * found[0].lasts):
             found = _in_order(self._cut(each, spans) for each in found)
         return found
 
@@ -284,7 +285,7 @@ class SidedSearch:
         sides = (FlatSide(normal_at_first(record, palm)),)
         p = self._start(sides)
         p[WIDTH] = math.log(way[0][0])
-        guess = begun(record, rides[0], p)
+        guess = begun(record, palm, corner_of(rides), p, self._prior(sides))
         for width, noisier in way:
             noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
             guess = narrowed(guess, record, palm, width)
