@@ -22,15 +22,18 @@ from palmd.model.sharp import NORMALS, WIDTH
 from palmd.observer.factor import Prior
 from palmd.observer.followed import FOLLOW_WIDTH, followed
 from palmd.observer.normal_equations import Guess, Residuals
-from palmd.observer.outline import directions, normal_angles, touched_within
+from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record
-from palmd.observer.ridden import STEP_RAD, outline_through
+from palmd.observer.ridden import outline_through
 
-NEAR_M = 1.5e-4  # of heights over a side that are to be the same
+NEAR_M = 1e-4  # of heights over a side that are to be the same
 NEAR_RHO_M = 5e-4  # of the radii of a corner that is to be the same
 SAME_SIDE_RAD = 0.05
 SEEN = (2.0, 98.0), 25  # percentiles of the normals by which a corner was felt, and how many are looked at
-ABOUT = np.array([-8.0, -4.0, 0.0, 4.0, 8.0])  # widths of a side, about its normal
+REACH = 8.0  # widths from the middle of a side to its end
+FINE_RAD = 1e-5  # of a normal, for slopes
+SEAT_RAD, SEAT, SEATS = 0.04, 6.0, 401  # about a side's normal, where contacts are looked for, closer in the middle
+FOOT_SD_M = 2e-3
 ROAMS = 2.0  # of ψ (rad), how far about where the object leaves a side
 ARRIVES_RAD = 0.05  # of ψ, where it lies again
 RIDES_RAD = 0.02
@@ -41,17 +44,29 @@ H_SD_M, SLOPE_SD_M = 2e-5, 1e-4  # by which the outline of two parts may not be 
 
 @dataclass(frozen=True, slots=True)
 class Footing:
-    """A side and the corner opposite, as a ride tells them: normal (rad), height (m); centre and radius (m)."""
+    """A side and the corner opposite, as rides on a palm (0, 1) tell them.
+
+    normal (rad) of the side, how high the centre of mass is over it and how far along it, and against θ, from where the
+    object stood (m); the corner's centre and radius (m), and from which normal to which it was felt (rad).
+    """
 
     palm: int
     normal: float
     high: float
+    foot: float
     corner: complex
     radius: float
+    felt: tuple[float, float]
 
     def turned(self, turn: float) -> Footing:
         """The same in a frame in which all normals are greater by `turn` (rad)."""
-        return replace(self, normal=self.normal + turn, corner=self.corner * cmath.exp(1j * turn))
+        low, high = self.felt
+        felt = (low + turn, high + turn)
+        return replace(self, normal=self.normal + turn, corner=self.corner * cmath.exp(1j * turn), felt=felt)
+
+    def reaches(self, side: Footing) -> bool:
+        """Whether the corner ends the side of `side`."""
+        return abs(self.over(side.normal) - side.high) < NEAR_M
 
     def over(self, normal: float) -> float:
         """How high the centre of mass is over a side of this `normal` (rad) that the corner ends."""
@@ -68,13 +83,20 @@ class Footing:
 
 def footing(record: Record, guess: Guess, palm: int) -> Footing:
     """Of what has ridden on one side on `palm` (0, 1) all the time."""
-    p = guess.p
-    low, high = np.percentile(normal_angles(record.palms, guess.x[:, 0])[:, 1 - palm], SEEN[0])
+    p, normals = guess.p, normal_angles(record.palms, guess.x[:, 0])
+    low, high = np.percentile(normals[:, 1 - palm], SEEN[0]).tolist()
     felt = np.linspace(low, high, SEEN[1])
     rows = np.stack([np.cos(felt), np.sin(felt), np.ones_like(felt)], axis=1)
     x, y, radius = np.linalg.lstsq(rows, sharp.support(felt, p), rcond=None)[0].tolist()
-    normal = float(p[NORMALS])
-    return Footing(palm, normal, float(sharp.support(p[NORMALS : NORMALS + 1], p)[0]), complex(x, y), radius)
+    over = float(sharp.support(p[NORMALS : NORMALS + 1], p)[0])
+    foot = float(np.median(slope_of(normals[:, palm], p)))
+    return Footing(palm, float(p[NORMALS]), over, foot, complex(x, y), radius, (low, high))
+
+
+def slope_of(normals: FloatArray, p: FloatArray) -> FloatArray:
+    """h′ (m) on `normals` (rad), by differences that are small beside the width of a side."""
+    slope: FloatArray = (sharp.support(normals + FINE_RAD, p) - sharp.support(normals - FINE_RAD, p)) / (2 * FINE_RAD)
+    return slope
 
 
 def turns(one: Footing, other: Footing) -> list[float]:
@@ -92,13 +114,6 @@ def turns(one: Footing, other: Footing) -> list[float]:
     return [turn for turn in asked if _convex(one, other, turn)]
 
 
-def felt_by(record: Record, guess: Guess, sides: int) -> tuple[FloatArray, FloatArray]:
-    """The normals (rad) by which the object was felt, and those about its sides; and the constants."""
-    p = guess.p
-    about = (p[NORMALS : NORMALS + sides, None] + math.exp(p[WIDTH]) * ABOUT).ravel()
-    return np.concatenate([directions()[touched_within(record, guess.x[:, 0])], about]), p
-
-
 def _middle(one: float, other: float) -> float:
     return one + 0.5 * math.remainder(other - one, math.tau)
 
@@ -108,23 +123,52 @@ def _convex(one: Footing, other: Footing, turn: float) -> bool:
     return one.over(other.normal + turn) < other.high + NEAR_M and other.over(one.normal - turn) < one.high + NEAR_M
 
 
-def outlines_together(
-    p: FloatArray, parts: Sequence[tuple[FloatArray, FloatArray]], prior: Prior, sides: int
-) -> FloatArray:
-    """The constants `p`, their outline being each of `parts` on its normals, as far as it can.
+def sketched(p: FloatArray, footings: Sequence[Footing], prior: Prior, sides: int) -> FloatArray:
+    """The constants `p` with an outline of these sides and corners; a corner reaches to the sides that it ends.
 
-    parts: normals (rad) and constants, in one frame. Sides are where p has them, and as wide.
+    Sides are where p has them, and as wide.
     """
-    h, slope = list[FloatArray](), list[FloatArray]()
-    for normals, own in parts:
-        own = own.copy()
-        own[WIDTH] = p[WIDTH]
-        here, after, before = (sharp.support(normals + by, own) for by in (0.0, STEP_RAD, -STEP_RAD))
-        h.append(here)
-        slope.append((after - before) / (2 * STEP_RAD))
-    normals = np.concatenate([each for each, _ in parts])
-    sd = np.full(len(normals), H_SD_M), np.full(len(normals), SLOPE_SD_M)
-    return outline_through(p, normals, (np.concatenate(h), np.concatenate(slope)), sd, prior, sides)
+    reach = REACH * math.exp(p[WIDTH])
+    normals = [np.array([each.normal]) for each in footings]
+    wanted = [np.array([complex(each.high, each.foot)]) for each in footings]
+    sd = [np.array([[H_SD_M], [FOOT_SD_M]])] * len(footings)
+    for each in footings:
+        arcs = [each.felt, *(_arc(each, side.normal, reach) for side in footings if each.reaches(side))]
+        for arc in arcs:
+            along = np.linspace(*arc, SEEN[1])
+            normals.append(along)
+            wanted.append(each.corner * np.exp(-1j * along) + each.radius)
+            sd.append(np.tile([[H_SD_M], [SLOPE_SD_M]], SEEN[1]))
+    values, (h_sd, slope_sd) = np.concatenate(wanted), np.concatenate(sd, axis=1)
+    return outline_through(p, np.concatenate(normals), (values.real, values.imag), (h_sd, slope_sd), prior, sides)
+
+
+def _arc(corner: Footing, normal: float, reach: float) -> tuple[float, float]:
+    """From the end of a side of this normal (rad) to where the corner was felt."""
+    ends = [normal + math.remainder(end - normal, math.tau) for end in corner.felt]
+    nearer = min(ends, key=lambda end: abs(end - normal))
+    return normal + math.copysign(reach, nearer - normal), nearer
+
+
+def seated(record: Record, x: FloatArray, own: FloatArray, p: FloatArray, sides: Sequence[float]) -> FloatArray:
+    """Nodes with the contacts where they are on outline `own`, on those sides of outline `p` that have these normals.
+
+    Normals in rad, of both.
+    """
+    moved = x.copy()
+    normals = normal_angles(record.palms, x[:, 0])
+    for normal in sides:
+        near = normal + np.sinh(SEAT * np.linspace(-1.0, 1.0, SEATS)) * (SEAT_RAD / math.sinh(SEAT))
+        slopes = np.maximum.accumulate(slope_of(near, p))
+        for theta in normals.T:
+            away = theta - normal
+            whole = math.tau * np.round(away / math.tau)
+            on = np.abs(away - whole) < SEAT_RAD / 2
+            moved[on, 0] -= np.interp(slope_of(theta[on], own), slopes, near) + whole[on] - theta[on]
+    shift = moved[:, 0] - x[:, 0]
+    for nodes in np.split(np.arange(len(x)), record.torn + 1):
+        moved[nodes, 1] += np.gradient(shift[nodes], record.t[nodes])
+    return moved
 
 
 def bridged(gap: Record, p: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray | None:

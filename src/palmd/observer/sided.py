@@ -29,15 +29,15 @@ from palmd.observer.joined import (
     SAME_SIDE_RAD,
     Footing,
     bridged,
-    felt_by,
     footing,
-    outlines_together,
     ridden_at,
+    seated,
+    sketched,
     turns,
 )
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
-from palmd.observer.record import Record, lasting, lay_out
+from palmd.observer.record import Record, lasting, lay_out, shared
 from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
@@ -59,6 +59,8 @@ FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
 LEAST_PART_S = 1.0  # of rides on one side, before others are joined to it
+LEAST_BRIDGE = 0.5  # of what lies between, that is to be explained in the end
+LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
 BRIDGE_S = 3.0  # from a ride to one on another side, at most
 SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
 SAME_TURN_RAD = 0.02  # between two frames
@@ -218,50 +220,50 @@ class SidedSearch:
 
     def _turned_together(self, whole: Part, part: Part, turn: float) -> Part | None:
         one, other = whole.candidate, part.candidate
-        width, palm = math.exp(one.fit.guess.p[WIDTH]), part.footings[0].palm
-        there = rotated(narrowed(other.fit.guess, other.record, palm, width), turn)
+        there = rotated(other.fit.guess, turn)
         normals = [each.normal for each in self._settled(one)]
-        normal, sides = float(there.p[NORMALS]), len(normals)
+        normal, before = float(there.p[NORMALS]), len(normals)
         if all(abs(math.remainder(normal - each, math.tau)) > SAME_SIDE_RAD for each in normals):
             normals.append(normal)
         spans = sorted([*one.record.spans, *other.record.spans])
         if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(spans)):
             return None
-        record = self.record.within(spans)
-        p = one.fit.guess.p.copy()
-        if len(normals) > sides:
-            p[NORMALS + sides], p[LENGTHS + sides] = normal, there.p[LENGTHS]
-        p = outlines_together(
-            p, [felt_by(one.record, one.fit.guess, sides), felt_by(other.record, there, 1)],
-            self._prior(tuple(map(FlatSide, normals))), len(normals),
-        )  # fmt: skip
+        footings = [*whole.footings, *(each.turned(turn) for each in part.footings)]
+        record, p = self.record.within(spans), one.fit.guess.p.copy()
+        p[NORMALS : NORMALS + len(normals)] = normals
+        p[LENGTHS + before : LENGTHS + len(normals)] = SIDE_M
+        p = sketched(p, footings, self._prior(tuple(map(FlatSide, normals))), len(normals))
         x = np.empty((len(record.t), NODE))
-        for each, nodes in ((one, one.fit.guess.x), (other, there.x)):
-            x[np.searchsorted(record.t, each.record.t - NEAR_S)] = nodes
-        torn = self._from_zero(record, normals, Guess(x, p))
-        for spans, x in self._bridges(torn, one.record.spans):
-            record = self.record.within(spans)
-            both = self._fitted(record, torn.sides, Guess(x, torn.fit.guess.p), FINE, LAST_ITERATIONS)
-            calm_parts = self._calm(both)
-            if both.explains and lasting(calm_parts) > (1.0 - MOST_CUT) * both.lasts:
-                both = self._cut(both, calm_parts)
+        for each, guess, on in ((one, one.fit.guess, normals[:before]), (other, there, [normal])):
+            nodes = np.searchsorted(record.t, each.record.t - NEAR_S)
+            x[nodes] = seated(each.record, guess.x, guess.p, p, on)
+        shift = float(x[0, 0])
+        torn, sides = rotated(Guess(x, p), shift), tuple(FlatSide(each + shift) for each in normals)
+        for gap, spans, x in self._bridges(record, torn, len(sides), one.record.spans):
+            both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
+            explained = self._calm(both)
+            whole = lasting(explained) > (1.0 - MOST_CUT) * both.lasts
+            if both.explains and whole and shared(explained, gap) > LEAST_BRIDGE * (gap[1] - gap[0]):
+                both = self._cut(both, explained)
                 shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
-                footings = [each.turned(shift) for each in whole.footings]
-                return Part(both, (*footings, *(each.turned(shift + turn) for each in part.footings)))
+                return Part(both, tuple(each.turned(shift) for each in footings))
         return None
 
-    def _from_zero(self, record: Record, normals: Sequence[float], guess: Guess) -> Candidate:
-        turn = float(guess.x[0, 0])
-        return self._fitted(record, tuple(FlatSide(normal + turn) for normal in normals), rotated(guess, turn))
+    def _loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
+        """As `_fitted`, of a motion that is noisier at first, and sides that are as wide as they are."""
+        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
+        for noisier in LOOSENED:
+            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
+            guess = self._fitted(record, sides, guess, (held,), noise=noise).fit.guess
+        return self._fitted(record, sides, guess, FINE, LAST_ITERATIONS)
 
     def _bridges(
-        self, torn: Candidate, one: Sequence[tuple[float, float]]
-    ) -> Iterator[tuple[list[tuple[float, float]], FloatArray]]:
-        """The parts of `torn` (s), and its nodes, with a way from a part that is in `one` to another, or back.
+        self, record: Record, guess: Guess, sides: int, one: Sequence[tuple[float, float]]
+    ) -> Iterator[tuple[tuple[float, float], list[tuple[float, float]], FloatArray]]:
+        """A gap between a part of `record` that is in `one` and another (s), the parts without it, and the nodes.
 
-        Those of which least lies in between come first.
+        The shortest gap comes first; those without a way over it are left out.
         """
-        record, guess, sides = torn.record, torn.fit.guess, len(torn.sides)
         spans, x = record.spans, guess.x
         gaps = [
             (start - end, k)
@@ -278,7 +280,8 @@ class SidedSearch:
                 later = x[j + 1 :].copy()
                 later[:, 0] += math.tau * round((psi[-1] - x[j, 0]) / math.tau)
                 nodes = np.concatenate([x[:i], between, later])
-                yield [*spans[:k], (spans[k][0], spans[k + 1][1]), *spans[k + 2 :]], nodes
+                without = [*spans[:k], (spans[k][0], spans[k + 1][1]), *spans[k + 2 :]]
+                yield (spans[k][1], spans[k + 1][0]), without, nodes
 
     def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
         record, palm = self.record.within(trimmed(rides)), rides[0].palm
