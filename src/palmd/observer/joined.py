@@ -26,7 +26,7 @@ from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record
 from palmd.observer.ridden import outline_through
 
-NEAR_M = 1e-4  # of heights over a side that are to be the same
+NEAR_M = 2e-4  # of heights over a side that are to be the same
 NEAR_RHO_M = 5e-4  # of the radii of a corner that is to be the same
 SAME_SIDE_RAD = 0.05
 SEEN = (2.0, 98.0), 25  # percentiles of the normals by which a corner was felt, and how many are looked at
@@ -101,12 +101,9 @@ def slope_of(normals: FloatArray, p: FloatArray) -> FloatArray:
 
 def turns(one: Footing, other: Footing) -> list[float]:
     """By how much (rad) the normals of `other` may be turned to be in the frame of `one`."""
-    asked = [
-        _middle(end - other.normal, one.normal - back)
-        for end in one.ends(other.high)
-        for back in other.ends(one.high)
-        if abs(math.remainder(end - other.normal - one.normal + back, math.tau)) < SAME_SIDE_RAD
-    ]
+    ways = ((end - other.normal, one.normal - back) for end in one.ends(other.high) for back in other.ends(one.high))
+    middles = (way + 0.5 * math.remainder(back - way, math.tau) for way, back in ways)
+    asked = [turn for turn in middles if _cross(one, other.turned(turn))]
     if abs(abs(one.corner) - abs(other.corner)) < NEAR_M and abs(one.radius - other.radius) < NEAR_RHO_M:
         asked.append(cmath.phase(one.corner / other.corner))
     if abs(one.high - other.high) < NEAR_M:
@@ -114,8 +111,9 @@ def turns(one: Footing, other: Footing) -> list[float]:
     return [turn for turn in asked if _convex(one, other, turn)]
 
 
-def _middle(one: float, other: float) -> float:
-    return one + 0.5 * math.remainder(other - one, math.tau)
+def _cross(one: Footing, other: Footing) -> bool:
+    """Whether the corner of either ends the side of the other."""
+    return one.reaches(other) and other.reaches(one)
 
 
 def _convex(one: Footing, other: Footing, turn: float) -> bool:

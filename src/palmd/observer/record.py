@@ -162,11 +162,6 @@ def lasting(spans: Sequence[tuple[float, float]]) -> float:
     return sum(end - start for start, end in spans)
 
 
-def shared(spans: Sequence[tuple[float, float]], span: tuple[float, float]) -> float:
-    """How long (s) they are within `span`."""
-    return sum(max(0.0, min(end, span[1]) - max(start, span[0])) for start, end in spans)
-
-
 def _joined(parts: Sequence[Record]) -> Record:
     """Parts of one record, in order of time, as one that says nothing of the motion between them."""
     first = np.cumsum([0, *(len(part.t) for part in parts)])

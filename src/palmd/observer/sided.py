@@ -37,7 +37,7 @@ from palmd.observer.joined import (
 )
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
-from palmd.observer.record import Record, lasting, lay_out, shared
+from palmd.observer.record import Record, lasting, lay_out
 from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
@@ -59,7 +59,7 @@ FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
 LEAST_PART_S = 1.0  # of rides on one side, before others are joined to it
-LEAST_BRIDGE = 0.5  # of what lies between, that is to be explained in the end
+BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
 LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
 BRIDGE_S = 3.0  # from a ride to one on another side, at most
 SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
@@ -179,7 +179,7 @@ class SidedSearch:
         groups = [rides for rides in same(rides_of(self.record)) if any(ride.rolls for ride in rides)]
         told = {i: self._on_one_side(groups[i]) for i in sorted(_neighbours(groups))}
         joined = self._joined([Part.of(found[0], groups[i][0].palm) for i, found in told.items()])
-        if joined is not None:
+        if joined is not None and joined.lasts > LEAST_S:
             yield (joined,)
         for i, rides in enumerate(groups):
             if lasting(trimmed(rides)) > LEAST_S:
@@ -242,8 +242,8 @@ class SidedSearch:
         for gap, spans, x in self._bridges(record, torn, len(sides), one.record.spans):
             both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
             explained = self._calm(both)
-            whole = lasting(explained) > (1.0 - MOST_CUT) * both.lasts
-            if both.explains and whole and shared(explained, gap) > LEAST_BRIDGE * (gap[1] - gap[0]):
+            lasts = lasting(explained) > (1.0 - MOST_CUT) * both.lasts
+            if both.explains and lasts and self._explained_between(both, *gap):
                 both = self._cut(both, explained)
                 shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
                 return Part(both, tuple(each.turned(shift) for each in footings))
@@ -299,6 +299,13 @@ class SidedSearch:
     def _calm(found: Candidate) -> list[tuple[float, float]]:
         """The parts (s) of its record that `found` explains all along."""
         return calm(found.record, _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess))
+
+    @staticmethod
+    def _explained_between(found: Candidate, start: float, end: float) -> bool:
+        """Whether it explains its contact readings from `start` to `end` (s), but for a few."""
+        missed = _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess)
+        there = missed[(found.record.contact_t > start) & (found.record.contact_t < end)]
+        return len(there) > 0 and bool(np.mean(np.abs(there) > BEYOND) < MOST_OUTLIERS)
 
     def _cut(self, found: Candidate, spans: list[tuple[float, float]]) -> Candidate:
         """The same, of these parts (s) alone."""

@@ -196,7 +196,7 @@ def test_what_other_nodes_tell_otherwise_is_in_the_band():
     search = Search(longest_segment(run.events), run.rig)
     sided = SidedSearch(search)
     ride = same(rides_of(sided.record))[0][0]
-    best = sided._along(WAYS[0][1:], [replace(ride, end=3.0)])
+    best = sided._along(WAYS[0], [replace(ride, end=3.0)])
     larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 5e-5
     other_way_round[C.SHAPE : sharp.NORMALS] = turned(-4e-3, ORDER) @ larger[C.SHAPE : sharp.NORMALS]
