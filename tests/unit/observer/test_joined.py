@@ -154,6 +154,8 @@ def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
     once_round = bridged(gap, tipped.p, ways[0], ways[1] + math.tau)
     assert once_round == pytest.approx(found)
     assert bridged(gap, tipped.p, ways[0], ways[1] + 0.1) is None
+    stray = np.where(np.arange(len(gap.contact_value)) % 5 == 0, 4e-3, 0.0)
+    assert bridged(replace(gap, contact_value=gap.contact_value + stray), tipped.p, *ways) is None
     assert bridged(gap, rotated(Guess(np.zeros((1, 2)), tipped.p), 0.1).p, *ways) is None
 
 
@@ -185,6 +187,15 @@ def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
     search, one, other = parts
     monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: None)
     assert search._joined([one, other]) is None
+
+
+@pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
+def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
+    search = SidedSearch(tipped.search)
+    whole = Part(None, (LOWER,))  # type: ignore[arg-type]
+    monkeypatch.setattr("palmd.observer.sided.turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
+    monkeypatch.setattr(search, "_turned_together", lambda one, _, turn: one if turn < 0.4 * explaining else None)
+    assert (search._together(whole, whole) is whole) is joined
 
 
 def test_of_parts_only_what_they_touch_is_touched(tipped):
