@@ -58,7 +58,7 @@ COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf),
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
-LEAST_PART_S = 1.0  # of rides on one side, before others are joined to it
+LEAST_PART_S, MOST_PARTS = 1.0, 6  # of rides on one side, to be joined to others; of such parts, the longest
 BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
 LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
 BRIDGE_S = 3.0  # from a ride to one on another side, at most
@@ -178,7 +178,8 @@ class SidedSearch:
         """
         groups = [rides for rides in same(rides_of(self.record)) if any(ride.rolls for ride in rides)]
         told = {i: self._on_one_side(groups[i]) for i in sorted(_neighbours(groups))}
-        joined = self._joined([Part.of(found[0], groups[i][0].palm) for i, found in told.items()])
+        parts = ((found[0], groups[i][0].palm) for i, found in told.items() if math.isfinite(found[0].fit.cost))
+        joined = self._joined([Part.of(each, palm) for each, palm in parts])
         if joined is not None and joined.lasts > LEAST_S:
             yield (joined,)
         for i, rides in enumerate(groups):
@@ -219,6 +220,7 @@ class SidedSearch:
         return found[0] if len(found) == 1 else None
 
     def _turned_together(self, whole: Part, part: Part, turn: float) -> Part | None:
+        """Both, normals of `part` turned by `turn` (rad), if that explains them and what lies between two rides."""
         one, other = whole.candidate, part.candidate
         there = rotated(other.fit.guess, turn)
         normals = [each.normal for each in self._settled(one)]
@@ -536,7 +538,7 @@ class SidedSearch:
 
 def _neighbours(groups: Sequence[Sequence[Ride]]) -> set[int]:
     """Those that have rides enough, and one next to a ride of another of them."""
-    enough = [i for i, rides in enumerate(groups) if lasting(trimmed(rides)) > LEAST_PART_S]
+    enough = [i for i, rides in enumerate(groups[:MOST_PARTS]) if lasting(trimmed(rides)) > LEAST_PART_S]
     rides = sorted((ride.start, ride.end, i) for i in enough for ride in groups[i])
     near = ((i, j) for (_, end, i), (start, _, j) in pairwise(rides) if i != j and start - end < BRIDGE_S)
     return {each for both in near for each in both}
