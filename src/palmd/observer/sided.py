@@ -61,6 +61,7 @@ WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0
 LEAST_PART_S, MOST_PARTS = 1.0, 6  # of rides on one side, to be joined to others; of such parts, the longest
 BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
 LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
+PIECE_S, MOST_PIECES = 6.0, 3  # of a ride that is not explained all along
 BRIDGE_S = 3.0  # from a ride to one on another side, at most
 SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
 SAME_TURN_RAD = 0.02  # between two frames
@@ -184,7 +185,10 @@ class SidedSearch:
             yield (joined,)
         for i, rides in enumerate(groups):
             if lasting(trimmed(rides)) > LEAST_S:
-                yield told[i] if i in told else self._on_one_side(rides)
+                found = told[i] if i in told else self._on_one_side(rides)
+                yield found
+                if not found[0].explains:
+                    yield from (self._on_one_side([piece]) for piece in _pieces(rides))
 
     def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
         found = _in_order(self._along(way, rides) for way in WAYS)
@@ -534,6 +538,13 @@ class SidedSearch:
             mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
         mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
         return Prior(mean, sd, base.omega0_sd)
+
+
+def _pieces(rides: Sequence[Ride]) -> list[Ride]:
+    """The first pieces of the longest that are as long as `PIECE_S` and may be told alone."""
+    longest = max(rides, key=lambda ride: ride.lasts)
+    starts = longest.start + PIECE_S * np.arange(min(int(longest.lasts / PIECE_S), MOST_PIECES))
+    return [replace(longest, start=start, end=start + PIECE_S) for start in starts.tolist()]
 
 
 def _neighbours(groups: Sequence[Sequence[Ride]]) -> set[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,3 +224,14 @@ def test_rides_on_one_corner_tell_of_it_by_what_each_knows():
     one = Ride(0, 0.0, 1.0, np.array([0.016, 0.002]), sharp_one, True)
     told = corner_of([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
     assert told == pytest.approx([0.016 + 0.0011 / 101, 0.002 + 0.001 / 101])
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_ride_that_is_not_explained_all_along_is_asked_for_in_pieces(tipped, monkeypatch, explains):
+    ride = Ride(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    search, asked = SidedSearch(tipped.search), list[tuple[float, float]]()
+    found = SimpleNamespace(explains=explains)
+    monkeypatch.setattr("palmd.observer.sided.rides_of", lambda _: [ride])
+    monkeypatch.setattr(search, "_on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found])
+    assert len(list(search.ridden())) == len(asked)
+    assert asked == [(1.0, 14.5)] if explains else [(1.0, 14.5), (1.0, 7.0), (7.0, 13.0)]
