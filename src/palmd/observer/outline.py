@@ -107,3 +107,10 @@ def touched_by(normals: FloatArray) -> npt.NDArray[np.bool_]:
             touched[np.arange(low, high + 1) % DIRECTIONS] = True
         touched[column % DIRECTIONS] = True
     return touched
+
+
+def touched_within(record: Record, psi: FloatArray) -> npt.NDArray[np.bool_]:
+    """The same of a record's nodes, part by part, but for the ends of each, next to which there are no readings."""
+    parts = np.split(normal_angles(record.palms, psi), record.torn + 1)
+    touched: npt.NDArray[np.bool_] = np.logical_or.reduce([touched_by(part[1:-1]) for part in parts])
+    return touched

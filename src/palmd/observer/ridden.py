@@ -7,15 +7,18 @@ palm is from the corner on the other, which both are fixed to the object.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import sharp
 from palmd.model.shape import turned
-from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.model.sharp import FOURIER, LENGTHS, NORMALS, WIDTH
 from palmd.model.smoothing import ORDER, C
+from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record
@@ -27,6 +30,10 @@ SPAN, LONGER = (2.0, 98.0), 1.5  # percentiles of e that the side reaches over, 
 MOST_OUT = 0.95  # of half its length, where a contact may stand at first
 MEAN_OF = 5  # readings
 WINDOW_S, WINDOW_SIGMAS = 0.2, 5.0  # in which the χ² of a pad's readings tells that nothing explains them
+FELT = 25  # normals of a corner
+STEP_RAD = 1e-4  # of a normal, for slopes
+CORNER_SD_M, SLOPE_SD_M = 3e-5, 1e-4  # of an outline at first, where a corner was felt,
+SIDE_SD_M = 1e-3  # and of how high the centre of mass is over the side, and how far from its middle
 NEAR_S = 1e-9  # of a node
 LEAST_PART_S = 0.3  # of what is left between
 
@@ -61,11 +68,16 @@ def calm(record: Record, residuals: FloatArray) -> list[tuple[float, float]]:
 
 def kept(guess: Guess, own: FloatArray, wanted: FloatArray) -> Guess:
     """The same of the nodes at the times `wanted` of `own`, ψ beginning at 0: the outline turns instead."""
-    x, p = guess.x[np.searchsorted(own, wanted - NEAR_S)], guess.p.copy()
-    turn = float(x[0, 0])
+    x = guess.x[np.searchsorted(own, wanted - NEAR_S)]
+    return rotated(Guess(x, guess.p), float(x[0, 0]))
+
+
+def rotated(guess: Guess, turn: float) -> Guess:
+    """The same in a frame in which all normals are greater by `turn` (rad)."""
+    p = guess.p.copy()
     p[C.SHAPE : NORMALS] = turned(-turn, ORDER) @ p[C.SHAPE : NORMALS]
     p[NORMALS:LENGTHS] += turn
-    return Guess(x - (turn, 0.0), p)
+    return Guess(guess.x - (turn, 0.0), p)
 
 
 def turning(record: Record, palm: int) -> FloatArray:
@@ -80,9 +92,37 @@ def normal_at_first(record: Record, palm: int) -> float:
     return float(normal_directions(tuple(record.palms[0, : len(PALMS)]), 0.0)[palm])
 
 
-def begun(record: Record, ride: Ride, p: FloatArray) -> Guess:
-    """The motion on the parts of `record`, and the constants `p`, of one side, with its length and where it is."""
-    palm, (high, rho) = ride.palm, ride.corner
+def outline_through(
+    p: FloatArray,
+    normals: FloatArray,
+    wanted: tuple[FloatArray, FloatArray],
+    sd: tuple[FloatArray, FloatArray],
+    prior: Prior,
+    sides: int,
+) -> FloatArray:
+    """The constants `p` with that outline which has h and h′ (m) as `wanted` on `normals` (rad), by least squares.
+
+    sd: by how much not. Besides the series the lengths of the first `sides` are free; where they are is as in p.
+    """
+    here, after, before = (sharp.outline_rows(normals + by, p) for by in (0.0, STEP_RAD, -STEP_RAD))
+    rows = np.concatenate([here / sd[0][:, None], (after - before) / (2 * STEP_RAD * sd[1][:, None])])
+    linear = np.concatenate([np.arange(FOURIER), LENGTHS - C.SHAPE + np.arange(sides)])
+    held = np.arange(LENGTHS + sides, WIDTH) - C.SHAPE
+    misses = np.concatenate([wanted[0] / sd[0], wanted[1] / sd[1]]) - rows[:, held] @ p[C.SHAPE :][held]
+    mean, own_sd = prior.mean[C.SHAPE :][linear], prior.sd[C.SHAPE :][linear]
+    p = p.copy()
+    p[C.SHAPE + linear] = np.linalg.lstsq(
+        np.concatenate([rows[:, linear], np.diag(1.0 / own_sd)]), np.concatenate([misses, mean / own_sd]), rcond=None
+    )[0]
+    return p
+
+
+def begun(record: Record, palm: int, corner: FloatArray, p: FloatArray, prior: Prior) -> Guess:
+    """The motion on the parts of `record`, and the constants `p`, of one side, with its length and where it is.
+
+    The corner on the other palm is put into the outline, where `corner` (Y and ρ, m) and the readings have it.
+    """
+    high, rho = corner
     mine = record.contact_pad == PALMS[palm]
     t, opening = record.contact_t[mine], record.contact_palms[mine, OPENING]
     e = record.contact_value[mine] - (rho + high * np.cos(opening)) / np.sin(opening)
@@ -97,7 +137,15 @@ def begun(record: Record, ride: Ride, p: FloatArray) -> Guess:
         out = (2.0 / p[LENGTHS]) * (np.interp(record.t[nodes], t[part], mean) - (low + most) / 2)
         angle = 2.0 * math.exp(p[WIDTH]) * np.arctanh(np.clip(out, -MOST_OUT, MOST_OUT)) * (1.0, -1.0)[palm]
         away[nodes] = np.stack([angle, np.gradient(angle, record.t[nodes])], axis=1)
-    return Guess(turning(record, palm) - away, p)
+    x = turning(record, palm) - away
+    near, far = np.percentile(normal_angles(record.palms, x[:, 0])[:, 1 - palm], SPAN)
+    felt = np.linspace(near, far, FELT)
+    side = p[NORMALS : NORMALS + 1]
+    along = cmath.exp(1j * float(side[0])) * complex(p[C.SHAPE] - high, (-1.0, 1.0)[palm] * (low + most) / 2)
+    from_centre = along * np.exp(-1j * felt)
+    wanted = np.append(from_centre.real + rho, p[C.SHAPE]), np.append(from_centre.imag, 0.0)
+    sd = np.append(np.full(FELT, CORNER_SD_M), SIDE_SD_M), np.append(np.full(FELT, SLOPE_SD_M), SIDE_SD_M)
+    return Guess(x, outline_through(p, np.append(felt, side), wanted, sd, prior, 0))
 
 
 def narrowed(guess: Guess, record: Record, palm: int, width: float) -> Guess:

@@ -132,3 +132,11 @@ def same(rides: Sequence[Ride]) -> list[list[Ride]]:
             mine.append(ride)
     groups.sort(key=lambda group: -sum(ride.lasts for ride in group))
     return [sorted(group, key=lambda ride: ride.start) for group in groups]
+
+
+def corner_of(rides: Sequence[Ride]) -> FloatArray:
+    """Y and ρ (m) by all of these together."""
+    weights = [np.linalg.inv(ride.covariance) for ride in rides]
+    sides = [weight @ ride.corner for weight, ride in zip(weights, rides, strict=True)]
+    corner: FloatArray = np.linalg.solve(np.sum(weights, axis=0), np.sum(sides, axis=0))
+    return corner

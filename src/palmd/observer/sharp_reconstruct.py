@@ -17,7 +17,7 @@ from palmd.model.smoothing import ORDER, RIG, C
 from palmd.observer.factor import friction_of, given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import directions, normal_angles, sd_of, touched_by
+from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import Search, explained, minima, still
 from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
@@ -100,7 +100,7 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
         return True
     theta = directions()
     h = sharp.support(theta, found[0].fit.guess.p)
-    touched = touched_by(normal_angles(found[0].record.palms, found[0].fit.guess.x[:, 0]))
+    touched = touched_within(found[0].record, found[0].fit.guess.x[:, 0])
     return any(
         other.deviance < found[0].deviance + DOUBT
         and np.sqrt(np.mean((sharp.support(theta, other.fit.guess.p) - h)[touched] ** 2)) > DIFFERENT_M
@@ -119,7 +119,7 @@ def _told(
     fit, record = best.fit, best.record
     p, x = fit.guess.p, fit.guess.x
     normals = normal_angles(record.palms, x[:, 0])
-    theta, touched = directions(), touched_by(normals)
+    theta, touched = directions(), touched_within(record, x[:, 0])
     h = sharp.support(theta, p)
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
     free = _gauge_free(theta, touched, p, rows)
@@ -139,9 +139,10 @@ def _told(
     weighed = len(record.force_value) > 0
     mass = math.exp(p[C.LN_MASS]) if weighed else math.nan
     radii = [sharp.support(each, p) for each in normals.T]
+    visits = np.sum([visits_of(part) for part in np.split(normals, record.torn + 1)], axis=0)
     return Reconstruction(
         converged=True, chi2=fit.chi2,
-        theta=theta, h=h, h_sd=h_sd, touched=touched, visits=visits_of(normals),
+        theta=theta, h=h, h_sd=h_sd, touched=touched, visits=visits,
         rho=rho, rho_sd=rho * float(sd[C.LN_RHO]), mu=mu, mu_sd=mu_sd,
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,14 +24,24 @@ from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import NODE, C
 from palmd.observer.factor import Prior
 from palmd.observer.first_guess import blind_starts
+from palmd.observer.followed import followed
+from palmd.observer.joined import (
+    SAME_SIDE_RAD,
+    Footing,
+    bridged,
+    footing,
+    ridden_at,
+    seated,
+    sketched,
+    turns,
+)
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, lasting, lay_out
-from palmd.observer.ridden import begun, calm, kept, narrowed, normal_at_first, trimmed, turning
-from palmd.observer.rides import Ride, rides_of, same
+from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
+from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
 from palmd.observer.smoother import Fit, Posterior, Smoother
-from palmd.system.mechanism import JOINTS, OPENING, normal_directions
 
 NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
 SPACING_S = 0.005  # of the nodes, while looking
@@ -47,6 +58,13 @@ COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf),
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
+LEAST_PART_S, MOST_PARTS = 1.0, 6  # of rides on one side, to be joined to others; of such parts, the longest
+BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
+LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
+PIECE_S, MOST_PIECES = 6.0, 3  # of a ride that is not explained all along
+BRIDGE_S = 3.0  # from a ride to one on another side, at most
+SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
+SAME_TURN_RAD = 0.02  # between two frames
 LAST_S = 0.0025  # spacing of the nodes (s) in the end
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
@@ -119,6 +137,19 @@ class Candidate:
         return not self.explains or self.fit.chi2 > 1.0 + few or self.fit.strain > UNLIKELY
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What explains rides, and what these tell of sides and corners, in its frame."""
+
+    candidate: Candidate
+    footings: tuple[Footing, ...]
+
+    @classmethod
+    def of(cls, candidate: Candidate, palm: int) -> Part:
+        """Of rides on one side on `palm` (0, 1)."""
+        return cls(candidate, (footing(candidate.record, candidate.fit.guess, palm),))
+
+
 class SidedSmoother(Smoother):
     """The smoother of an outline with sides."""
 
@@ -142,24 +173,128 @@ class SidedSearch:
         self._work = 0
 
     def ridden(self) -> Iterator[tuple[Candidate, ...]]:
-        """What explains the rides on one side, with one corner on the other palm, wherever they last long enough.
+        """What explains rides, wherever they last long enough: on several sides together, then on one at a time.
 
-        Best first: the same minimum twice, or another.
+        On one side, with one corner on the other palm. Best first: the same minimum twice, or another.
         """
-        for rides in same(rides_of(self.record)):
-            if lasting(trimmed(rides)) > LEAST_S and any(ride.rolls for ride in rides):
-                found = _in_order(self._along(way, rides) for way in WAYS)
-                spans = self._calm(found[0])
-                if lasting(spans) > max(LEAST_S, (1.0 - MOST_CUT) * found[0].lasts):
-                    found = _in_order(self._cut(each, spans) for each in found)
+        groups = [rides for rides in same(rides_of(self.record)) if any(ride.rolls for ride in rides)]
+        told = {i: self._on_one_side(groups[i]) for i in sorted(_neighbours(groups))}
+        parts = ((found[0], groups[i][0].palm) for i, found in told.items() if math.isfinite(found[0].fit.cost))
+        joined = self._joined([Part.of(each, palm) for each, palm in parts])
+        if joined is not None and joined.lasts > LEAST_S:
+            yield (joined,)
+        for i, rides in enumerate(groups):
+            if lasting(trimmed(rides)) > LEAST_S:
+                found = told[i] if i in told else self._on_one_side(rides)
                 yield found
+                if not found[0].explains:
+                    yield from (self._on_one_side([piece]) for piece in _pieces(rides))
+
+    def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
+        found = _in_order(self._along(way, rides) for way in WAYS)
+        spans = self._calm(found[0])
+        least = LEAST_S if found[0].lasts > LEAST_S else 0.0
+        if lasting(spans) > max(least, (1.0 - MOST_CUT) * found[0].lasts):
+            found = _in_order(self._cut(each, spans) for each in found)
+        return found
+
+    def _joined(self, parts: Sequence[Part]) -> Candidate | None:
+        """What explains most of these, each ridden on one side, by one outline; None where no two are of one."""
+        left = sorted(parts, key=lambda part: -part.candidate.lasts)
+        while left:
+            first, *left = left
+            whole, waiting = first, left
+            while waiting and self._work < WORK:
+                part, *waiting = waiting
+                both = self._together(whole, part)
+                if both is not None:
+                    whole, left = both, [each for each in left if each is not part]
+                    waiting = left  # more of the outline is known now
+            if whole is not first:
+                return whole.candidate
+        return None
+
+    def _together(self, whole: Part, part: Part) -> Part | None:
+        """Both as of one outline; None where none explains both and what lies between, or more than one."""
+        asked = list[float]()
+        for turn in (each for one in whole.footings for other in part.footings for each in turns(one, other)):
+            if all(abs(math.remainder(turn - other, math.tau)) > SAME_TURN_RAD for other in asked):
+                asked.append(turn)
+        found = [both for turn in asked if (both := self._turned_together(whole, part, turn)) is not None]
+        return found[0] if len(found) == 1 else None
+
+    def _turned_together(self, whole: Part, part: Part, turn: float) -> Part | None:
+        """Both, normals of `part` turned by `turn` (rad), if that explains them and what lies between two rides."""
+        one, other = whole.candidate, part.candidate
+        there = rotated(other.fit.guess, turn)
+        normals = [each.normal for each in self._settled(one)]
+        normal, before = float(there.p[NORMALS]), len(normals)
+        if all(abs(math.remainder(normal - each, math.tau)) > SAME_SIDE_RAD for each in normals):
+            normals.append(normal)
+        spans = sorted([*one.record.spans, *other.record.spans])
+        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(spans)):
+            return None
+        footings = [*whole.footings, *(each.turned(turn) for each in part.footings)]
+        record, p = self.record.within(spans), one.fit.guess.p.copy()
+        p[NORMALS : NORMALS + len(normals)] = normals
+        p[LENGTHS + before : LENGTHS + len(normals)] = SIDE_M
+        p = sketched(p, footings, self._prior(tuple(map(FlatSide, normals))), len(normals))
+        x = np.empty((len(record.t), NODE))
+        for each, guess, on in ((one, one.fit.guess, normals[:before]), (other, there, [normal])):
+            nodes = np.searchsorted(record.t, each.record.t - NEAR_S)
+            x[nodes] = seated(each.record, guess.x, guess.p, p, on)
+        shift = float(x[0, 0])
+        torn, sides = rotated(Guess(x, p), shift), tuple(FlatSide(each + shift) for each in normals)
+        for gap, spans, x in self._bridges(record, torn, len(sides), one.record.spans):
+            both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
+            explained = self._calm(both)
+            lasts = lasting(explained) > (1.0 - MOST_CUT) * both.lasts
+            if both.explains and lasts and self._explained_between(both, *gap):
+                both = self._cut(both, explained)
+                shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
+                return Part(both, tuple(each.turned(shift) for each in footings))
+        return None
+
+    def _loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
+        """As `_fitted`, of a motion that is noisier at first, and sides that are as wide as they are."""
+        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
+        for noisier in LOOSENED:
+            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
+            guess = self._fitted(record, sides, guess, (held,), noise=noise).fit.guess
+        return self._fitted(record, sides, guess, FINE, LAST_ITERATIONS)
+
+    def _bridges(
+        self, record: Record, guess: Guess, sides: int, one: Sequence[tuple[float, float]]
+    ) -> Iterator[tuple[tuple[float, float], list[tuple[float, float]], FloatArray]]:
+        """A gap between a part of `record` that is in `one` and another (s), the parts without it, and the nodes.
+
+        The shortest gap comes first; those without a way over it are left out.
+        """
+        spans, x = record.spans, guess.x
+        gaps = [
+            (start - end, k)
+            for k, ((_, end), (start, _)) in enumerate(pairwise(spans))
+            if start - end < BRIDGE_S and (spans[k] in one) != (spans[k + 1] in one)
+        ]
+        for _, k in sorted(gaps):
+            i, j = int(record.torn[k]) - SETTLED_NODES, int(record.torn[k]) + 1 + SETTLED_NODES
+            gap = self.record.within([(float(record.t[i]), float(record.t[j]))])
+            before, after = (turning(gap, ridden_at(record, guess, node, sides))[:, 0] for node in (i, j))
+            psi = bridged(gap, guess.p, x[i, 0] + before, x[j, 0] + after - after[-1])
+            if psi is not None:
+                between = np.stack([psi, np.gradient(psi, gap.t)], axis=1)
+                later = x[j + 1 :].copy()
+                later[:, 0] += math.tau * round((psi[-1] - x[j, 0]) / math.tau)
+                nodes = np.concatenate([x[:i], between, later])
+                without = [*spans[:k], (spans[k][0], spans[k + 1][1]), *spans[k + 2 :]]
+                yield (spans[k][1], spans[k + 1][0]), without, nodes
 
     def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
         record, palm = self.record.within(trimmed(rides)), rides[0].palm
         sides = (FlatSide(normal_at_first(record, palm)),)
         p = self._start(sides)
         p[WIDTH] = math.log(way[0][0])
-        guess = begun(record, rides[0], p)
+        guess = begun(record, palm, corner_of(rides), p, self._prior(sides))
         for width, noisier in way:
             noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
             guess = narrowed(guess, record, palm, width)
@@ -170,6 +305,13 @@ class SidedSearch:
     def _calm(found: Candidate) -> list[tuple[float, float]]:
         """The parts (s) of its record that `found` explains all along."""
         return calm(found.record, _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess))
+
+    @staticmethod
+    def _explained_between(found: Candidate, start: float, end: float) -> bool:
+        """Whether it explains its contact readings from `start` to `end` (s), but for a few."""
+        missed = _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess)
+        there = missed[(found.record.contact_t > start) & (found.record.contact_t < end)]
+        return len(there) > 0 and bool(np.mean(np.abs(there) > BEYOND) < MOST_OUTLIERS)
 
     def _cut(self, found: Candidate, spans: list[tuple[float, float]]) -> Candidate:
         """The same, of these parts (s) alone."""
@@ -398,6 +540,21 @@ class SidedSearch:
         return Prior(mean, sd, base.omega0_sd)
 
 
+def _pieces(rides: Sequence[Ride]) -> list[Ride]:
+    """The first pieces of the longest that are as long as `PIECE_S` and may be told alone."""
+    longest = max(rides, key=lambda ride: ride.lasts)
+    starts = longest.start + PIECE_S * np.arange(min(int(longest.lasts / PIECE_S), MOST_PIECES))
+    return [replace(longest, start=start, end=start + PIECE_S) for start in starts.tolist()]
+
+
+def _neighbours(groups: Sequence[Sequence[Ride]]) -> set[int]:
+    """Those that have rides enough, and one next to a ride of another of them."""
+    enough = [i for i, rides in enumerate(groups[:MOST_PARTS]) if lasting(trimmed(rides)) > LEAST_PART_S]
+    rides = sorted((ride.start, ride.end, i) for i in enough for ride in groups[i])
+    near = ((i, j) for (_, end, i), (start, _, j) in pairwise(rides) if i != j and start - end < BRIDGE_S)
+    return {each for both in near for each in both}
+
+
 def _smoother(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
     return SidedSmoother(sharp.library_for(len(sides)), record, prior)
 
@@ -414,64 +571,3 @@ def _same(one: Candidate, other: Candidate) -> bool:
     if len(one.fit.guess.x) != len(other.fit.guess.x) or len(one.sides) != len(other.sides):
         return False
     return float(np.abs(one.fit.guess.x[:, 0] - other.fit.guess.x[:, 0]).max()) < 0.02
-
-
-GRID_RAD, REACH, ROAMS = 2.5e-3, 40, 0.9  # of ψ: steps, most of them in one interval, and how far about the start (rad)
-INTERVAL_NODES = 3
-FOLLOW_SD_M, FOLLOW_GATE, FOLLOW_TURN_RAD = 6e-4, 25.0, 0.02
-FOLLOW_WIDTH = 0.008  # of sides (rad), a few of the grid's steps
-TABLE = 7200
-
-
-def followed(p: FloatArray, record: Record, start: int, psi0: float) -> FloatArray:
-    """ψ (rad) at the nodes from `start` on, where it is psi0, by the readings and the outline p alone.
-
-    Dynamic programming over a grid: each interval's readings are missed least, turns are dear. No dynamics.
-    """
-    t = record.t[start:]
-    bins = np.arange(0, len(t), INTERVAL_NODES)
-    count = 2 * round(ROAMS / GRID_RAD) + 1
-    grid = np.linspace(psi0 - ROAMS, psi0 + ROAMS, count)
-    angles = np.linspace(0.0, math.tau, TABLE, endpoint=False)
-    wide = p.copy()
-    wide[WIDTH] = max(p[WIDTH], math.log(FOLLOW_WIDTH))
-    h = sharp.support(angles, wide)
-    d = -(np.roll(h, -1) - np.roll(h, 1)) * (TABLE / math.tau / 2)
-
-    def at(table: FloatArray, theta: FloatArray) -> FloatArray:
-        position = theta * (TABLE / math.tau)
-        low = np.floor(position)
-        part = position - low
-        i = low.astype(np.intp) % TABLE
-        return table[i] * (1 - part) + table[(i + 1) % TABLE] * part
-
-    mine = record.contact_step >= start
-    which = (record.contact_step[mine] - start) // INTERVAL_NODES
-    joints = [record.contact_palms[mine, joint][:, None] for joint in range(len(JOINTS))]
-    normals = normal_directions(joints, grid[None, :])
-    one, two = (at(h, theta) for theta in normals)
-    before, after = (at(d, theta) for theta in normals)
-    first, cos, sin = (record.contact_pad[mine] < 1.5)[:, None], np.cos(joints[OPENING]), np.sin(joints[OPENING])
-    s = np.where(first, one * cos + two, two * cos + one) / sin + np.where(first, -before, after)
-    miss = (record.contact_value[mine][:, None] - s) ** 2 / FOLLOW_SD_M**2
-    miss = np.where(miss > FOLLOW_GATE, FOLLOW_GATE * (1 + np.log(np.maximum(miss, FOLLOW_GATE) / FOLLOW_GATE)), miss)
-    cost = np.zeros((len(bins), len(grid)))
-    np.add.at(cost, np.minimum(which, len(bins) - 1), miss)
-    turn = (np.arange(-REACH, REACH + 1) * GRID_RAD / FOLLOW_TURN_RAD) ** 2
-    best = np.where(np.abs(grid - psi0) < GRID_RAD / 2, 0.0, 1e9)
-    back = np.zeros((len(bins), len(grid)), dtype=np.intp)
-    index = np.arange(len(grid))
-    for b in range(1, len(bins)):
-        padded = np.pad(best, REACH, constant_values=1e12)
-        options = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1) + turn
-        choice = options.argmin(axis=1)
-        back[b] = np.clip(index + choice - REACH, 0, len(grid) - 1)
-        best = options[index, choice] + cost[b]
-    path = np.zeros(len(bins), dtype=np.intp)
-    path[-1] = int(best.argmin())
-    for b in range(len(bins) - 1, 0, -1):
-        path[b - 1] = back[b, path[b]]
-    middle = np.minimum(bins + INTERVAL_NODES / 2, len(t) - 1)
-    middle[0] = 0
-    psi: FloatArray = np.interp(np.arange(len(t)), middle, grid[path])
-    return psi

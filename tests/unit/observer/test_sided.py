@@ -15,6 +15,7 @@ from palmd.model.shape import coefficients_of, turned
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
+from palmd.observer.followed import followed
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
@@ -22,7 +23,7 @@ from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first,
 from palmd.observer.rides import rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage, followed
+from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -195,7 +196,7 @@ def test_what_other_nodes_tell_otherwise_is_in_the_band():
     search = Search(longest_segment(run.events), run.rig)
     sided = SidedSearch(search)
     ride = same(rides_of(sided.record))[0][0]
-    best = sided._along(WAYS[0][1:], [replace(ride, end=3.0)])
+    best = sided._along(WAYS[0], [replace(ride, end=3.0)])
     larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 5e-5
     other_way_round[C.SHAPE : sharp.NORMALS] = turned(-4e-3, ORDER) @ larger[C.SHAPE : sharp.NORMALS]

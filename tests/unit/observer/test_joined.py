@@ -1,0 +1,237 @@
+"""Rides on different sides of one outline are joined by the corners they share, and by what was read in between."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.model import sharp
+from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
+from palmd.model.smoothing import C
+from palmd.observer.data_segment import longest_segment
+from palmd.observer.factor import Prior
+from palmd.observer.joined import Footing, bridged, footing, ridden_at, seated, sketched, slope_of, turns
+from palmd.observer.normal_equations import Guess, Residuals
+from palmd.observer.outline import directions, normal_angles, touched_by, touched_within
+from palmd.observer.palm_path import smoothed_path
+from palmd.observer.record import Record, lay_out
+from palmd.observer.ridden import rotated, turning
+from palmd.observer.rides import Ride, corner_of, rides_of, same
+from palmd.observer.search import Search
+from palmd.observer.sided import WAYS, Part, SidedSearch, _neighbours
+from palmd.score import score_outline
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import normal_directions
+
+# a polygon lies on palm 2 with one side, tips over both corners, and lies on palm 1 with the next
+LOWER = Footing(1, -2.3527, 17.21e-3, 0.0, 13.47e-3 - 11.30e-3j, 2.97e-3, (-1.08, -0.70))
+UPPER = Footing(0, -1.2653, 17.85e-3, 0.0, -15.57e-3 - 4.51e-3j, 3.00e-3, (-3.02, -2.67))
+POSES = [(0.0, 47.0, 94.0), (0.8, 45.0, 89.0), (1.8, 25.0, 89.0), (2.8, 25.0, 104.7), (3.2, 25.0, 104.7),
+         (4.3, 34.0, 87.6), (4.8, 34.0, 90.0), (5.5, 34.5, 95.0), (6.6, 58.0, 97.0)]  # fmt: skip
+END = 6.4  # s
+RIG = RigDescription(hinge="fixed")
+NOISE_M = 1e-4
+
+
+def pose(t: FloatArray) -> FloatArray:
+    """φ1, φ2 (rad) on moves of least jerk between the `POSES` (s, deg)."""
+    knots = np.array(POSES)
+    i = np.clip(np.searchsorted(knots[:, 0], t, side="right") - 1, 0, len(knots) - 2)
+    u = np.clip((t - knots[i, 0]) / (knots[i + 1, 0] - knots[i, 0]), 0.0, 1.0)
+    along = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    way: FloatArray = np.radians(knots[i, 1:] + (knots[i + 1, 1:] - knots[i, 1:]) * along[..., None])
+    return way
+
+
+def palms() -> list[PalmSample]:
+    t, step = np.arange(0.0, END, 0.016), 1e-4
+    before, now, after = (pose(t + by) for by in (-step, 0.0, step))
+    rates, bends = (after - before) / (2 * step), (after - 2 * now + before) / step**2
+    return [
+        PalmSample(float(a), *(tuple(each.tolist()) for each in rest))
+        for a, *rest in zip(t, now, rates, bends, strict=True)
+    ]
+
+
+def constants() -> FloatArray:
+    p = np.zeros(sharp.CONSTANTS)
+    p[C.SHAPE], p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = 0.017, math.log(0.0129), 10.0, 2500.0
+    p[NORMALS:LENGTHS] = LOWER.normal, UPPER.normal, 2.0, 3.0
+    p[LENGTHS : LENGTHS + 2], p[WIDTH] = 0.018, math.log(5e-4)
+    return sketched(p, [UPPER, LOWER], Prior(p, np.full(len(p), 5e-3), 1.0), 2)
+
+
+class Tipped:
+    """What its readings would be; the motion is the smoother's own model's."""
+
+    def __init__(self) -> None:
+        random = np.random.default_rng(3)
+        self.p = constants()
+        t = np.sort(random.uniform(0.0, END - 0.02, 900))
+        silent = [PadSample(float(at), 1 + k % 2, 0.0, None) for k, at in enumerate(t)]
+        self.record = lay_out(silent, smoothed_path(palms(), 2e-4), RIG, 0.0, END - 0.02, 0.001)
+        first = normal_directions(tuple(self.record.palms[0, :2]), 0.0)[1] - LOWER.normal
+        residuals = Residuals(sharp.library_for(2), self.record)
+        self.guess = residuals.completed(Guess(np.array([[first, 0.0]]), self.p))
+        read = -residuals.contacts(self.guess) * np.sqrt(self.record.contact_variance)
+        read += random.normal(0.0, NOISE_M, len(read))
+        pads = [replace(sample, s=float(s)) for sample, s in zip(silent, read, strict=True)]
+        both: list[Event] = [*palms(), *pads]
+        self.events = sorted(both, key=lambda event: event.t_sample)
+        self.search = Search(longest_segment(self.events), RIG)
+
+    def gap(self, start: float, end: float) -> tuple[Record, FloatArray]:
+        """A record of readings from `start` to `end` (s), and ψ at its nodes."""
+        record = SidedSearch(self.search).record.within([(start, end)])
+        return record, np.interp(record.t, self.record.t, self.guess.x[:, 0])
+
+
+@pytest.fixture(scope="module")
+def tipped() -> Tipped:
+    return Tipped()
+
+
+def test_where_either_corner_ends_the_side_of_the_other_is_one_turn():
+    (turn,) = turns(LOWER, UPPER)
+    assert turn == pytest.approx(0.0, abs=0.01)
+    (again,) = turns(LOWER.turned(0.4), UPPER.turned(-0.3))
+    assert again == pytest.approx(turn + 0.7, abs=1e-9)
+    assert turns(LOWER, replace(UPPER, high=UPPER.high + 5e-4)) == []
+
+
+def test_the_same_corner_or_the_same_side_is_one_turn_too():
+    next_side = replace(UPPER, normal=UPPER.normal - 0.8, high=UPPER.high + 5e-4).turned(0.2)
+    assert turns(UPPER, next_side) == [pytest.approx(-0.2)]
+    assert turns(UPPER, replace(next_side, radius=next_side.radius + 1e-3)) == []
+    other_corner = replace(LOWER, corner=LOWER.corner * 0.93, radius=1e-3, palm=0)
+    assert turns(LOWER, other_corner.turned(0.2)) == [pytest.approx(-0.2)]
+    assert turns(LOWER, replace(other_corner, high=LOWER.high - 1e-3)) == []
+
+
+def test_no_corner_is_beyond_a_side():
+    at = 0.9 * cmath.exp(1j * LOWER.normal)
+    inside = replace(LOWER, corner=at * (LOWER.high - LOWER.radius))
+    beyond = replace(inside, corner=at * (LOWER.high + 2e-3))
+    assert [len(turns(LOWER, each)) for each in (inside, beyond)] == [1, 0]
+
+
+def test_an_outline_is_sketched_through_sides_and_corners():
+    p = constants()
+    for each, other in ((LOWER, UPPER), (UPPER, LOWER)):
+        felt = np.linspace(*each.felt, 9)
+        assert sharp.support(felt, p) == pytest.approx((each.corner * np.exp(-1j * felt)).real + each.radius, abs=2e-5)
+        assert sharp.support(np.array([each.normal]), p) == pytest.approx([each.high], abs=5e-5)
+        away = math.copysign(9.0 * math.exp(p[WIDTH]), math.remainder(other.felt[0] - each.normal, math.tau))
+        end = np.array([each.normal + away])
+        assert slope_of(end, p) == pytest.approx((other.corner * np.exp(-1j * end)).imag, abs=2e-4)
+
+
+def test_contacts_stay_where_they_are_on_a_side_that_is_passed_otherwise(tipped):
+    record, psi = tipped.gap(0.5, 2.0)
+    other = tipped.p.copy()
+    other[WIDTH] += 0.7
+    x = np.stack([psi, np.gradient(psi, record.t)], axis=1)
+    moved = seated(record, x, tipped.p, other, [LOWER.normal])
+    before, after = (normal_angles(record.palms, each[:, 0])[:, 1] for each in (x, moved))
+    assert slope_of(after, other) == pytest.approx(slope_of(before, tipped.p), abs=2e-5)
+    assert 1e-5 < np.abs(after - before).max() < 5e-3
+    assert ridden_at(record, Guess(moved, other), 50, 2) == 1
+
+
+def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
+    gap, psi = tipped.gap(2.4, 4.6)
+    before, after = (turning(gap, palm)[:, 0] for palm in (1, 0))
+    ways = psi[0] + before, psi[-1] + after - after[-1]
+    found = bridged(gap, tipped.p, *ways)
+    assert found is not None
+    assert np.abs(found - psi).max() < 0.08  # in the blow; the grid's steps elsewhere
+    assert np.median(np.abs(found - psi)) < 5e-3
+    once_round = bridged(gap, tipped.p, ways[0], ways[1] + math.tau)
+    assert once_round == pytest.approx(found)
+    assert bridged(gap, tipped.p, ways[0], ways[1] + 0.1) is None
+    stray = np.where(np.arange(len(gap.contact_value)) % 5 == 0, 4e-3, 0.0)
+    assert bridged(replace(gap, contact_value=gap.contact_value + stray), tipped.p, *ways) is None
+    assert bridged(gap, rotated(Guess(np.zeros((1, 2)), tipped.p), 0.1).p, *ways) is None
+
+
+@pytest.fixture(scope="module")
+def parts(tipped) -> tuple[SidedSearch, Part, Part]:
+    search = SidedSearch(tipped.search)
+    groups = [rides for rides in same(rides_of(search.record)) if any(ride.rolls for ride in rides)]
+    assert _neighbours(groups) == {0, 1}
+    one, other = (Part.of(search._along(WAYS[0], rides), rides[0].palm) for rides in groups[:2])
+    return search, one, other
+
+
+def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
+    search, one, other = parts
+    both = search._joined([other, one])
+    assert both is not None
+    assert len(both.sides) == 2
+    record, guess = both.record, both.fit.guess
+    assert both.fit.chi2 < 1.15
+    touched = touched_within(record, guess.x[:, 0])
+    assert touched.sum() > 35  # degrees
+    told, true = (sharp.support(directions(), p) for p in (guess.p, tipped.p))
+    assert score_outline(directions(), told, touched, true).e_h < 5e-5
+    turned = np.diff(guess.p[NORMALS : NORMALS + 2])[0]
+    assert abs(turned) == pytest.approx(UPPER.normal - LOWER.normal, abs=5e-3)
+
+
+def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
+    search, one, other = parts
+    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: None)
+    assert search._joined([one, other]) is None
+
+
+@pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
+def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
+    search = SidedSearch(tipped.search)
+    whole = Part(None, (LOWER,))  # type: ignore[arg-type]
+    monkeypatch.setattr("palmd.observer.sided.turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
+    monkeypatch.setattr(search, "_turned_together", lambda one, _, turn: one if turn < 0.4 * explaining else None)
+    assert (search._together(whole, whole) is whole) is joined
+
+
+def test_of_parts_only_what_they_touch_is_touched(tipped):
+    record = SidedSearch(tipped.search).record
+    torn = record.within([(0.5, 2.0), (5.0, 7.0)])
+    psi = np.interp(torn.t, tipped.record.t, tipped.guess.x[:, 0])
+    parts = [record.within([span]) for span in torn.spans]
+    alone = [touched_by(normal_angles(part.palms, np.interp(part.t, torn.t, psi))[1:-1]) for part in parts]
+    assert np.array_equal(touched_within(torn, psi), np.logical_or(*alone))
+    assert touched_within(torn, psi).sum() < touched_by(normal_angles(torn.palms, psi)).sum() - 10
+
+
+def test_a_footing_is_read_off_an_outline(tipped):
+    record, psi = tipped.gap(4.6, 7.5)
+    p = tipped.p.copy()
+    p[[NORMALS, NORMALS + 1]], p[[LENGTHS, LENGTHS + 1]] = p[[NORMALS + 1, NORMALS]], p[[LENGTHS + 1, LENGTHS]]
+    told = footing(record, Guess(np.stack([psi, np.zeros_like(psi)], axis=1), p), 0)
+    assert told.normal == pytest.approx(UPPER.normal)
+    assert abs(told.corner - UPPER.corner) < 1e-4
+    assert (told.high, told.radius) == pytest.approx((UPPER.high, UPPER.radius), abs=1e-4)
+
+
+def test_rides_on_one_corner_tell_of_it_by_what_each_knows():
+    sharp_one, vague = np.diag([1e-10, 1e-8]), np.diag([1e-8, 1e-6])
+    one = Ride(0, 0.0, 1.0, np.array([0.016, 0.002]), sharp_one, True)
+    told = corner_of([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
+    assert told == pytest.approx([0.016 + 0.0011 / 101, 0.002 + 0.001 / 101])
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_ride_that_is_not_explained_all_along_is_asked_for_in_pieces(tipped, monkeypatch, explains):
+    ride = Ride(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    search, asked = SidedSearch(tipped.search), list[tuple[float, float]]()
+    found = SimpleNamespace(explains=explains)
+    monkeypatch.setattr("palmd.observer.sided.rides_of", lambda _: [ride])
+    monkeypatch.setattr(search, "_on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found])
+    assert len(list(search.ridden())) == len(asked)
+    assert asked == [(1.0, 14.5), *([] if explains else [(1.0, 7.0), (7.0, 13.0)])]
