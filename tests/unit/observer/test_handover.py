@@ -13,7 +13,7 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.filters.shape_map import smoother_outline
-from palmd.observer.handover import Handover, SmoothedFilters, _turned
+from palmd.observer.handover import Handover, SmoothedFilters, _turned, outline_sd
 from palmd.system.description import RigDescription
 
 N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
@@ -86,6 +86,15 @@ def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_establi
     vague = replace(answer, P=900.0 * P)
     assert handover().take_in(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
     assert now.fusion.filters.left_open is None, "there is no outline to speak of yet"
+
+
+def test_how_well_an_outline_is_told_is_told_where_it_was_felt_alone():
+    """Radius ± 10 µm and first cosine ± 20 µm are ± 22 µm at θ = 0, ± 10 µm at θ = π/2."""
+    P = np.zeros((SMOOTHED_N, SMOOTHED_N))
+    P[SHAPE.start, SHAPE.start], P[SHAPE.start + 1, SHAPE.start + 1] = 1e-5**2, 2e-5**2
+    ahead, aside, nowhere = (np.arange(NORMAL_BINS) == bin_ for bin_ in (0, NORMAL_BINS // 4, -1))
+    sds = [outline_sd(improvement(np.zeros(SMOOTHED_N), P, touched=felt)) for felt in (ahead, aside, nowhere)]
+    np.testing.assert_allclose(sds, [22.3e-6, 10.0e-6, np.inf], rtol=0.02)
 
 
 def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():
