@@ -57,7 +57,7 @@ class Handover:
         if bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
         frame = (object_count, answer.frame)
-        anew = frame != self._frame if fusion.allows_for_rig else track.valid and not answer.established
+        anew = frame != self._frame and (fusion.allows_for_rig or (track.valid and not answer.established))
         if anew and not _as_sharp(P, answer.spread, fusion, track.coverage.marks):
             return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:

@@ -61,6 +61,16 @@ def test_an_answer_that_tells_less_than_a_valid_bank_is_not_taken_in(sd, valid, 
     assert (bank.score[1] > bank.score[0]) is np.bool_(taken)
 
 
+@pytest.mark.parametrize(("frame", "taken"), [(1, True), (2, False)])
+def test_what_the_same_search_tells_later_is_taken_in_though_the_bank_has_become_surer(frame, taken):
+    """It has read all that the bank has; another search may have read the latest alone."""
+    now, given = track(valid=True), handover()
+    for sd, of_frame, joins in ((5e-6, 1, True), (2e-5, frame, taken)):
+        P = sd**2 * np.eye(SMOOTHED_N)
+        answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, frame=of_frame)
+        assert given.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is joins
+
+
 @pytest.mark.parametrize(("left_open_m", "taken"), [(1.0e-4, True), (1.5e-4, False)])
 def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(left_open_m, taken):
     """Given the rig's constants its filter is less sure than one that has read on from an older answer."""
