@@ -398,7 +398,7 @@ class FaultMonitor:
 
     def standing(self, severity: Severity) -> tuple[Fault, ...]:
         """The active faults of one severity."""
-        return tuple([fault for fault in self.active if fault.severity is severity])
+        return tuple([fault for fault in self.active if fault.severity is severity]) if self.active else ()
 
     def _show(self, shown: set[str]) -> bool:
         if shown == self._shown:

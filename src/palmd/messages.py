@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import chain
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -235,8 +237,7 @@ def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradi
     }
 
 
-@dataclass(frozen=True, slots=True)
-class PadView:
+class PadView(NamedTuple):
     """What is to be told of one pad: s, across (m) and age (s), NaN for none."""
 
     s: float = math.nan
@@ -249,16 +250,31 @@ class PadView:
 
 def contact_fields(pads: Sequence[PadView], arm_age: float, naming: Naming = NAMING) -> Fields:
     """`palm/contact` of a system's pads; `arm_age` in s, NaN for none."""
-    numbered = tuple(zip(naming.pads, pads, strict=True))
-    return {
-        **{f"{naming.along}{pad}_m": view.s for pad, view in numbered},
-        **({f"{naming.across}{pad}_m": view.across for pad, view in numbered} if naming.across else {}),
-        **{f"pressure{pad}": view.pressure for pad, view in numbered},
-        **{f"age{pad}_ms": view.age * 1e3 for pad, view in numbered},
-        "arm_age_ms": arm_age * 1e3,
-        **{f"touch{pad}": view.touch for pad, view in numbered},
-        **{f"batch{pad}": view.batch for pad, view in numbered},
-    }
+    told = [
+        *[view.s for view in pads],
+        *([view.across for view in pads] if naming.across else ()),
+        *[view.pressure for view in pads],
+        *[view.age * 1e3 for view in pads],
+        arm_age * 1e3,
+        *[view.touch for view in pads],
+        *[view.batch for view in pads],
+    ]
+    return dict(zip(_contact_names(naming), told, strict=True))
+
+
+@cache
+def _contact_names(naming: Naming) -> tuple[str, ...]:
+    """In the order in which `contact_fields` has the values."""
+    across = [f"{naming.across}{pad}_m" for pad in naming.pads] if naming.across else []
+    return (
+        *(f"{naming.along}{pad}_m" for pad in naming.pads),
+        *across,
+        *(f"pressure{pad}" for pad in naming.pads),
+        *(f"age{pad}_ms" for pad in naming.pads),
+        "arm_age_ms",
+        *(f"touch{pad}" for pad in naming.pads),
+        *(f"batch{pad}" for pad in naming.pads),
+    )
 
 
 def motion_fields(
@@ -272,14 +288,19 @@ def motion_fields(
 ) -> Fields:
     """`palm/motion` of a system's joints."""
     none = (math.nan,) * len(naming.joints)
+    angles = (none if each is None else each.angles for each in (commanded, actual))
     return {
-        **dict(zip(naming.commanded, none if commanded is None else commanded.angles, strict=True)),
-        **dict(zip(naming.measured, none if actual is None else actual.angles, strict=True)),
+        **dict(zip(_joint_names(naming), chain.from_iterable(angles), strict=True)),
         "plan": plan,
         "segment": segment,
         "progress": progress,
         "arm_state": arm_state,
     }
+
+
+@cache
+def _joint_names(naming: Naming) -> tuple[str, ...]:
+    return naming.commanded + naming.measured
 
 
 def note_fields(t: float, text: str) -> Fields:

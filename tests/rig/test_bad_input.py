@@ -133,7 +133,7 @@ def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
     stands = bench.truth()
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
     told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.bus.command)
-    assert told.returncode == 0, told.stderr
+    assert told.returncode == 0, told.stderr + bench.daemon.all_said[-3000:]
     assert math.degrees(bench.at_rest()["phi2_rad"] - stood["phi2_rad"]) == pytest.approx(-2.0, abs=0.2)
     bench.judge()
 
@@ -186,7 +186,7 @@ def test_strangers_on_the_command_socket_change_nothing(bench):
     for frames in messages:
         with_nobody_listening.send_multipart(frames)
     bench.until(lambda heard: heard.latest["palm/loop"]["bus_malformed"] == 2 * MESSAGES, "all of them read")
-    assert bench.client.do("status")["state"] == "tracking" or bench.stalled()
+    assert bench.client.do("status")["state"] == "tracking" or bench.stalled(), bench.daemon.all_said[-3000:]
     after = bench.heard.latest["palm/loop"]
     assert after["overruns"] - before["overruns"] <= 0.05 * (after["ticks"] - before["ticks"])
     bench.moving()

@@ -108,7 +108,7 @@ class Core:
         self._answered: object = None
         self._rig_priors = system.rig_priors
         self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
-        self._contradicted = np.zeros_like(self._rig_priors)
+        self._contradicted, self._is_contradicted = np.zeros_like(self._rig_priors), False
         self._notes = frozenset(notes)
         self._passing: set[str] = set()  # conditions seen since the last decision
         self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
@@ -300,6 +300,7 @@ class Core:
         if isinstance(self._answered, Improvement):
             self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
             self._contradicted = self._answered.contradicted
+            self._is_contradicted = bool(self._contradicted.any())
             self._rig_notes.look(self._contradicted, self._said_off)
         due = isinstance(self._answered, Improvement) or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
         if len(self._rig_priors) and due:
@@ -407,10 +408,11 @@ class Core:
         look = t - self._t_look >= LOOK_S
         if look:
             self._t_look = t
-        commanded = self.state in COMMANDED
+        state = self.state
+        commanded, held = state in COMMANDED, state is State.HOLD
         present = self._passing | self._notes
         for name, watch in self._pad_watches.items():
-            present.update(watch.conditions(self.pads[name], under_way, self.state is State.HOLD, look))
+            present.update(watch.conditions(self.pads[name], under_way, held, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
         present.update(self.supervisor.recorder.conditions(t))
@@ -418,7 +420,7 @@ class Core:
         if commanded and (self.setpoints.violated or self._outside()):
             present.add("limits-violated")
         present |= self._of_system
-        if self._contradicted.any():
+        if self._is_contradicted:
             present.add("rig-contradicted")
         if self.supervisor.plan_refused:
             present.add("plan-refused")

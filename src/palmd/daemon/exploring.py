@@ -11,8 +11,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question, Source
 from palmd.daemon.setpoints import SetPoints
@@ -34,8 +33,7 @@ OVERTIME_S = 5.0  # after the time limit, for whoever decides to end it and say 
 SILENT_S = 2.0  # of standing with one, before it is said that no decision comes
 
 
-@dataclass(frozen=True, slots=True)
-class Senses:
+class Senses(NamedTuple):
     """What is known at a tick: whether the palms may move by themselves, whether both pads are touched,
     whether the object is known well enough to foresee motions and which it is; `look` gets the outlook, which costs
     time. sticking: of an object that sticks, where its contacts are (m)."""

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import msgpack
@@ -29,6 +30,7 @@ NICENESS = 3  # after the loop, but not so far behind others that its answers co
 
 Answer = TypeVar("Answer")
 _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSample, PadLift, PalmSample)
+_PACKED = {each: (kind, attrgetter(*each.__slots__)) for kind, each in enumerate(_KINDS)}
 
 
 class BatchingProcess(Generic[Answer]):
@@ -92,8 +94,8 @@ class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
 
 def packed(event: Event) -> list[Any]:
     """An event for a message to a process."""
-    kind = next(i for i, each in enumerate(_KINDS) if isinstance(event, each))
-    return [kind, *(getattr(event, name) for name in event.__slots__)]
+    kind, told_of = _PACKED[type(event)]
+    return [kind, *told_of(event)]
 
 
 def unpacked(fields: list[Any]) -> Event:

@@ -154,7 +154,7 @@ class Supervisor:
         self._finish_job()
         self._finish_arming(t)
         self._finish_reset(t)
-        if up:  # before the faults: with one that is latched no command finds it ready
+        if up and self.state is State.IDLE:  # before the faults: with one that is latched no command finds it ready
             self._change(Trigger.RIG_UP, str(Trigger.RIG_UP))
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
@@ -412,7 +412,7 @@ class Supervisor:
 
     def _learn_workspace(self) -> None:
         reach = self._arm.host.reach
-        if reach is None or reach == self._reach or self.armed:
+        if self.armed or reach is None or reach == self._reach:
             return
         self._reach = reach
         self._setpoints.learn(self._setpoints.poses.workspace(reach))

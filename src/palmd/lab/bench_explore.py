@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.console.arguments import count, seconds, seed
+from palmd.console.configured import configured
 from palmd.console.extras import drawing
 from palmd.lab import exploring
 from palmd.lab.bench_montecarlo import ALL
@@ -35,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then; CliError when it cannot begin."""
     kinds = KINDS if arguments.kind == ALL else (arguments.kind,)
+    if arguments.config is not None:
+        configured(arguments.config)
     tasks = exploring.tasks_of(
         kinds,
         arguments.seed,

@@ -352,19 +352,32 @@ static double mills(double a) {
   return exp(-a * a / 2) / (sqrt(M_PI / 2) * erfc(a / sqrt(2.0)));
 }
 
+/* the row along which x is the lowest, and how low; NULL where nothing is below 0 */
+static const double *hollow(const double *x, long n, const double *rows, long count, double *lowest) {
+  const double *row = NULL;
+  *lowest = 0.0;
+  for (long r = 0; r < count; r++) {
+    double value = 0.0;
+    for (long i = 0; i < n; i++) value += rows[r * n + i] * x[i];
+    if (value < *lowest) *lowest = value, row = rows + r * n;
+  }
+  return row;
+}
+
+/* whether rows·x of one filter is negative anywhere */
+long falls_below(const Bank *bank, long member, const double *rows, long count) {
+  double lowest;
+  return hollow(bank->x[bank->now[0]] + member * bank->n, bank->n, rows, count, &lowest) != NULL;
+}
+
 /* tell the filters of one block that rows·x is not negative, where the lowest is; how many had to be told */
 long lift(Bank *bank, long block, const double *rows, long count) {
   const long n = bank->n;
   long told = 0;
   for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
     double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, Ph[MOST_STATES];
-    double lowest = 0.0, variance = 0.0;
-    const double *row = NULL;
-    for (long r = 0; r < count; r++) {
-      double value = 0.0;
-      for (long i = 0; i < n; i++) value += rows[r * n + i] * x[i];
-      if (value < lowest) lowest = value, row = rows + r * n;
-    }
+    double lowest, variance = 0.0;
+    const double *row = hollow(x, n, rows, count, &lowest);
     if (!row) continue;
     told++;
     for (long i = 0; i < n; i++) {
@@ -382,9 +395,9 @@ long lift(Bank *bank, long block, const double *rows, long count) {
 }
 
 /* NAMED of one filter, from `t` to `t + dt`, and the variance of each; `spread` (n, steps) is what the rig's constants
-   leave open besides */
+   leave open besides, `uneven` what rounded goals do */
 void named(const Bank *bank, const Palms *palms, const RigError *rig, long member, double t, double dt,
-           const double *spread, long steps, double *y, double *variance) {
+           const double *spread, long steps, const double *uneven, double *y, double *variance) {
   enum { PHI = 5, OMEGA = 6 }; /* of joint 1; of joint 2 two further on */
   const long n = bank->n;
   const double *x = bank->x[bank->now[0]] + member * n, *given = bank->P[bank->now[0]] + member * n * n;
@@ -419,6 +432,7 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
     variance[PHI + 2 * j] += angles[j];
     variance[OMEGA + 2 * j] += rates[j];
   }
+  for (int i = 0; i < NAMED; i++) variance[i] += uneven[i];
 }
 
 /* ---- events in the order of their own times: `observer.fusion`, `observer.history` */

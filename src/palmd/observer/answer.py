@@ -30,11 +30,10 @@ _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
 def answer(
     t: float, valid: bool, observer: str, object_count: int,
-    y: FloatArray, sd: FloatArray, mass: MassEstimator, nis: float, observability: float, touched: float,
+    y: list[float], sd: list[float], mass: MassEstimator, nis: float, observability: float, touched: float,
 ) -> Estimate:  # fmt: skip
     """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
-    values: dict[str, float] = dict(zip(NAMED, y.tolist(), strict=True))
-    sds: dict[str, float] = dict(zip(NAMED, sd.tolist(), strict=True))
+    values, sds = dict(zip(NAMED, y, strict=True)), dict(zip(NAMED, sd, strict=True))
     m, m_sd = mass.value, mass.sd
     for name in FORCES:
         f = values[name]

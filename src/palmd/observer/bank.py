@@ -144,6 +144,10 @@ class Bank:
         """Running mean of the normalised innovation squared, (size)."""
         return self._nis[: self.size]
 
+    def nis_of(self, member: int) -> float:
+        """That of one filter."""
+        return float(self._nis[member])
+
     def refill(self) -> None:
         """All filters active again, with equal scores; their states are the caller's to set."""
         self._now[1] = self.full_size // self.block
@@ -227,6 +231,12 @@ class Bank:
             cut_off(x[member], P[member], rows[int(values[member].argmin())])
         return not len(below)
 
+    def falls_below(self, member: int, rows: FloatArray) -> bool:
+        """Whether rows·x of one filter is negative anywhere."""
+        if self.compiled is not None:
+            return self.compiled.falls_below(member, rows)
+        return bool((rows @ self.x[member]).min() < 0.0)
+
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
         """Drop filters whose score is more than `margin` (nats) behind the best, block by block.
 
@@ -253,14 +263,14 @@ class Bank:
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
-        return bool((self._score[0] if self.size == 1 else self.score.max()) == LOST_SCORE)
+        return bool(self._score[self.best()] == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""
         if self.size == 1:
             return _ONLY
         score = self.score
-        members: npt.NDArray[np.intp] = (score > score.max() - margin).nonzero()[0]
+        members: npt.NDArray[np.intp] = (score > score[score.argmax()] - margin).nonzero()[0]
         return members
 
     def blank(self) -> Snapshot:

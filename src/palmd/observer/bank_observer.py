@@ -48,6 +48,7 @@ SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
 RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
+_AGREED = [0.0] * len(NAMED)
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
 
 
@@ -198,11 +199,13 @@ class BankObserver:
         if track is None:
             palms = fusion.palms.motion(t) if fusion.palms_known(t) else None
             return no_answer(t, self.name, session.object_count, palms)
-        y, sd, disagreement = self._named(track, t)
-        evidence = self._evidence(track, t, y, sd, disagreement)
         best = fusion.bank.best()
-        track.surprise.take(float(fusion.bank.nis[best]), t)
-        told_sd = sd * track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
+        nis = fusion.bank.nis_of(best)
+        y, sd, disagreement = self._named(track, best, t)
+        evidence = self._evidence(track, t, y, sd, disagreement, nis)
+        track.surprise.take(nis, t)
+        factor = track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
+        told_sd = [each * factor for each in sd]
         safe = (
             settled(evidence, SETTLED)
             and self._foreseen(told_sd)
@@ -213,7 +216,7 @@ class BankObserver:
         track = session.track or track  # another object may have been begun
         if valid:
             for pad, force in zip(PALMS, _FORCES, strict=True):
-                track.mass.weigh(self._contacts.last(pad), float(y[force]))
+                track.mass.weigh(self._contacts.last(pad), y[force])
             track.coverage.mark(t, best, y, fusion.psi)
             self._hypotheses.keep(track, t)
         lately = session.track is not None and self._contacts.read_lately(t)
@@ -222,7 +225,7 @@ class BankObserver:
         track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,
-            float(fusion.bank.nis[best]), self._observability.value(), track.coverage.fraction,
+            fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
         )  # fmt: skip
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -256,43 +259,46 @@ class BankObserver:
             return None
         return self._hypotheses.identify(t, self._session.object_count)
 
-    def _named(self, track: Track, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of `NAMED` at `t` (s): values, one-sigmas, and the share of these that rival hypotheses make."""
-        fusion, best = self._fusion, self._fusion.bank.best()
+    def _named(self, track: Track, best: int, t: float) -> tuple[list[float], list[float], list[float]]:
+        """Of `NAMED` at `t` (s): values, one-sigmas, and the share of these that rival hypotheses make.
+
+        Plain numbers: of eighteen arithmetic takes less time than of an array.
+        """
+        fusion = self._fusion
         dt = min(max(t - fusion.t, 0.0), LONGEST_STEP_S * 4)
         y, variance = fusion.filters.named(best, fusion.t, dt, fusion.palms)
         if self._observability.due(fusion.t):
             state, motion = fusion.filters.as_shape_map(best), fusion.palms.at(fusion.t)
             self._observability.sample(fusion.t, state, motion, fusion.palms.jerk)
-        disagreement = self._disagreement(best, fusion.rivals())
-        sd = np.sqrt(np.maximum(variance, 0.0) + disagreement**2)
-        sd *= self._inflation(track, t)
+        rivals, inflation = fusion.rivals(), self._inflation(track, t)
+        disagreement = _AGREED if len(rivals) == 1 else self._disagreement(best, rivals).tolist()
+        each = zip(variance, disagreement, strict=True)
+        sd = [math.sqrt((0.0 if own < 0.0 else own) + other * other) * inflation for own, other in each]
         if not fusion.allows_for_rig:
-            sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd)
+            sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd).tolist()
         return y, sd, disagreement
 
     def _disagreement(self, best: int, rivals: npt.NDArray[np.intp]) -> FloatArray:
         """One-sigma of the rivals' answers about the best one's, weighted by likelihood."""
-        if len(rivals) == 1:
-            return np.zeros(len(NAMED))
         answers, score = self._fusion.named(), self._fusion.bank.score
         weights = np.exp(score[rivals] - score[best])
         differences = self._hypotheses.apart(answers[rivals] - answers[best])
         spread: FloatArray = np.sqrt(weights @ differences**2 / weights.sum())
         return spread
 
-    def _evidence(self, track: Track, t: float, y: FloatArray, sd: FloatArray, disagreement: FloatArray) -> Evidence:
+    def _evidence(
+        self, track: Track, t: float, y: list[float], sd: list[float], disagreement: list[float], nis: float
+    ) -> Evidence:
         fusion, contacts = self._fusion, self._contacts
-        sds = sd.tolist()  # plain numbers: a few of them take less time than an array
         return Evidence(
             touching=contacts.touching(t),
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
-            finite=math.isfinite(sum(y.tolist()) + sum(sds)),  # as are all its terms
-            consistent=consistent(float(fusion.bank.nis[fusion.bank.best()])) and self._lies_on(y),
+            finite=math.isfinite(sum(y) + sum(sd)),  # as are all its terms
+            consistent=consistent(nis) and self._lies_on(y),
             age_s=track.age(t),
-            radius_sd_m=_largest(sds[_RADII]),
-            disagreement_m=_largest(disagreement[_RADII].tolist()),
+            radius_sd_m=_largest(sd[_RADII]),
+            disagreement_m=_largest(disagreement[_RADII]),
             explained=self._explained(track, t),
             rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
         )
@@ -305,11 +311,11 @@ class BankObserver:
             return False
         return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
 
-    def _foreseen(self, told_sd: FloatArray) -> bool:
+    def _foreseen(self, told_sd: list[float]) -> bool:
         """Whether a smoother vouches for it, or what is told, surprises and all, is sharp: a bank may take all in."""
         if self._link is None or self._link.vouches(self._session.begun):
             return True
-        return float(told_sd[_RADII].max()) < SETTLED.radius_sd_m
+        return max(told_sd[_RADII]) < SETTLED.radius_sd_m
 
     def _may_ride(self, track: Track) -> bool:
         """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
@@ -324,11 +330,12 @@ class BankObserver:
         told = self._link.vouches(self._session.begun) if self._exact else self._fusion.allows_for_rig
         return riding.cornered or (riding.disc if told else not riding.excluded)
 
-    def _lies_on(self, y: FloatArray) -> bool:
+    def _lies_on(self, y: list[float]) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""
         if not self._curved:
             return True
-        return all(kappa * float(v) < MOST_LYING for kappa, v in zip(self._rig.curvatures, y[_BENDS], strict=True))
+        bends = (y[at] for at in _BENDS)
+        return all(kappa * v < MOST_LYING for kappa, v in zip(self._rig.curvatures, bends, strict=True))
 
     def _inflation(self, track: Track, t: float) -> float:
         """What to multiply one-sigmas with at `t` (s)."""

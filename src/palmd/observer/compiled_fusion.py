@@ -31,7 +31,7 @@ MOST_STATES = 64
 _JOINTS = len(JOINTS)
 _TOO_LATE = -2
 _UNTOLD = (math.nan,) * _JOINTS
-_Joints = ctypes.c_double * _JOINTS
+_Joints, _Named = ctypes.c_double * _JOINTS, ctypes.c_double * len(NAMED)
 
 
 def _doubles(*names: str) -> list[tuple[str, type]]:
@@ -81,6 +81,20 @@ class _Fusion(ctypes.Structure):
     )  # fmt: skip
 
 
+class _Rows:
+    """Where a table begins that C reads, row by row: found out once for as long as it is the same one."""
+
+    def __init__(self) -> None:
+        self._given: FloatArray | None = None
+
+    def at(self, table: FloatArray) -> int:
+        """Its address, good until the next call."""
+        if table is not self._given:
+            self._given, self._held = table, np.ascontiguousarray(table)
+            self._address: int = self._held.ctypes.data
+        return self._address
+
+
 class Routines:
     """The functions of `model/fusion.c` in one compiled library of shape maps."""
 
@@ -101,7 +115,9 @@ class Routines:
         self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, gives=integer)
         self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
         self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
-        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, pointer, pointer)
+        self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, gives=integer)
+        told = (pointer, pointer, pointer)
+        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, *told)
         self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
         self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
 
@@ -185,8 +201,11 @@ class CompiledRig:
 class CompiledBank:
     """What a bank of shape maps does with readings; `rig` is what `ShapeFilters.rig_error` says of the rig."""
 
-    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray):
-        """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there."""
+    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, uneven: FloatArray):
+        """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there.
+
+        `uneven` are variances of `NAMED` that are added to what is told.
+        """
         if bank.n > MOST_STATES:
             raise ValueError(f"there is room for {MOST_STATES} states, not {bank.n}")
         self.does = routines
@@ -201,8 +220,11 @@ class CompiledBank:
             *map(routines.address, kernels), *arrays, ctypes.addressof(now), bank.n, bank.block, bank.memory_s
         )
         self.address = ctypes.addressof(self._now)
-        self._y, self._variance = np.zeros(len(NAMED)), np.zeros(len(NAMED))
-        self._told = self._y.ctypes.data, self._variance.ctypes.data
+        self._y, self._variance, self._uneven = _Named(), _Named(), _Named(*uneven)
+        self._told = tuple(map(ctypes.addressof, (self._uneven, self._y, self._variance)))
+        self._spread, self._rows = _Rows(), _Rows()
+        self._believed_sd: FloatArray | None = None
+        self._believed = np.zeros((0, bank.n))  # as variances
         self._reading = _FusedReading()
         self._reading_at = ctypes.addressof(self._reading)
 
@@ -236,25 +258,37 @@ class CompiledBank:
         """As `Bank.fade`."""
         first, last, _ = prior.which.indices(self.bank.n)
         mean = np.ascontiguousarray(prior.mean)
-        variance = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
         if len(mean) < self.bank.size or mean.shape[1] != self.bank.n:
             raise ValueError(f"beliefs are of {self.bank.size} filters' {self.bank.n} states, not {mean.shape}")
-        self.does.fade(self.address, block, fraction, first, last, mean.ctypes.data, variance.ctypes.data)
+        if prior.sd is not self._believed_sd or mean.shape != self._believed.shape:
+            self._believed_sd = prior.sd
+            self._believed = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
+        at = mean.ctypes.data, self._believed.ctypes.data
+        self.does.fade(self.address, block, fraction, first, last, *at)
 
     def lift(self, block: int, rows: FloatArray) -> bool:
         """As `Bank.lift`."""
-        if not rows.flags.c_contiguous or rows.shape[1] != self.bank.n:
+        return self.does.lift(self.address, block, *self._checked(rows)) == 0
+
+    def falls_below(self, member: int, rows: FloatArray) -> bool:
+        """As `Bank.falls_below`."""
+        return self.does.falls_below(self.address, member, *self._checked(rows)) != 0
+
+    def _checked(self, rows: FloatArray) -> tuple[int, int]:
+        if rows.shape[1] != self.bank.n:
             raise ValueError(f"rows are of {self.bank.n} states, not {rows.shape}")
-        return self.does.lift(self.address, block, rows.ctypes.data, len(rows)) == 0
+        return self._rows.at(rows), len(rows)
 
     def named(
         self, rig: CompiledRig, palms: CompiledPalms, member: int, t: float, dt: float, spread: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`."""
-        by, steps = (None, 0) if spread is None else (np.ascontiguousarray(spread), spread.shape[1])
-        at = None if by is None else by.ctypes.data
-        self.does.named(self.address, palms.address, rig.address, member, t, dt, at, steps, *self._told)
-        return self._y.copy(), self._variance.copy()
+    ) -> tuple[list[float], list[float]]:
+        """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`.
+
+        `spread` has a row for each of the filter's states, and may have more.
+        """
+        by = (None, 0) if spread is None else (self._spread.at(spread), spread.shape[1])
+        self.does.named(self.address, palms.address, rig.address, member, t, dt, *by, *self._told)
+        return self._y[:], self._variance[:]
 
 
 class CompiledHistory:

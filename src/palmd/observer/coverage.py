@@ -34,7 +34,7 @@ class Coverage:
         self._last_normals: tuple[float, ...] | None = None
         self._recent: deque[tuple[float, int]] = deque()  # when (s) which bin was marked first
 
-    def mark(self, t: float, leader: int, y: FloatArray, all_psi: Callable[[], FloatArray]) -> None:
+    def mark(self, t: float, leader: int, y: Sequence[float] | FloatArray, all_psi: Callable[[], FloatArray]) -> None:
         """Mark the normals (3.1) touched since the last call; filter `leader` has the values `y` of `NAMED` at `t` (s).
 
         `all_psi` gives ψ of every filter (rad), for when another one has taken the lead: what was touched before has
@@ -83,11 +83,11 @@ class Coverage:
         self._leader, self._last_normals = leader, None
 
 
-def _normals(y: FloatArray, curvatures: Sequence[float]) -> tuple[float, ...]:
+def _normals(y: Sequence[float] | FloatArray, curvatures: Sequence[float]) -> tuple[float, ...]:
     """θ1, θ2 (3.1) in rad, on any branch, from values of `NAMED`."""
-    joints = y[_ANGLES].tolist()
+    joints: Sequence[float] = [float(y[at]) for at in _ANGLES]
     if any(curvatures):
-        joints = tangents(joints, y[_CONTACTS].tolist(), curvatures)
+        joints = tangents(joints, [float(y[at]) for at in _CONTACTS], curvatures)
     return normal_directions(joints, float(y[_PSI]))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from itertools import takewhile
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.system.description import RigDescription
 
 LEAST_READINGS = 30  # by which it is judged before it takes part
+LATEST_S = 1.0
 LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
 
 
@@ -34,21 +35,28 @@ class FilterCatchUp:
         self._read = 0
         self.active = False
 
-    def begin(self, improvement: Improvement, recent: Iterable[Event]) -> None:
-        """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones."""
+    def begin(self, improvement: Improvement, recent: deque[Event]) -> None:
+        """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones.
+
+        They are in the order in which they came; what came later than `LATEST_S` after those of its time is left out.
+        """
         self._palms = self._filters.tracker(self._angle_noise)
         self._filters.rig_error.values[:] = improvement.rig
         since = improvement.t - LEAD_S
-        needed = [event for event in recent if event.t_sample > since]
-        self._waiting = deque(sorted(needed, key=lambda event: event.t_sample))
+        late = takewhile(lambda event: event.t_sample > since - LATEST_S, reversed(recent))
+        needed = [event for event in late if event.t_sample > since]
+        needed.reverse()
+        self._waiting = deque(sorted(needed, key=_sample_time))
+        before: list[Event] = []
         while self._waiting and self._waiting[0].t_sample <= improvement.t:
             event = self._waiting.popleft()
             if isinstance(event, PalmSample):
-                self._palms.feed(event)
+                before.append(event)
         self._filters.bank.refill()
         self._filters.bank.x[:], self._filters.bank.P[:] = improvement.x, improvement.P
-        self._t = improvement.t
-        self._read = 0
+        self._t, self._read = improvement.t, 0
+        if before:
+            self._filters.follow(before, self._t, self._palms, self._variances)
         self.active = self._palms.known
 
     def hear(self, event: Event) -> None:
@@ -73,3 +81,7 @@ class FilterCatchUp:
     def _move_to(self, t: float) -> None:
         self._filters.carry(self._t, t, self._palms, math.inf)
         self._t = t
+
+
+def _sample_time(event: Event) -> float:
+    return event.t_sample

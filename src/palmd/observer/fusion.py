@@ -231,7 +231,7 @@ class Fusion:
 
     def is_convex(self, member: int) -> bool:
         """Whether one filter's outline is."""
-        return not (self.filters.curvature @ self.bank.x[member]).min() < 0.0
+        return not self.bank.falls_below(member, self.filters.curvature)
 
     def named(self) -> FloatArray:
         """Values of `NAMED` of every filter at `t`, (size, len(NAMED)); overwritten by the next call."""

@@ -45,7 +45,7 @@ class Observability:
         curvatures = rig[CURVATURE_INPUTS]
         n = shape_map.N
         library = sensitivity.library(bool(curvatures.any()))
-        self._weights = 1.0 / reading_variances
+        self._weights = (1.0 / reading_variances).tolist()
         self._x, self._J = np.zeros(n), np.zeros((n, sensitivity.AIMED_AT))
         # CasADi stores by columns: these are the transposes
         self._T = [np.zeros((n, sensitivity.MOVING)) for _ in range(2)]
@@ -86,8 +86,7 @@ class Observability:
             self._break_off()
         else:
             self._u[0] = dt
-            self._u[-2:] = self._readings
-            self._u[-2:] *= self._weights
+            self._u[-2:] = [count * weight for count, weight in zip(self._readings, self._weights, strict=True)]
             self._gather[self._side]()
             self._side = 1 - self._side
             self._filled_s += dt

@@ -148,7 +148,16 @@ class QuasistaticObserver:
         if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
         told = answer(
-            t, valid, self.name, self.object_count, y, sd, self._mass, math.nan, math.nan, self._marks.fraction
+            t,
+            valid,
+            self.name,
+            self.object_count,
+            y.tolist(),
+            sd.tolist(),
+            self._mass,
+            math.nan,
+            math.nan,
+            self._marks.fraction,
         )
         return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
 

@@ -41,9 +41,10 @@ class Riding:
             [math.hypot(pad.zero_sd, ROUND_M * rig.angle_sd), rig.angle_sd, pad.lag_sd, pad.force_sd]
             for pad in rig.pads
         ]
-        self._sums: dict[int, FloatArray] = {
-            pad: np.zeros((3 + np.count_nonzero(off),) * 2) for pad, off in zip(PALMS, self._off, strict=True)
-        }
+        # of constants in one-sigmas the first reading is what is believed of them
+        believed = [[0.0] * 3 + [1.0] * np.count_nonzero(off) for off in self._off]
+        self._sums: dict[int, FloatArray] = dict(zip(PALMS, map(np.diag, believed), strict=True))
+        self._rows: dict[int, list[list[float]]] = {pad: [] for pad in PALMS}
         self._standoff_sd = max(pad.standoff_sd for pad in rig.pads)
         self._readings = dict.fromkeys(PALMS, 0)
         self._ride: dict[int, _Ride | None] = dict.fromkeys(PALMS)
@@ -58,12 +59,14 @@ class Riding:
         cos, sin, force = math.cos(opening), math.sin(opening), sample.force or 0.0
         moved = sin, -sample.s * cos, -sample.s * rate * sin, force * sin
         of_rig = [sd * by for sd, by in zip(self._off[i], moved, strict=True) if sd]
-        row = np.array([1.0, cos, sample.s * sin, *of_rig])
-        row /= sin * self._noise[i]
-        self._sums[sample.pad] += row[:, None] * row  # several times faster than np.outer
+        weight, rows = 1.0 / (sin * self._noise[i]), self._rows[sample.pad]
+        rows.append([each * weight for each in (1.0, cos, sample.s * sin, *of_rig)])
         self._readings[sample.pad] += 1
         self._least, self._most = min(self._least, opening), max(self._most, opening)
-        if self._readings[sample.pad] % FIT_EVERY == 0:
+        if len(rows) == FIT_EVERY:  # together: what a few numbers cost is an array's being there
+            told_by = np.array(rows)
+            rows.clear()
+            self._sums[sample.pad] += told_by.T @ told_by
             self._ride[sample.pad] = _fitted(self._sums[sample.pad], self._readings[sample.pad])
             told = self._most - self._least > TELLING_RAD
             self.cornered = self.cornered or (told and self._sharp(sample.pad))
@@ -99,10 +102,11 @@ class _Ride(NamedTuple):
 
 def _fitted(sums: FloatArray, readings: int) -> _Ride | None:
     """From a pad's sums of products of (1, cos φ2, s sin φ2, constants of the rig in one-sigmas); None of too few."""
-    if len(sums) > 3:
-        of_rig = sums[3:, 3:] + np.eye(len(sums) - 3)
-        sums = sums[:3, :3] - sums[:3, 3:] @ np.linalg.solve(of_rig, sums[3:, :3])
-    (a, b, p), (_, c, q), (*_, total) = sums.tolist()
+    left = sums.tolist()  # a few numbers: plainly it takes a third of the time
+    while len(left) > 3:
+        *left, pivot = left
+        left = [[x - row[-1] / pivot[-1] * y for x, y in zip(row[:-1], pivot[:-1], strict=True)] for row in left]
+    (a, b, p), (_, c, q), (*_, total) = left
     determinant = a * c - b * b
     if not determinant > 0.0:
         return None

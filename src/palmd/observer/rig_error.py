@@ -28,11 +28,11 @@ class RigError:
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
+        v = self.values.tolist()
         slopes = [
-            4.0 * self.values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i))
-            for i, length in enumerate(self.pad_lengths)
+            4.0 * v[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i)) for i, length in enumerate(self.pad_lengths)
         ]
-        return float(self.values[R.TILT] + slopes[0]), float(self.values[R.TURN] - slopes[0] - slopes[1])
+        return v[R.TILT] + slopes[0], v[R.TURN] - slopes[0] - slopes[1]
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells."""

@@ -251,3 +251,11 @@ def test_an_interruption_leaves_what_is_finished(tmp_path, monkeypatch, capsys):
     assert "interrupted: 1 of 20 runs are finished\n" in err
     assert len((tmp_path / bench_explore.ROWS).read_text().splitlines()) == 1
     assert out.splitlines()[1].split() == ["rig"]
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_rig_that_cannot_be_read_is_refused_before_the_first_run(tmp_path, capsys):
+    missing, folder = tmp_path / "no.yaml", tmp_path / "new"
+    assert main(["bench", "explore", "--config", str(missing), "-o", str(folder)]) == 1
+    assert f"{missing}:1:1: no such file" in capsys.readouterr().err
+    assert not folder.exists()

@@ -19,6 +19,7 @@ from palmd.observer.filters.base import pad_update
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.history import EVENTS, History
 from palmd.observer.palms import FORGOTTEN_S, PalmTracker
+from palmd.observer.prior import GYRATION, blind_start
 from palmd.observer.rig_error import RigError
 from palmd.system.description import ROUNDING_LASTS_S, PadSensor, RigDescription
 
@@ -140,14 +141,15 @@ def test_a_reading_beyond_the_pads_scale_is_taken_under_the_force_told_before():
 @pytest.mark.parametrize("left_by", ["nobody", "spread", "left_open"])
 def test_named_values_and_their_variances_are_the_twins(kind, left_by):
     filters, palms = pair(RIGS[kind], 1, ORDER)
-    steps = 1e-3 * np.random.default_rng(2).standard_normal((filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
-    told = []
-    for each, tracked in zip(filters, palms, strict=True):
-        if left_by != "nobody":
-            setattr(each, left_by, steps)
-        told.append(each.named(0, 0.03, 0.009, tracked))
-    for got, wanted in zip(*told, strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
+    random, shape = np.random.default_rng(2), (filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS)
+    for steps in (1e-3 * random.standard_normal(shape), 1e-3 * random.standard_normal(shape)):
+        told = []
+        for each, tracked in zip(filters, palms, strict=True):
+            if left_by != "nobody":
+                setattr(each, left_by, steps)
+            told.append(each.named(0, 0.03, 0.009, tracked))
+        for got, wanted in zip(*told, strict=True):
+            np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -160,7 +162,7 @@ def test_what_rounded_goals_do_to_the_palms_is_told_of_them(compiled):
         palms = filters.tracker(2e-4)
         palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
         told.append(filters.named(0, 0.0, 0.001, palms)[1])
-    more = dict(zip(NAMED, told[1] - told[0], strict=True))
+    more = dict(zip(NAMED, np.subtract(told[1], told[0]), strict=True))
     angle = rounding**2 / 12
     assert more["phi1"] == pytest.approx(angle)
     assert more["phi2"] == pytest.approx(2 * angle)  # from palm to palm
@@ -172,12 +174,27 @@ def test_filters_forget_bit_for_bit_as_the_twins_do():
     filters, _ = pair(RIGS["flat"], 16)
     random = np.random.default_rng(3)
     shape = filters[0].bank.x.shape
-    for sd in (random.uniform(0.1, 1.0, shape[1]), random.uniform(0.1, 1.0, shape)):
+    sds = random.uniform(0.1, 1.0, shape[1]), random.uniform(0.1, 1.0, shape)
+    for sd in (sds[0], sds[1], sds[1], sds[0]):
         belief = Belief(slice(Z.LN_RHO, shape[1]), random.standard_normal(shape), sd)
         for each in filters:
             each.bank.fade(1, 0.3, belief)
     for name in ("x", "P"):
         np.testing.assert_array_equal(getattr(filters[0].bank, name), getattr(filters[1].bank, name))
+
+
+def test_what_was_believed_is_of_the_last_start_and_of_each_filters_own_radius():
+    (kept, _), (palms, _) = pair(RIGS["flat"], 16)
+    for contacts in ((0.02, 0.021), (0.03, 0.031)):
+        start = blind_start(contacts, palms.motion(0.0), 16, True, np.random.default_rng(1))
+        kept.start(start, palms, 0.0)
+        for radius in (0.02, np.linspace(0.01, 0.04, 16)):
+            kept.bank.x[:, Z.SHAPE] = radius
+            told = kept.constants(start)
+            ln_rho = math.log(GYRATION) + np.log(np.broadcast_to(radius, 16))
+            np.testing.assert_allclose(told.mean[:, Z.LN_RHO], ln_rho, rtol=1e-12)
+            assert np.all(told.mean[:, Z.SHAPE] == start.mean_radius)
+            np.testing.assert_array_equal(told.sd[Z.SHAPE :], start.shape_sd)
 
 
 def test_hollow_outlines_are_bent_as_the_twins_are():
@@ -186,11 +203,15 @@ def test_hollow_outlines_are_bent_as_the_twins_are():
         each.bank.x[3:9, Z.SHAPE + 6] = 0.02  # waves of which v is negative somewhere
         each.bank.x[10, Z.SHAPE + 6] = 40.0  # by more than erfc can tell
         each.bank.P[4] = 0.0  # one that can be told nothing
+    below = [[each.bank.falls_below(member, each.curvature) for member in range(16)] for each in filters]
+    assert below[0] == below[1]
+    assert all(below[0][3:9])
     found = [[each.bank.lift(block, each.curvature) for block in range(2)] for each in filters]
     assert found[0] == found[1] == [False, False]
     same(filters, 1e-9)
     for each in filters:
         each.bank.x[:, Z.SHAPE + 1 :] = 0.0  # circles
+        assert not each.bank.falls_below(1, each.curvature)
         assert each.bank.lift(0, each.curvature)
 
 

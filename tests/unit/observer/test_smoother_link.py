@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -18,7 +19,7 @@ from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, Pa
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
 from palmd.observer.bank_observer import DISTRUSTED_S, SETTLED
-from palmd.observer.filter_catchup import LEAD_S, FilterCatchUp
+from palmd.observer.filter_catchup import LATEST_S, LEAD_S, FilterCatchUp
 from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.handover import outline_sd
@@ -258,7 +259,9 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     assert improvement is not None
     recent = [event for event in run.events if event.t_sample <= until]
     newcomer = FilterCatchUp(run.rig)
-    newcomer.begin(improvement, reversed(recent))  # in any order
+    delays = np.random.default_rng(5).uniform(0.0, 0.9 * LATEST_S, len(recent))  # of the wires
+    came = sorted(zip(recent, delays, strict=True), key=lambda each: each[0].t_sample + each[1])
+    newcomer.begin(improvement, deque(event for event, _ in came))
     while not newcomer.follow(3):
         assert newcomer.active
     x, P, nis = newcomer.state_at(until)

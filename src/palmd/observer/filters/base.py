@@ -80,7 +80,7 @@ class Filters(Protocol):
     def inflate(self, gap: float) -> None:
         """Widen what moves after `gap` seconds through which the palms' motion was not reported but guessed."""
 
-    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
         """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`."""
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:

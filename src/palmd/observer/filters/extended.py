@@ -146,13 +146,13 @@ class ExtendedFilters:
         )
         self.bank.P[:] += np.diag(variance)
 
-    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:3], self._u[3:5] = dt, palms.at(t)[4:], palms.jerk
         self._predict()
         self._alpha[:2] = palms.at(t + dt)[4:]
         self._named()
-        return self._y.copy(), ((self._P_next @ self._J) * self._J).sum(axis=0)
+        return self._y.tolist(), ((self._P_next @ self._J) * self._J).sum(axis=0).tolist()
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(palms.at(t)[4:], self._rig)

@@ -29,22 +29,26 @@ from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import JOINT_RATES, JOINTS, OPENING
 
+_LOW, _HIGH = slice(0, shape_map.N), slice(shape_map.N, None)
+
 
 def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The belief (mean x, covariance P) about a shape map of more than `HARMONICS` harmonics, if it had no more.
 
     Where the outline has been felt it is much the same; merely leaving harmonics out would bend it there too.
     """
-    low, high = slice(0, shape_map.N), slice(shape_map.N, None)
-    gain = np.linalg.solve(P[high, high], P[high, low]).T
-    return x[low] - gain @ x[high], P[low, low] - gain @ P[high, low]
+    gain = _gain(P)
+    return x[_LOW] - gain @ x[_HIGH], P[_LOW, _LOW] - gain @ P[_HIGH, _LOW]
 
 
 def smoother_spread(P: FloatArray, spread: FloatArray) -> FloatArray:
     """What the rig's constants leave open (n + constants, constants) of that belief, `P` (n, n) being the whole one."""
-    low, high = slice(0, shape_map.N), slice(shape_map.N, len(P))
-    gain = np.linalg.solve(P[high, high], P[high, low]).T
-    return np.vstack([spread[low] - gain @ spread[high], spread[len(P) :]])
+    return np.vstack([spread[_LOW] - _gain(P) @ spread[shape_map.N : len(P)], spread[len(P) :]])
+
+
+def _gain(P: FloatArray) -> FloatArray:
+    """How the shape map's states go with the harmonics that are left out."""
+    return np.asarray(np.linalg.solve(P[_HIGH, _HIGH], P[_HIGH, _LOW]).T)
 
 
 _JOINTS_AT = [NAMED.index(name) for name in (*JOINTS, *JOINT_RATES)]
@@ -96,11 +100,14 @@ class ShapeFilters:
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
         self._routines = Routines(library) if compiled and library.path is not None else None
-        self.compiled = None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig)
+        self.compiled = (
+            None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig, self._uneven)
+        )
         self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
         self.left_open: FloatArray | None = None
+        self._start: BlindStart | None = None  # that `_believed` is of
 
     @property
     def rig_error(self) -> RigError:
@@ -141,9 +148,17 @@ class ShapeFilters:
 
     def constants(self, start: BlindStart) -> Belief:
         Z = shape_map.Z
-        mean, sd = np.zeros((self.bank.size, self.bank.n)), np.zeros(self.bank.n)
-        ln_ratio = math.log(prior.GYRATION)
+        if start is not self._start:
+            self._start, self._believed = start, self._constants(start)
+        believed, ln_ratio = self._believed, math.log(prior.GYRATION)
+        mean = believed.mean[: self.bank.size]
         mean[:, Z.LN_RHO] = np.log(np.maximum(self.bank.x[:, Z.SHAPE], SMALLEST_RADIUS_M)) + ln_ratio
+        return Belief(believed.which, mean, believed.sd)
+
+    def _constants(self, start: BlindStart) -> Belief:
+        """But for ρ, of which each filter's goes with its mean radius."""
+        Z = shape_map.Z
+        mean, sd = np.zeros((self.bank.full_size, self.bank.n)), np.zeros(self.bank.n)
         mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
         mean[:, Z.DAMPING], mean[:, Z.SHAPE] = prior.DAMPING, start.mean_radius
         sd[Z.LN_RHO], sd[Z.MU] = prior.GYRATION_SD, prior.FRICTION_SD
@@ -200,11 +215,9 @@ class ShapeFilters:
         variance[Z.PSI] = (GUESSED_ACCELERATION_SD * gap**2 / 2) ** 2
         self.bank.P[:] += np.diag(variance)
 
-    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[FloatArray, FloatArray]:
+    def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            y, variance = self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
-            variance += self._uneven
-            return y, variance
+            return self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
         self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
@@ -214,7 +227,7 @@ class ShapeFilters:
         variance = ((self._P_next @ self._J) * self._J).sum(axis=0)
         variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
         variance += self._uneven
-        return self._y.copy(), variance
+        return self._y.tolist(), variance.tolist()
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(self._palms_at(t, palms), self._rig_now())
@@ -225,7 +238,8 @@ class ShapeFilters:
 
     def as_shape_map(self, member: int) -> FloatArray:
         x, P = self.bank.x[member], self.bank.P[member]
-        return x if len(x) == shape_map.N else smoother_outline(x, P)[0]
+        state: FloatArray = x if len(x) == shape_map.N else x[_LOW] - _gain(P) @ x[_HIGH]
+        return state
 
     def belief(self, member: int) -> tuple[FloatArray, FloatArray]:
         return self.bank.x[member].copy(), self.bank.P[member].copy()
@@ -242,9 +256,11 @@ class ShapeFilters:
     def _whole(self, member: int) -> FloatArray:
         P: FloatArray = self.bank.P[member]
         steps = self._open()
-        return P if steps is None else P + steps @ steps.T
+        if steps is not None:
+            steps = steps[: self.bank.n]
+            P = P + steps @ steps.T
+        return P
 
     def _open(self) -> FloatArray | None:
-        """What the rig's constants leave open of the state, in one-sigma steps (n, steps)."""
-        steps = self.left_open if self.spread is None else self.spread
-        return None if steps is None else steps[: self.bank.n]
+        """What the rig's constants leave open in one-sigma steps: n rows of the state, and perhaps their own."""
+        return self.left_open if self.spread is None else self.spread
