@@ -350,9 +350,10 @@ _shtab_palmd_bench_things_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[how many of each kind (default\: 10)]:N:"
   "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump corners of 3 mm corners of 1 mm dent of 4 mm dent of 10 mm dry lump all)"
-  "--offline[reconstruct logs of the kinds that are told by their corners or dents]"
+  "--offline[reconstruct logs of the kinds that are told by their corners or dents, or that stick]"
+  "--explored[the same of recordings\: each is explored in the emulated rig]"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 15, of a log 20)]:S:"
+  "--seconds[how long each lasts (default\: 15\; 20 where it is reconstructed)]:S:"
   "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"
   "--jobs[processes on this machine (default\: one a processor)]:J:"
 )

@@ -27,7 +27,7 @@ from palmd.motion.plan import compile_plan
 from palmd.observer import Observer, ObserverName, Smoothing
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.pads import GOOD_PADS, PadOptions
-from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions
 from palmd.rig.shapes import Body, Kind
 from palmd.rig.world import World
 
@@ -146,8 +146,10 @@ class Wireless(ClosedLoop[World]):
         explorer: Source | None = None,
         estimator: Observer | None = None,
         body: Body | None = None,
+        surface: FrictionSurface | None = None,
     ) -> None:
-        """`seed` draws the object, unless it is this `body`, noise, and the observer's samples of the prior.
+        """`seed` draws the object and its friction, unless it is this `body` on this `surface`, noise, and the
+        observer's samples of the prior.
 
         `explorer` decides explorations. Without one, a shape observer has the daemon's own, whose answers come some
         time after the questions. Without `smoothing` the observer has no smoother at its side. An `estimator` takes the
@@ -161,7 +163,8 @@ class Wireless(ClosedLoop[World]):
         estimator = estimator or observer.make(observer_name, rig, seed, smoothing)
         if explorer is None and observer_name == "shape":
             explorer = InlineExplorer(Decider(rig, seed))
-        world = World(config, seed, kind=kind, options=options, pad_options=pad_options, bodies=(body,) if body else ())
+        bodies = (body,) if body else ()
+        world = World(config, seed, kind=kind, options=options, pad_options=pad_options, bodies=bodies, surface=surface)
         super().__init__(world, Core(config, estimator, AtOnce(), plan, explorer=explorer), config.loop.rate_hz)
 
 

@@ -1,12 +1,14 @@
 """Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong; prints the seeds.
 
 With --offline: logs of polygons, of dented and of dry lumps, of dice and profiles, reconstructed blind: how many are
-right, wrong, refused.
+right, wrong, refused. With --explored: the same bodies, each explored in the emulated rig, and its recording
+reconstructed.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 from palmd.console.arguments import count, seconds, seed
@@ -25,9 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--runs", type=count, default=10, metavar="N", help="how many of each kind (default: %(default)s)")
     kinds = tuple(dict.fromkeys((*things.KINDS, *thing_logs.KINDS, ALL)))
     add("--kind", choices=kinds, default=ALL, help="what lies on the palms (default: %(default)s)")
-    add("--offline", action="store_true", help="reconstruct logs of the kinds that are told by their corners or dents")
+    offline = parser.add_mutually_exclusive_group().add_argument
+    offline(
+        "--offline",
+        action="store_true",
+        help="reconstruct logs of the kinds that are told by their corners or dents, or that stick",
+    )
+    offline("--explored", action="store_true", help="the same of recordings: each is explored in the emulated rig")
     add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=seconds, metavar="S", help="how long each lasts (default: 15, of a log 20)")
+    add("--seconds", type=seconds, metavar="S", help="how long each lasts (default: 15; 20 where it is reconstructed)")
     add(
         "--imperfections",
         choices=tuple(CALIBRATION),
@@ -39,16 +47,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it tells of what is finished until then. CliError for a kind that there are no such runs of."""
-    offline = bool(arguments.offline)
+    explored = bool(arguments.explored)
+    offline = bool(arguments.offline) or explored
     study: Any = thing_logs if offline else things  # two modules with the same functions, each of its own rows
     known: tuple[str, ...] = study.KINDS
     if arguments.kind not in (*known, ALL):
-        wanted = "without" if offline else "with"
-        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted} --offline; here there are: {', '.join(known)}")
+        wanted = "without --offline and --explored" if offline else "with --offline or --explored"
+        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted}; here there are: {', '.join(known)}")
     kinds = known if arguments.kind == ALL else (arguments.kind,)
     print(f"seeds {arguments.seed} to {arguments.seed + arguments.runs - 1}")
     length = arguments.seconds or (LOG_S if offline else LIVE_S)
     tasks = study.tasks_of(kinds, arguments.seed, arguments.runs, length, arguments.imperfections)
+    if explored:
+        tasks = [replace(task, explored=True) for task in tasks]
     what, workers = "logs" if offline else "things", on_this_machine(arguments.jobs)
     finished, status = collected(what, tasks, study.run, study.failed, workers)
     rows = sorted(finished, key=lambda row: (known.index(row.kind), row.seed))

@@ -1,7 +1,8 @@
 """Logs of bodies with corners, flat sides and dents, and of dry friction: how many `reconstruct` is right about.
 
-Simulated, each from its kind and seed, and reconstructed blind, as `palmd reconstruct` does. What lies in a dent no
-palm feels: the truth of a dented body is its hull. `run` gives the same row in any process and in any order.
+Simulated, each from its kind and seed, on rocking palms or explored in the emulated rig, and reconstructed blind, as
+`palmd reconstruct` does. What lies in a dent no palm feels: the truth of a dented body is its hull. `run` gives the
+same row in any process and in any order.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR, RIGHT_M
 from palmd.lab.simulated import written
 from palmd.lab.table import aligned
+from palmd.lab.thing_recordings import explored
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.dry_plant import DRY
@@ -72,12 +74,13 @@ _DRY = "dry"
 
 @dataclass(frozen=True, slots=True)
 class SharpTask:
-    """One log to make and to reconstruct: what lies on the palms, the seed, how long (s)."""
+    """One log to make and to reconstruct: what lies on the palms, the seed, how long (s), whether explored."""
 
     kind: str
     seed: int
     seconds: float = 20.0
     imperfections: Drawn = "none"
+    explored: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,8 @@ class SharpRow:
     """What came of it; NaN for what there is not.
 
     e_h, most, sd: RMS and largest error, and RMS of the one-sigma, over the touched normals (m). touched: their share.
-    explained_s: how much of the log the answer explains; seconds: of the processor. perfect: the rig is as described.
+    explained_s: how much of the log the answer explains; mass_z: by how many one-sigmas the mass is too large.
+    seconds: of the processor. perfect: the rig is as described.
     """
 
     kind: str
@@ -100,6 +104,7 @@ class SharpRow:
     touched: float = math.nan
     sides: int = 0
     explained_s: float = math.nan
+    mass_z: float = math.nan
     seconds: float = math.nan
     looks_like: str = ""
 
@@ -149,6 +154,7 @@ def run(task: SharpTask) -> SharpRow:
         touched=score.touched,
         sides=len(answer.sides),
         explained_s=answer.lasts,
+        mass_z=(answer.mass - truth["mass_kg"]) / answer.mass_sd,
         looks_like=answer.likeness.said or answer.likeness.why,
     )
 
@@ -158,6 +164,8 @@ def simulated(task: SharpTask) -> tuple[EventLog, Line]:
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     dry = task.kind.startswith(_DRY)
     options, surface = PlantOptions(friction_law="coulomb" if dry else "dither"), DRY if dry else None
+    if task.explored:
+        return explored(body, task.seed, task.seconds, task.imperfections, options, surface)
     sds = CALIBRATION[task.imperfections]
     lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, surface=surface, calibration_sd=sds)
     with written(lines) as path:
@@ -205,6 +213,6 @@ def remarks(rows: Sequence[SharpRow]) -> list[str]:
             said.append(
                 f"{row.kind} {row.seed}: {verdict}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
                 f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched, {row.explained_s:.1f} s explained, sides:"
-                f" {row.sides}, {row.seconds:.0f} s; {row.looks_like}"
+                f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.seconds:.0f} s; {row.looks_like}"
             )
     return said

@@ -36,32 +36,39 @@ SLIPS_SIGN = (-1.0, 1.0)
 class Lying:
     """An object between two palms at n instants: rows that map coefficients of h to h, h′, h″ and ∫h at the contacts.
 
-    Each is a pair, one of (n, coefficients) for each palm; `palms` (n, 6): φ1, φ2, their rates and accelerations.
+    Each is a pair, one of (n, coefficients) for each palm; `palms` (n, 6): φ1, φ2, their rates and accelerations;
+    `theta`: the normals there (n), `k`: the harmonic of each coefficient.
     """
 
     palms: FloatArray
+    theta: tuple[FloatArray, FloatArray]
+    k: FloatArray
     h: tuple[FloatArray, FloatArray]
     slope: tuple[FloatArray, FloatArray]
-    bend: tuple[FloatArray, FloatArray]
-    integral: tuple[FloatArray, FloatArray]
 
     @classmethod
     def at(cls, palms: FloatArray, psi: FloatArray, order: int) -> Lying:
         """At orientations psi (n, rad), for an outline of `order` harmonics."""
+        one, two = normal_directions(palms[:, : len(JOINTS)].T, psi)
+        h = shape.basis(one, order), shape.basis(two, order)
         k = shape.harmonic_of_coefficient(order)
-        pairs = []
-        for theta in normal_directions(palms[:, : len(JOINTS)].T, psi):
-            h, slope = shape.basis(theta, order), -shape.tangential_basis(theta, order)
-            integral = -slope / np.maximum(k, 1.0) ** 2
-            integral[:, 0] = theta
-            pairs.append((h, slope, -(k**2) * h, integral))
-        one, two = pairs
-        return cls(palms, *zip(one, two, strict=True))
+        return cls(palms, (one, two), k, h, (shape.slope_of(h[0]), shape.slope_of(h[1])))
+
+    def bend(self, palm: int) -> FloatArray:
+        """Rows of h″ at a palm."""
+        rows: FloatArray = -(self.k**2) * self.h[palm]
+        return rows
+
+    def integral(self, palm: int) -> FloatArray:
+        """Rows of ∫h at a palm."""
+        rows: FloatArray = -self.slope[palm] / np.maximum(self.k, 1.0) ** 2
+        rows[:, 0] = self.theta[palm]
+        return rows
 
     def kept(self, palm: int) -> FloatArray:
         """Rows that map the coefficients to Q1 (`palm` 0) or Q2 (1)."""
         sign = 1.0 if palm else -1.0
-        return self._lever(self.h, palm) + sign * self.integral[palm]
+        return self._lever(self.h, palm) + sign * self.integral(palm)
 
     def kept_turned(self, palm: int) -> FloatArray:
         """Rows that map the coefficients to dQ/dψ (m/rad)."""
@@ -88,7 +95,7 @@ class Lying:
     def contact_turned(self, palm: int) -> FloatArray:
         """Rows that map the coefficients to ds/dψ (m/rad)."""
         sign = 1.0 if palm else -1.0
-        return -(self._lever(self.slope, palm) - sign * self.bend[palm])
+        return -(self._lever(self.slope, palm) - sign * self.bend(palm))
 
     def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
         """ds/dψ (m/rad) of the outline with these coefficients."""
@@ -98,7 +105,7 @@ class Lying:
     def contact_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
         """ds/dφ2 (m/rad) at the same φ1 and ψ, as `kept_opened`."""
         turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
-        moved = turned / np.sin(self.palms[:, OPENING, None]) - palm * self.bend[1]
+        moved = turned / np.sin(self.palms[:, OPENING, None]) - palm * self.bend(1)
         opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
         return opened
 

@@ -29,6 +29,13 @@ def basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     return rows
 
 
+def slope_of(rows: FloatArray) -> FloatArray:
+    """Rows of h′ from those of h by `basis`, without another sine."""
+    slope, k = np.zeros_like(rows), np.arange(1, rows.shape[1] // 2 + 1)
+    slope[:, 1::2], slope[:, 2::2] = -k * rows[:, 2::2], k * rows[:, 1::2]
+    return slope
+
+
 def tangential_basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     """−d/dθ of `basis`: what maps coefficients to the tangential offset d = −h′."""
     k = np.arange(1, order + 1)

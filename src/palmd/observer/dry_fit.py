@@ -158,8 +158,9 @@ class DryModel:
         """What filters begin with in the place of what was `blind`: the fit, at twice its one-sigmas."""
         of_z, to_x = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
         x = np.zeros(len(blind.x))
-        x[stuck_palms.SHAPE], x[stuck_palms.LN_MASS] = fit.z[SHAPE], fit.z[LN_MASS]
-        to_x[stuck_palms.SHAPE, SHAPE], to_x[stuck_palms.LN_MASS, LN_MASS] = np.eye(SHAPE.stop), 1.0
+        x[stuck_palms.LN_MASS], to_x[stuck_palms.LN_MASS, LN_MASS] = fit.z[LN_MASS], 1.0
+        for mine, its in ((stuck_palms.SHAPE, SHAPE), (stuck_palms.STANDOFF, _STANDOFFS)):
+            x[mine], to_x[mine, its] = fit.z[its], np.eye(its.stop - its.start)
         for which, sign in ((stuck_palms.MU1, 1.0), (stuck_palms.MU2, -1.0)):
             x[which] = fit.z[MU] * (1.0 + sign * fit.z[ASYMMETRY])
             to_x[which, [MU, ASYMMETRY]] = 1.0 + sign * fit.z[ASYMMETRY], sign * fit.z[MU]
@@ -294,7 +295,7 @@ class DryModel:
         gains = [(told([*felt[:i], felt[i] + _STEP, *felt[i + 1 :]]) - value) / _STEP for i in range(len(felt))]
         jacobian = np.zeros((len(at), self.size))
         turned = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
-        lies = zip(gains, (*lying.h, *lying.slope), (*lying.slope, *lying.bend), strict=False)
+        lies = zip(gains, (*lying.h, *lying.slope), (*lying.slope, *map(lying.bend, (0, 1))), strict=False)
         for i, (gain, rows, then) in enumerate(lies):
             turned[i % 2] += gain * (then @ z[SHAPE])
             jacobian[:, SHAPE] += gain[:, None] * rows

@@ -24,6 +24,7 @@ from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS
 
 LEAST_S = 5.0
+BEFORE_LOST_S = 0.3  # what filters read amiss before it shows
 ROUNDS, WORTH = 3, 10.0  # of following the palms anew, from the fit; and by what the cost must fall for another
 HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
@@ -36,26 +37,36 @@ RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: of the radius, and o
 def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
     """The outline of what sticks to one palm and slips along the other, if that explains the segment of `search`.
 
-    None where it does not, beyond doubt; for flat palms.
+    Or its beginning: where an object falls over, no sequence of stuck palms goes on. None where it does not, beyond
+    doubt; for flat palms.
     """
     if search.rig.curved or still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
     try:
         found = _found(search, seed)
+        if isinstance(found, float):
+            return _of_part(search, found - BEFORE_LOST_S, seed, begun)
         return None if found is None else _told(search, *found, begun)
     except np.linalg.LinAlgError:
         return None
 
 
-def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | None:
+def _of_part(search: Search, end: float, seed: int, begun: float) -> Reconstruction | None:
+    if end - search.segment.start < LEAST_S:
+        return None
+    return dry_reconstruction(Search(search.segment.until(end), search.rig, belief=search.belief), seed, begun)
+
+
+def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | float | None:
+    """The fit beyond doubt; a time (s) if only what comes before may be explained; None if nothing is."""
     record, prior = _with_forces(search), search.prior
     gain_stds = [pad.force_gain_std for pad in search.rig.pads]
     if not all((record.force_pad == palm).any() for palm in PALMS):
         return None
     start = blind(record, prior, search.rig.friction_sd, gain_stds)
     guess = stuck_guess(record, start)
-    if guess is None:
-        return None
+    if isinstance(guess, float):
+        return guess
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
     model, fit = _followed_anew(model, fit, start)
@@ -66,7 +77,7 @@ def _followed_anew(model: DryModel, fit: DryFit, start: FilterStart) -> tuple[Dr
     """With the sequence of stuck palms that filters find when they know the object, where that explains more."""
     for _ in range(ROUNDS if max(fit.chi2, fit.force_chi2) < HOPELESS else 0):
         guess = stuck_guess(model.record, model.filter_start(fit, start))
-        if guess is None:
+        if isinstance(guess, float):
             break
         other = model.with_phases(phases_of(guess.palms, model.record.t))
         then = other.fit(other.begun_from(fit))

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
-from palmd.model.smoothing import ORDER, C
+from palmd.model.smoothing import ORDER, C, R
 from palmd.observer.factor import Prior
 from palmd.observer.force_gain import BEHIND, BEHIND_S, DRIFT_S
 from palmd.observer.record import Record
@@ -39,10 +39,13 @@ MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does t
 HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
 
 SHAPE = slice(1, 2 + 2 * ORDER)  # after ψ
-LN_MASS = slice(SHAPE.stop, SHAPE.stop + len(PALMS))  # as each pad weighs it
+STANDOFF = slice(SHAPE.stop, SHAPE.stop + len(PALMS))  # of the palms' surfaces (m)
+LN_MASS = slice(STANDOFF.stop, STANDOFF.stop + len(PALMS))  # as each pad weighs it
 MU1, MU2 = range(LN_MASS.stop, LN_MASS.stop + 2)
 SIZE = MU2 + 1
 WEIGHED = np.arange(LN_MASS.start, LN_MASS.stop)
+_LIES = slice(SHAPE.start, STANDOFF.stop)  # what tells where it touches
+_OF_STANDOFFS = slice(C.RIG + R.STANDOFF, C.RIG + R.STANDOFF + len(PALMS))  # among the constants of `model.smoothing`
 _LITTLE = 1e-6
 
 Palms = npt.NDArray[np.intp]
@@ -104,25 +107,31 @@ def blind(record: Record, prior: Prior, asymmetry_sd: float, gain_stds: Sequence
     x, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     x[SHAPE], x[LN_MASS], x[MU1:] = prior.mean[C.SHAPE :], math.log(_mass(record)), FRICTION
     covariance[SHAPE, SHAPE] = np.diag(prior.sd[C.SHAPE :] ** 2)
+    covariance[STANDOFF, STANDOFF] = np.diag(prior.sd[_OF_STANDOFFS] ** 2)
     covariance[LN_MASS, LN_MASS] = MASS_SD**2 + np.diag(np.square(gain_stds))
     apart = (FRICTION * asymmetry_sd) ** 2
     covariance[MU1:, MU1:] = FRICTION_SD**2 + apart * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return FilterStart(x, covariance, np.array([_wandering(std) for std in gain_stds]))
 
 
-def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
-    """The likeliest; None where nothing that sticks explains the readings. The rig is taken as it is described."""
+def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | float:
+    """The likeliest; where nothing that sticks explains all readings, until when (s) they are explained.
+
+    Of the rig the palms' standoffs are told with the object, the rest is taken as it is described.
+    """
     pull = _pull(record, float(beginning.x[SHAPE.start]))
     filters = _begun(beginning)
     stride = max(round(STEP_S / float(record.dt[0])), 1)
     ends = np.append(np.arange(0, len(record.t) - 1, stride), len(record.t) - 1)
-    read = 0
+    read, explained, least = 0, float(record.t[0]), 0.0
     for number, (start, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
         if number % beginning.decision_steps == 0:
             filters = _decided(_best(filters, beginning.kept)) if number else filters
-            hopeless = filters.nis.min() > HOPELESS * read and record.t[start] > record.t[0] + HOPELESS_S
-            if hopeless:
-                return None
+            excess = float(filters.nis.min()) - HOPELESS * read
+            if excess < least:
+                explained, least = float(record.t[start]), excess
+            if excess > 0.0 and record.t[start] > record.t[0] + HOPELESS_S:
+                return explained
             filters = replace(filters, past=np.column_stack([filters.past, filters.palm]))
         before = filters.x[:, 0]
         filters = _rolled(filters, record.palms[start], record.palms[end])
@@ -133,7 +142,7 @@ def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | None:
             filters = _learned(filters, part, before, (pull[0][start:end], pull[1][start:end]))
             filters = filters.which(np.flatnonzero(_going(filters, beginning.x)))
             if not len(filters.cost):
-                return None
+                return explained
     best = filters.which(np.array([int(np.argmin(filters.cost))]))
     x = best.x[0]
     at_nodes = np.repeat(best.past[0], beginning.decision_steps * stride)[: len(record.t) - 1]
@@ -175,21 +184,22 @@ def _best(filters: _Filters, count: int) -> _Filters:
 def _rolled(filters: _Filters, palms: FloatArray, then: FloatArray) -> _Filters:
     """After the palms' motion from `palms` to `then`: each turns so that Q1 or Q2 stays as it is."""
     x, covariance = filters.x.copy(), filters.covariance.copy()
-    shape_of, second = x[:, SHAPE], filters.palm[:, None] == 1
+    lies, second = x[:, _LIES], filters.palm[:, None] == 1
     count = len(x)
 
     def kept(where: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray]:
         lying = Lying.at(np.tile(where, (count, 1)), psi, ORDER)
-        rows = np.where(second, lying.kept(1), lying.kept(0))
-        return rows, _times(np.where(second, lying.kept_turned(1), lying.kept_turned(0)), shape_of)
+        first, other = (np.hstack([lying.kept(palm), lying.standing_off(palm)]) for palm in (0, 1))
+        slope = _times(np.where(second, lying.kept_turned(1), lying.kept_turned(0)), x[:, SHAPE])
+        return np.where(second, other, first), slope
 
     rows, slope = kept(palms, x[:, 0])
-    value, psi = _times(rows, shape_of), x[:, 0]
+    value, psi = _times(rows, lies), x[:, 0]
     for _ in range(2):  # by Newton's method
         rows_then, slope_then = kept(then, psi)
-        psi = psi + np.clip((value - _times(rows_then, shape_of)) / slope_then, -0.3, 0.3)
+        psi = psi + np.clip((value - _times(rows_then, lies)) / slope_then, -0.3, 0.3)
     by = np.zeros((count, SIZE))
-    by[:, 0], by[:, SHAPE] = slope / slope_then, (rows - rows_then) / slope_then[:, None]
+    by[:, 0], by[:, _LIES] = slope / slope_then, (rows - rows_then) / slope_then[:, None]
     turned = np.einsum("ni,nij->nj", by, covariance)
     covariance[:, 0], covariance[:, :, 0] = turned, turned
     covariance[:, 0, 0] = _times(turned, by) + CREEP_SD**2
@@ -246,12 +256,13 @@ def _contacts(filters: _Filters, part: Record, psi: FloatArray) -> tuple[FloatAr
     count = psi.shape[1]
     lying = Lying.at(np.tile(part.contact_palms, (len(psi), 1)), psi.ravel(), ORDER)
     first = np.tile(part.contact_pad == 1, len(psi))[:, None]
-    rows = np.where(first, lying.contact(0), lying.contact(1))
+    one, two = (np.hstack([lying.contact(palm), lying.standing_off(palm)]) for palm in (0, 1))
+    rows = np.where(first, one, two)
     turned = np.where(first, lying.contact_turned(0), lying.contact_turned(1))
-    outlines = np.repeat(filters.x[:, SHAPE], count, axis=0)
+    lies = np.repeat(filters.x[:, _LIES], count, axis=0)
     by = np.zeros((psi.size, SIZE))
-    by[:, 0], by[:, SHAPE] = _times(turned, outlines), rows
-    return _times(rows, outlines).reshape(psi.shape), by.reshape(*psi.shape, SIZE)
+    by[:, 0], by[:, _LIES] = _times(turned, lies[:, : turned.shape[1]]), rows
+    return _times(rows, lies).reshape(psi.shape), by.reshape(*psi.shape, SIZE)
 
 
 def _forces(
@@ -280,7 +291,7 @@ def _forces(
     value = told(felt)
     gains = [(told([*felt[:i], felt[i] + _LITTLE, *felt[i + 1 :]]) - value) / _LITTLE for i in range(len(felt))]
     by = np.zeros((psi.size, SIZE))
-    for gain, rows, then in zip(gains, lies, (*lying.slope, *lying.bend), strict=False):
+    for gain, rows, then in zip(gains, lies, (*lying.slope, *map(lying.bend, (0, 1))), strict=False):
         by[:, SHAPE] += gain[:, None] * rows
         by[:, 0] -= gain * _times(then, x[:, SHAPE])
     by[each, weighed], by[each, rubs] = value, gains[4]

@@ -27,7 +27,7 @@ from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
 from palmd.rig.marble import Marble
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
-from palmd.rig.plant import AS_ASSUMED, PlantOptions, random_surface, stable_poses
+from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.servos import ServoArm
 from palmd.rig.shapes import Body, Kind, random_body
@@ -63,6 +63,7 @@ class World(EmulatedRig[EmulatedActuator]):
         pad_options: PadOptions = GOOD_PADS,
         marbles: Collection[PortName] = (),
         bodies: Sequence[Body] = (),
+        surface: FrictionSurface | None = None,
         roller: RollerKind | None = None,
         by_hand: bool = False,
         t: float = 0.0,
@@ -70,6 +71,7 @@ class World(EmulatedRig[EmulatedActuator]):
         """At rest at t (s), a random body of the kind, or the first of `bodies`, in a stable pose.
 
         When it is exchanged it is for another random one, or for the next of them, and after the last for the first.
+        Each rubs against `surface`, by default a random one of the kind.
 
         The configuration's `rig.imperfections` say how far the rig is off from the rest of it. With `marbles` there is
         no body on the palms: a marble rolls over each of these pads instead. With `roller` it is one that rolls down a
@@ -77,7 +79,7 @@ class World(EmulatedRig[EmulatedActuator]):
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.falls = 0
-        self._options, self._bodies = options, bodies
+        self._options, self._bodies, self._surface = options, bodies, surface
         self.imperfections = configured(config, seed)
         rng = np.random.default_rng(seed)
         self._home = _home(config)
@@ -197,7 +199,7 @@ class World(EmulatedRig[EmulatedActuator]):
         self.plant = (on_arcs if any(curvatures) else on_flat_palms)(
             body,
             self._arm.hinge,
-            random_surface(self.kind, self._rng),
+            self._surface or random_surface(self.kind, self._rng),
             options=self._options,
             imperfections=self.imperfections,
             gravity=rig.gravity_m_s2,

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.lab import thing_logs
+from palmd.events import PadSample, PalmSample
+from palmd.lab import bench_things, thing_logs
 from palmd.lab.thing_logs import KINDS, SharpRow, SharpTask, simulated, tasks_of
+from palmd.rig.dry_plant import DRY
 
 
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
@@ -56,4 +58,32 @@ def test_right_wrong_and_refused_are_counted_apart() -> None:
 
 def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "things", "--offline", "--kind", "coin"]) == 1
-    assert "--kind coin is without --offline" in capsys.readouterr().err
+    assert "--kind coin is without --offline and --explored" in capsys.readouterr().err
+
+
+def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> None:
+    """Dry palms rub by what is dry, and the recording is what the daemon was fed, its rig as the configuration says."""
+    task = SharpTask("dry lump", 3, 0.4, "calibrated", explored=True)
+    log, truth = simulated(task)
+    pads = {event.pad for event in log.events if isinstance(event, PadSample)}
+    assert pads == {1, 2}
+    assert any(isinstance(event, PalmSample) for event in log.events)
+    assert truth["mass_kg"] == simulated(replace(task, seconds=0.1, explored=False))[1]["mass_kg"]
+    assert truth["mu"] == DRY.mu
+    assert log.rig.pads[0].standoff_sd > 0.0
+
+
+def test_explored_is_a_study_of_recordings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[SharpTask] = []
+
+    def collected(what: str, tasks: list[SharpTask], *_: object) -> tuple[list[SharpRow], int]:
+        asked.extend(tasks)
+        return [SharpRow(task.kind, task.seed) for task in tasks], 0
+
+    monkeypatch.setattr(bench_things, "collected", collected)
+    assert main(["bench", "things", "--explored", "--kind", "dry lump", "--runs", "2", "--jobs", "1"]) == 0
+    assert asked == [SharpTask("dry lump", seed, 20.0, "none", explored=True) for seed in (0, 1)]
+    assert "seeds 0 to 1" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["bench", "things", "--explored", "--offline"])
+    assert "not allowed with" in capsys.readouterr().err

@@ -15,6 +15,7 @@ from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, growth, live
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
@@ -293,8 +294,8 @@ class Lived:
         R, omega = x[:, 6:15].reshape(-1, 3, 3), x[:, 15:]
         self.gauge = R[0].T
         # R = 1 at the first node: the body's frame is turned
-        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, 8)
-        prior = beliefs.prior(Y00 * p[0], 8, task.spin_sd)
+        p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, ORDER)
+        prior = beliefs.prior(Y00 * p[0], ORDER, task.spin_sd)
         smoother = BodySmoother(record, prior, task.noise, self.rig.gravity)
         fit = smoother.fit(BodyMotion(R @ R[0].T, omega, p), 12)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
@@ -477,7 +478,7 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
     monkeypatch.setattr(growing, "STRANGE", -math.inf)
-    monkeypatch.setattr(growing, "found_again", lambda _, together, __: tried.append("whole") or together)
+    monkeypatch.setattr(growing, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
     monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
     monkeypatch.setattr(growing, "begun_in_ways", lambda *_: [])
     monkeypatch.setattr(growing, "raced", lambda *_: found)
@@ -496,6 +497,22 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     smoother._found_again(task, [first])
     assert smoother._found_again(task, [first])[0] is cheaper
     assert tried == ["whole", "short", "whole", "short", "whole"]  # which is to be found twice, too
+
+
+def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_to_be_found_again(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+
+    def found(off, *, believed):
+        omega = first.motion.omega + off
+        beside = replace(first, motion=replace(first.motion, omega=omega), cost=first.cost - 80.0, confirmed=0)
+        monkeypatch.setattr(growth, "anew", lambda *_: [beside])
+        monkeypatch.setattr(growth, "_tightened", lambda *_: first)
+        return growth.found_again(task, [replace(first, confirmed=0)], [None], believed=believed)[0]
+
+    assert found(0.03, believed=True).found_twice
+    assert found(0.03, believed=True).cost == first.cost - 80.0
+    assert not found(0.03, believed=False).found_twice
+    assert not found(0.2, believed=True).found_twice
 
 
 def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):

@@ -15,11 +15,23 @@ from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C, R, contact_function
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.dry_fit import LN_MASS as LN_MASS_OF_FIT
-from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, phases_of
+from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, phases_of
 from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction
+from palmd.observer.factor import given
 from palmd.observer.noise import with_scatter
+from palmd.observer.outline import felt_normals, outline_of
 from palmd.observer.search import Search
-from palmd.observer.stuck_palms import LN_MASS, _begun, _going, _learned, _rolled, blind, stuck_guess
+from palmd.observer.stuck_palms import (
+    LN_MASS,
+    STANDOFF,
+    _begun,
+    _contacts,
+    _going,
+    _learned,
+    _rolled,
+    blind,
+    stuck_guess,
+)
 from palmd.record.eventlog import read_log
 from palmd.rig.dry_plant import DRY, DryPlant
 from palmd.rig.imperfections import PERFECT
@@ -119,6 +131,38 @@ def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
     assert _going(lost, filters.x[0]).tolist() == [True, False]
 
 
+def test_filters_tell_how_high_the_palms_surfaces_stand(dry):
+    """What is kept and what pads read is the fit's of the same standoffs, and so is what they do to it."""
+    log, _ = dry
+    search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 2.0)
+    record = search.record
+    filters = _begun(blind(record, search.prior, 0.0))
+    variance = np.diagonal(filters.covariance[0])[STANDOFF]
+    assert np.sqrt(variance) == pytest.approx([AS_CALIBRATED["standoff_sd"]] * 2)
+    x, part, step = filters.x.copy(), record.between(0, 40), 1e-6
+    x[:, STANDOFF] = 5e-4, -2e-4
+
+    def after(x):
+        moved = replace(filters, x=x)
+        rolled = _rolled(moved, record.palms[0], record.palms[40])
+        return rolled, _contacts(moved, part, np.zeros((2, len(part.contact_pad))))
+
+    rolled, (read, by) = after(x)
+    outline, standoffs = x[0, 1 : STANDOFF.start], x[0, STANDOFF]
+    at_rest = Lying.at(part.contact_palms, np.zeros(len(part.contact_pad)), ORDER)
+    both = [_s(at_rest, palm, outline, standoffs) for palm in (0, 1)]
+    assert read[0] == pytest.approx(np.where(part.contact_pad == 1, *both))
+    for palm in (0, 1):
+        ends = Lying.at(record.palms[[0, 40]], np.array([0.0, rolled.x[palm, 0]]), ORDER)
+        start, end = _q(ends, palm, outline, standoffs)
+        assert end == pytest.approx(start, abs=1e-9)
+    for i in range(STANDOFF.start, STANDOFF.stop):
+        then, (then_read, _) = after(x + step * np.eye(x.shape[1])[i])
+        turned = (then.x[:, 0] - rolled.x[:, 0]) / step
+        assert rolled.covariance[:, 0, i] == pytest.approx(turned * variance[0], rel=1e-3)
+        assert by[:, :, i] == pytest.approx((then_read - read) / step, rel=1e-3, abs=1e-6)
+
+
 def test_rounding_does_not_grow_into_covariances_that_are_none(dry):
     """Squared residuals that such a covariance makes negative are taken for the likeliest sequence of palms."""
     search = searched(dry[0], 2.0)
@@ -148,7 +192,9 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     wrong[changes[short] : changes[short + 1] + 1] = wrong[changes[short]]
     model = DryModel(record, search.path, search.prior, phases_of(wrong, record.t))
     fit = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
-    guess = stuck_guess(record, model.filter_start(fit, blind(record, search.prior, 0.0)))
+    start = model.filter_start(fit, blind(record, search.prior, 0.0))
+    assert start.x[STANDOFF] == pytest.approx(fit.z[RIG][R.STANDOFF : R.STANDOFF + 2])
+    guess = stuck_guess(record, start)
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
 
 
@@ -200,6 +246,23 @@ def test_a_lump_that_sticks_is_reconstructed_blind(dry):
     assert answer.turned_sd > 0.0
 
 
+def test_what_comes_before_a_tumble_is_told(dry):
+    """Where it falls over it goes on elsewhere, as nothing that sticks does."""
+    log, truth = dry
+    tumbles = 6.3
+
+    def moved(event):
+        return replace(event, s=event.s + (4e-3 if event.pad == 1 else -4e-3))
+
+    events = [
+        moved(event) if isinstance(event, PadSample) and event.t_sample > tumbles else event for event in log.events
+    ]
+    search = searched(replace(log, events=tuple(events)))
+    answer = dry_reconstruction(search, 0, time.perf_counter())
+    assert tumbles - 0.6 < search.segment.start + answer.lasts < tumbles
+    assert score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"])).e_h < 1e-4
+
+
 @pytest.mark.parametrize("gain_std", [0.0, 0.03])
 def test_what_slides_under_dither_is_not_taken_for_sticking(gain_std):
     lines, _ = simulate_log("friction", 77, 5.0)
@@ -221,6 +284,30 @@ def test_on_a_calibrated_rig_what_it_is_off_by_is_in_the_band(dry):
     sds = np.sqrt(np.diagonal(answer.rig_covariance))
     assert (np.abs(answer.rig) < 3.0 * sds).all()
     assert (sds <= answer.rig_prior_sd * (1.0 + 1e-6)).all()
+
+
+def test_what_a_calibrated_rig_leaves_open_is_its_standoffs(dry):
+    """From the truth, with the true palms: what no better search can tell."""
+    log, truth = dry
+    search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)))
+    record = search.record
+    model = DryModel(record, search.path, search.prior, phases_of(truly_stuck(record, truth).astype(np.intp), record.t))
+    outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
+    fit = model.fit(model.begun(outline, truth["mass_kg"], DRY.mu, 0.0))
+    covariance = np.linalg.inv(fit.matrix)
+    felt = [felt_normals(record, fit.psi, fit.z[SHAPE])]
+
+    def band(known):
+        left = given(covariance, known, SHAPE) if known else covariance[SHAPE, SHAPE]
+        told = outline_of(fit.z[SHAPE], left, felt)
+        return float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2)))
+
+    standoffs = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
+    others = [slice(RIG.start, standoffs.start), slice(standoffs.stop, RIG.stop)]
+    assert fit.settled
+    assert band(standoffs) < 0.75 * band(None)
+    assert band(RIG) < 0.35 * band(None)
+    assert all(band(known) > 0.8 * band(None) for known in others)
 
 
 def drawn(search):

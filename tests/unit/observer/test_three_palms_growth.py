@@ -8,10 +8,12 @@ import pytest
 
 from palmd.lab.space import errors
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import Y00, evaluator
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs, growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.search import Task
@@ -152,23 +154,32 @@ def test_a_rival_that_ends_early_is_refused(task):
 
 
 def test_readings_that_are_not_explained_tell_less_of_what_harmonics_leave_out():
-    p, touched = np.zeros(90), np.arange(len(icosphere()[0])) < 100
+    p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
-    fitted, short, missed = (surface(p, 1e-14 * np.eye(90), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
-    centre = 0.75 / np.sqrt(100 * 100 / len(touched))  # 100 lobes of degree 9 on the sphere
-    assert fitted[0] == pytest.approx(np.hypot(0.2, centre) * fitted[-1], rel=0.01)
-    assert short[0] == pytest.approx(np.hypot(0.6, centre) * fitted[-1], rel=0.01)
+    fitted, short, missed = (surface(p, 1e-15 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.25, 1.35))
+    centre = 0.75 / np.sqrt((ORDER + 2) ** 2 * 100 / len(touched))  # so many lobes of the next degree on the sphere
+    assert fitted[0] == pytest.approx(np.hypot(0.5, centre) * fitted[-1], rel=0.01)
+    assert short[0] == pytest.approx(np.hypot(0.75, centre) * fitted[-1], rel=0.01)
     assert missed[0] == pytest.approx(np.hypot(1.0, centre) * fitted[-1], rel=0.01)
     assert missed[-1] == pytest.approx(fitted[-1], rel=0.01)
+
+
+def test_what_is_read_beyond_its_noise_is_alike_in_many_numbers_and_widens_the_band():
+    p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
+    p[0] = 0.02 / Y00
+    noisy, missed = (surface(p, 1e-10 * np.eye(len(p)), touched, chi2)[1] for chi2 in (1.0, 1.1))
+    beyond = beyond_sd(0.02, ORDER, touched)
+    ratio = (missed[touched] ** 2 - beyond[touched] ** 2) / (noisy[touched] ** 2 - beyond[touched] ** 2)
+    np.testing.assert_allclose(ratio, 1.0 + 0.1 * beliefs.NUMBERS_ALIKE, rtol=1e-6)
 
 
 def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touched():
     number = np.arange(len(icosphere()[0]))
     bands = [float(beyond_sd(0.02, 8, number < felt * len(number))[0]) for felt in (0.001, 0.01, 0.25, 1.0)]
     everywhere = BEYOND_8 * 0.02
-    assert bands[:2] == pytest.approx([np.hypot(0.2, 0.75) * everywhere] * 2, rel=0.02)
-    assert bands[2] == pytest.approx(np.hypot(0.2, 0.15) * everywhere, rel=0.01)
-    assert bands[3] == pytest.approx(0.2 * everywhere, rel=0.1)
+    assert bands[:2] == pytest.approx([np.hypot(0.5, 0.75) * everywhere] * 2, rel=0.02)
+    assert bands[2] == pytest.approx(np.hypot(0.5, 0.15) * everywhere, rel=0.01)
+    assert bands[3] == pytest.approx(0.5 * everywhere, rel=0.1)
 
 
 def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():

@@ -22,11 +22,13 @@ CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
 ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
 FALL = 2.2  # with which power of the degree it falls from there
 BEYOND_8 = 2.5e-3  # RMS of all degrees above 8, in radii; a smooth body has less
-LEFT_WHERE_TOUCHED = 0.2
+LEFT_WHERE_TOUCHED = 0.5
 CENTRE_LEFT = 0.75
 """Share of it by which heights move together where little was touched: it misleads how high the centre of mass is."""
 EXPLAINED_CHI2, UNEXPLAINED_CHI2 = 1.15, 1.35
 """Up to which readings are explained to their noise, and from which on they tell nothing of what is left out."""
+NUMBERS_ALIKE = 30.0
+"""Numbers read in a row that miss an outline by about the same, where harmonics leave something out of it."""
 LAMBDA_SD = 0.12
 DAMPING_SD = 3e-4  # m²/s
 MU, MU_SD = 0.1, 0.1

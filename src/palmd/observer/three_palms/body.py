@@ -10,6 +10,9 @@ from palmd.events import FloatArray
 from palmd.model.spherical import Y00, evaluator
 from palmd.model.three_palms import MOMENT
 
+ORDER = 12
+"""The degree up to which outlines are estimated."""
+
 
 def inertia(p: FloatArray) -> FloatArray:
     """(3, 3) in the body's frame, per unit mass (m²)."""

@@ -115,7 +115,7 @@ class GrowingBody:
             first = ended[0] = smoothed(task, first)
         grown, ended = first, self._found_again(task, ended)
         first = ended[0]
-        if not first.same_as(grown):
+        if not (first.found_twice or first.same_as(grown)):
             self._believed_since = math.inf
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
@@ -201,7 +201,9 @@ class GrowingBody:
         strange, those of its first second.
         """
         first = ended[0]
-        strange, owed = first.strange > STRANGE, self._owed
+        short = first.intervals * SPACING_S < SHORT_UNTIL_S
+        searched = short or math.isinf(self._believed_since)  # later on it is what harmonics leave out that is strange
+        strange, owed = searched and first.strange > STRANGE, self._owed
         self._owed = False
         if owed and strange and not self._folded:
             ended = self._short_starts(task, ended)
@@ -210,10 +212,11 @@ class GrowingBody:
         elif self._folded or first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and not strange):
             return ended
         else:
-            self._owed = strange and first.intervals * SPACING_S < SHORT_UNTIL_S
+            self._owed = strange and short
         self._looked = first.intervals
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
-        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS))
+        believed = math.isfinite(self._believed_since)
+        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=believed)
 
     def _short_starts(self, task: Task, ended: list[Grown]) -> list[Grown]:
         """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""

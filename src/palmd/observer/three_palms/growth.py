@@ -20,13 +20,14 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import centres_of, curvatures, inertia
+from palmd.observer.three_palms.body import ORDER, centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
     HOPELESS,
     SPACING_S,
+    START_ORDER,
     ContactBall,
     Rival,
     Task,
@@ -36,7 +37,6 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
-ORDER = 8
 STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
@@ -141,8 +141,12 @@ class Grown:
         """Whether it explains as much about as well by another motion."""
         if self.intervals < other.intervals or self.cost > other.cost + DECISIVE:
             return False
+        return not self.moves_as(other)
+
+    def moves_as(self, other: Grown) -> bool:
+        """Whether both have about the same motion, of as long a record; their minima may lie beside each other."""
         off = self.motion.omega - other.motion.omega
-        return bool(np.sqrt(np.mean(off**2)) > OTHER_RAD_S)
+        return bool(np.sqrt(np.mean(off**2)) < OTHER_RAD_S)
 
 
 def best(task: Task) -> list[Grown]:
@@ -231,18 +235,20 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
     """All of a record from its beginning explained blindly, the cheapest first, each way but once.
 
     Contacts of many seconds lead to where rivals that grow from a short start do not come: those keep to their valley.
+    Sought with an outline of degree `START_ORDER`: higher ones bend to what the motion does not explain yet.
     Ends where two ways have met in the cheapest; none is gone on with that costs far more than `most`.
     """
     contacts = ContactCurves.smoothed(record.readings)
     ball = ContactBall.of(task.path, contacts, record)
-    prior = beliefs.prior(ball.radius, ORDER, task.spin_sd)
+    coarse, prior = (beliefs.prior(ball.radius, order, task.spin_sd) for order in (START_ORDER, ORDER))
     smoother = BodySmoother(record, prior, task.noise, task.rig.gravity)
     found: list[Grown] = []
     for way in ways:
         if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
             break
-        loose = loosely(task, record, prior, contacts, ball, way)
-        fit = smoother.fit(loose.motion, TRIES[0])
+        loose = loosely(task, record, coarse, contacts, ball, way)
+        sought = task.fitted(record, coarse, None, loose.motion, TRIES[1]).motion
+        fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
         if fit.cost > most + TOO_FAR:
             continue
         fit = smoother.fit(fit.motion)
@@ -255,24 +261,31 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
     return found
 
 
-def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis]) -> list[Grown]:
+def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, believed: bool = False) -> list[Grown]:
     """The rivals, the cheapest first, with what other starts of the same record lead to, until one meets the cheapest.
 
     That one is `confirmed`; so it is where all blind starts end far away, and one from itself, with much noise allowed
-    to the equations at first, comes back. All of `rivals` are of one record, from its beginning.
+    to the equations at first, comes back. All of `rivals` are of one record, from its beginning. Where the cheapest is
+    `believed`, it is enough that the other moves as it: what harmonics leave out makes minima beside each other.
     """
+
+    def met(again: Grown, first: Grown) -> Grown | None:
+        if again.same_as(first) or (believed and again.moves_as(first)):
+            return replace(again if again.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
+        return None
+
     for way in ways:
         first = rivals[0]
         for again in anew(task, first.record, [way], first.cost):
-            if again.same_as(first):
-                return [replace(first, confirmed=first.intervals), *rivals[1:]]
+            if (both := met(again, first)) is not None:
+                return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
     first, *others = rivals
     if all(each.cost > first.cost + BEHIND for each in others):
         again = _tightened(task, first, loosened(task, first.record, first.prior, first.motion).motion)
-        if again.same_as(first):
-            first = replace(first, confirmed=first.intervals)
-        return sorted([first, *others] if again.same_as(first) else [again, first, *others], key=lambda each: each.cost)
+        both = met(again, first)
+        found = [again, first] if both is None else [both]
+        return sorted([*found, *others], key=lambda each: each.cost)
     return rivals
 
 

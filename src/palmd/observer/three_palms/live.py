@@ -19,14 +19,13 @@ from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
 from palmd.observer.three_palms import body_filter, kernels
-from palmd.observer.three_palms.body import inertia
+from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.joint_track import STEADY, JointTrack
 from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyOutlook, ThreePalmsRig
 from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
 NAME = "space"
-ORDER = 8  # of the smoother's outlines
 HELD_S = 0.02  # how late readings are fused
 KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
 MOST_KEPT = 8192  # of readings, before older ones are let go: some 27 s

@@ -8,8 +8,8 @@ from palmd.observer.kernels import Part
 def needed(_config: object) -> list[Part]:
     """Its kernels, whatever its configuration says: as `palmd.observer.kernels.needed`."""
     from palmd.model import body_rollout, three_palms
+    from palmd.observer.three_palms.body import ORDER
     from palmd.observer.three_palms.body_filter import steps
-    from palmd.observer.three_palms.growth import ORDER
     from palmd.observer.three_palms.search import START_ORDER
     from palmd.system.three_palms import ThreePalmsRig
 

@@ -17,9 +17,9 @@ from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
-from palmd.observer.three_palms.body import centres_of, inertia
+from palmd.observer.three_palms.body import ORDER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import ORDER, SURE, Grown, best
+from palmd.observer.three_palms.growth import SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
@@ -149,7 +149,8 @@ def surface(
 ) -> tuple[FloatArray, FloatArray]:
     """(D,) h in all directions and its one-sigma (m), turns of the body's frame left out of it.
 
-    covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1.
+    covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1. What is above
+    is no noise of each number but what harmonics leave out, alike in many in a row: those tell as much as one.
     """
     directions, _ = icosphere()
     rows, point_rows = _everywhere()
@@ -157,7 +158,8 @@ def surface(
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
     beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched, chi2)
-    return rows @ p[:n], np.asarray(np.sqrt(max(chi2, 1.0) * sd**2 + beyond**2), np.float64)
+    missed = max(chi2 - 1.0, 0.0)
+    return rows @ p[:n], np.asarray(np.sqrt((1.0 + beliefs.NUMBERS_ALIKE * missed) * sd**2 + beyond**2), np.float64)
 
 
 @cache
