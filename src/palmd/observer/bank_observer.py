@@ -206,7 +206,11 @@ class BankObserver:
         track.surprise.take(nis, t)
         factor = track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
         told_sd = [each * factor for each in sd]
-        safe = settled(evidence, SETTLED) and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
+        safe = (
+            settled(evidence, SETTLED)
+            and self._foreseen(told_sd)
+            and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
+        )
         valid = session.judge(t, safe)
         best = fusion.bank.best()  # another bank may have taken over
         track = session.track or track  # another object may have been begun
@@ -306,6 +310,12 @@ class BankObserver:
         if self._may_ride(track):
             return False
         return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
+
+    def _foreseen(self, told_sd: list[float]) -> bool:
+        """Whether a smoother vouches for it, or what is told, surprises and all, is sharp: a bank may take all in."""
+        if self._link is None or self._link.vouches(self._session.begun):
+            return True
+        return max(told_sd[_RADII]) < SETTLED.radius_sd_m
 
     def _may_ride(self, track: Track) -> bool:
         """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
