@@ -27,7 +27,7 @@ from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
-from palmd.observer.validity import VOUCHED_M
+from palmd.observer.validity import VAGUE_M, VOUCHED_M
 from palmd.system.description import HingeMode, RigDescription
 
 Answers = Callable[[float], Improvement | None]
@@ -170,15 +170,20 @@ def test_what_no_outline_explains_or_none_for_sure_or_sharp_is_not_valid_until_o
     assert all(valid[t] for t in valid if t > 5.0)
 
 
-def test_before_a_smoother_has_spoken_what_surprises_is_not_valid(run: Run) -> None:
-    """A bank takes a thing with edges for a smooth one, and shrinks; here readings are off to and fro for a while."""
-    shaken = tuple(
-        replace(event, s=event.s + 0.15e-3 * math.sin(40.0 * event.t_sample))
-        if isinstance(event, PadSample) and event.t_sample < 2.0
+def shaken(run: Run, by: float, since: float, until: float) -> Run:
+    """Its contacts off to and fro by so much (m) from one time to another (s)."""
+    events = tuple(
+        replace(event, s=event.s + by * math.sin(40.0 * event.t_sample))
+        if isinstance(event, PadSample) and since < event.t_sample < until
         else event
         for event in run.events
     )
-    off = replace(run, events=shaken)
+    return replace(run, events=events)
+
+
+def test_before_a_smoother_has_spoken_what_surprises_is_not_valid(run: Run) -> None:
+    """A bank takes a thing with edges for a smooth one, and shrinks; here readings are off to and fro for a while."""
+    off = shaken(run, 0.15e-3, 0.0, 2.0)
     sharp = []
     for smoothing in (None, Silent()):
         told = list(ticks(off, observer.make("shape", run.rig, smoothing=smoothing)))
@@ -187,6 +192,15 @@ def test_before_a_smoother_has_spoken_what_surprises_is_not_valid(run: Run) -> N
     assert not all(alone)
     assert any(beside)
     assert all(beside)
+
+
+def test_what_a_smoother_has_vouched_for_once_is_not_valid_while_it_surprises_much(run: Run) -> None:
+    """Seen with an ellipse: vouched for wrongly, then told to a millimetre and more, and valid."""
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answer(run, 3.0)))
+    told = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
+    assert any(sd > VAGUE_M for t, _, sd in told if t > 4.0)
+    assert all(sd < VAGUE_M for t, valid, sd in told if t > 4.0 and valid)
+    assert all(valid for t, valid, _ in told if 3.2 < t < 4.0)
 
 
 def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is_valid_again() -> None:
