@@ -82,9 +82,9 @@ def reconstruct(
     """Smooth the longest segment of `events` in which both palms feel the object, and others if they are of the same.
 
     Deterministic for a given seed. Takes about a second for ten seconds of readings; where no smooth outline explains
-    them one with flat sides and corners is looked for, which takes some ten to forty seconds more. Never raises for
-    what the readings say: a record that tells too little, or contradicts the model, comes back with `converged` False
-    and the reason. `say` is told how far a long search has come.
+    them one with flat sides and corners is looked for, in other segments too, which takes some ten to forty seconds
+    more. Never raises for what the readings say: a record that tells too little, or contradicts the model, comes back
+    with `converged` False and the reason. `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
     found = _by_length(data_segments(events))
