@@ -194,9 +194,20 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     model = DryModel(record, search.path, search.prior, phases_of(wrong, record.t))
     fit = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
     start = model.filter_start(fit, blind(record, search.prior, 0.0))
-    assert start.x[STANDOFF] == pytest.approx(fit.z[RIG][R.STANDOFF : R.STANDOFF + 2])
     guess = stuck_guess(record, start)
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
+
+
+def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
+    log, _ = dry
+    search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 4.0)
+    model, z = drawn(search)
+    fit = model._found(z, model._terms(z), settled=True)
+    start = model.filter_start(fit, blind(search.record, search.prior, 0.0))
+    its = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
+    assert np.abs(z[its]).min() > 1e-5
+    assert start.x[STANDOFF] == pytest.approx(z[its])
+    assert start.covariance[STANDOFF, STANDOFF] == pytest.approx(4.0 * np.linalg.inv(fit.matrix)[its, its])
 
 
 def test_gains_of_pads_are_told_with_the_object(dry):
