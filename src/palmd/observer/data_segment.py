@@ -27,6 +27,11 @@ class DataSegment:
     pads: tuple[PadSample, ...]
     palms: tuple[PalmSample, ...]
 
+    @property
+    def lasts(self) -> float:
+        """How long it is (s)."""
+        return self.end - self.start
+
     def events(self) -> list[Event]:
         """All of them in order of time, the arm's report first where times are equal."""
         return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
@@ -89,7 +94,7 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
 
 def longest_segment(events: Sequence[Event]) -> DataSegment | None:
     """The longest one, None if there is no time at all at which both pads and the arm report."""
-    return max(data_segments(events), key=lambda segment: segment.end - segment.start, default=None)
+    return max(data_segments(events), key=lambda segment: segment.lasts, default=None)
 
 
 def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | None:

@@ -18,13 +18,13 @@ from palmd.observer.outline import felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
-from palmd.observer.stuck_palms import CHANGE_COST, FilterStart, blind, stuck_guess
+from palmd.observer.stuck_palms import CHANGE_COST, HOPELESS_S, FilterStart, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS
 
 LEAST_S = 5.0
-BEFORE_LOST_S = 0.3  # what filters read amiss before it shows
+BEFORE_LOST_S, AFTER_LOST_S = 0.3, 1.0  # what filters read amiss before it shows; and until it lies as before
 ROUNDS, WORTH = 3, 10.0  # of following the palms anew, from the fit; and by what the cost must fall for another
 HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms makes up for it
 MOST_OUTLIERS = 0.02
@@ -37,24 +37,32 @@ RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: of the radius, and o
 def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
     """The outline of what sticks to one palm and slips along the other, if that explains the segment of `search`.
 
-    Or its beginning: where an object falls over, no sequence of stuck palms goes on. None where it does not, beyond
+    Or a part of it: where an object falls over, no sequence of stuck palms goes on. None where it does not, beyond
     doubt; for flat palms.
     """
-    if search.rig.curved or still(search.record) or search.segment.end - search.segment.start < LEAST_S:
+    if search.rig.curved or search.segment.lasts < LEAST_S or still(search.record):
         return None
     try:
         found = _found(search, seed)
         if isinstance(found, float):
-            return _of_part(search, found - BEFORE_LOST_S, seed, begun)
+            return _of_parts(search, found, seed, begun)
         return None if found is None else _told(search, *found, begun)
     except np.linalg.LinAlgError:
         return None
 
 
-def _of_part(search: Search, end: float, seed: int, begun: float) -> Reconstruction | None:
-    if end - search.segment.start < LEAST_S:
-        return None
-    return dry_reconstruction(Search(search.segment.until(end), search.rig, belief=search.belief), seed, begun)
+def _of_parts(search: Search, lost: float, seed: int, begun: float) -> Reconstruction | None:
+    """Of what comes before it was `lost` (s), and after that if until then it stuck: the longer part that is told."""
+    segment = search.segment
+    parts = [segment.until(lost - BEFORE_LOST_S)]
+    if lost > segment.start + HOPELESS_S:
+        parts.append(segment.since(lost + AFTER_LOST_S))
+    for part in sorted(parts, key=lambda part: part.lasts, reverse=True):
+        if part.lasts >= LEAST_S:
+            told = dry_reconstruction(Search(part, search.rig, belief=search.belief), seed, begun)
+            if told is not None:
+                return told
+    return None
 
 
 def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | float | None:
@@ -70,6 +78,8 @@ def _found(search: Search, seed: int) -> tuple[DryModel, DryFit] | float | None:
     model = DryModel(record, search.path, prior, phases_of(guess.palms, record.t), gain_stds)
     fit = model.fit(model.begun(guess.outline, guess.mass, guess.mu, guess.asymmetry))
     model, fit = _followed_anew(model, fit, start)
+    if guess.explained < search.segment.end - BEFORE_LOST_S and _doubtful(model, fit):
+        return guess.explained
     return None if _doubtful(model, fit) or _rivalled(model, fit, search, seed) else (model, fit)
 
 

@@ -56,7 +56,7 @@ class StuckGuess:
     """The palm stuck to (0 or 1) at each node of a record, and the object that explains the readings so.
 
     outline: coefficients (m), turned so that ψ = 0 at the first node; mass (kg); mu is the mean of both palms' friction
-    and asymmetry (μ1 − μ2)/(μ1 + μ2).
+    and asymmetry (μ1 − μ2)/(μ1 + μ2). explained: until when (s) the readings are, rather than not.
     """
 
     palms: Palms
@@ -64,6 +64,7 @@ class StuckGuess:
     mass: float
     mu: float
     asymmetry: float
+    explained: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +148,8 @@ def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | float:
     x = best.x[0]
     at_nodes = np.repeat(best.past[0], beginning.decision_steps * stride)[: len(record.t) - 1]
     mu = 0.5 * float(x[MU1] + x[MU2])
-    return StuckGuess(
-        np.append(at_nodes, at_nodes[-1]), x[SHAPE], math.exp(x[LN_MASS].mean()), mu, 0.5 * float(x[MU1] - x[MU2]) / mu
-    )
+    palms, asymmetry = np.append(at_nodes, at_nodes[-1]), 0.5 * float(x[MU1] - x[MU2]) / mu
+    return StuckGuess(palms, x[SHAPE], math.exp(x[LN_MASS].mean()), mu, asymmetry, explained)
 
 
 def _wandering(std: float) -> float:

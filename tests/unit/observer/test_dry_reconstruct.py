@@ -13,6 +13,7 @@ from palmd.lab.thing_logs import SharpTask, simulated
 from palmd.model import shape
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C, R, contact_function
+from palmd.observer import dry_reconstruct
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.dry_fit import LN_MASS as LN_MASS_OF_FIT
 from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, phases_of
@@ -193,9 +194,20 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     model = DryModel(record, search.path, search.prior, phases_of(wrong, record.t))
     fit = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
     start = model.filter_start(fit, blind(record, search.prior, 0.0))
-    assert start.x[STANDOFF] == pytest.approx(fit.z[RIG][R.STANDOFF : R.STANDOFF + 2])
     guess = stuck_guess(record, start)
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
+
+
+def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
+    log, _ = dry
+    search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 4.0)
+    model, z = drawn(search)
+    fit = model._found(z, model._terms(z), settled=True)
+    start = model.filter_start(fit, blind(search.record, search.prior, 0.0))
+    its = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
+    assert np.abs(z[its]).min() > 1e-5
+    assert start.x[STANDOFF] == pytest.approx(z[its])
+    assert start.covariance[STANDOFF, STANDOFF] == pytest.approx(4.0 * np.linalg.inv(fit.matrix)[its, its])
 
 
 def test_gains_of_pads_are_told_with_the_object(dry):
@@ -261,6 +273,25 @@ def test_what_comes_before_a_tumble_is_told(dry):
     answer = dry_reconstruction(search, 0, time.perf_counter())
     assert tumbles - 0.6 < search.segment.start + answer.lasts < tumbles
     assert score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"])).e_h < 1e-4
+
+
+def test_what_lies_between_two_tumbles_is_told(dry, monkeypatch):
+    """The first throws filters off, the second is at the end, where the fit tells it and filters do not."""
+    monkeypatch.setattr(dry_reconstruct, "LEAST_S", 3.0)
+    monkeypatch.setattr(dry_reconstruct, "ROUNDS", 0)  # quicker
+    log, truth = dry
+    first, until, second = 2.4, 2.9, 7.55
+
+    def moved(event):
+        off = 4e-3 if first < event.t_sample < until else 5e-4 if event.t_sample > second else 0.0
+        return replace(event, s=event.s + (off if event.pad == 1 else -off))
+
+    events = [moved(event) if isinstance(event, PadSample) else event for event in log.events]
+    answer = dry_reconstruction(searched(replace(log, events=tuple(events))), 0, time.perf_counter())
+    assert until < answer.t[0] < until + 1.0
+    assert second - 0.6 < answer.t[-1] < second
+    score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
+    assert score.e_h < min(1e-4, 3.0 * float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2))))
 
 
 @pytest.mark.parametrize("gain_std", [0.0, 0.03])
