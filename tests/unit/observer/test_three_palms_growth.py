@@ -55,6 +55,16 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
     assert found.contacts.shape == (len(found.t), 3, 3)
 
 
+def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):
+    sought = []
+    monkeypatch.setattr(growth, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    assert growth.best(task)[0].per_number < growth.SURE
+    assert sought == []
+    monkeypatch.setattr(growth, "anew", lambda *_: [])
+    assert growth.best(task) == []
+    assert sought == list(growth.STARTS_S)
+
+
 def test_windows_lead_to_what_all_at_once_leads_to(task):
     ahead = growth.advanced(task, started(task), task.intervals(SECONDS))
     whole = growth.smoothed(task, ahead, 20)
@@ -171,6 +181,14 @@ def test_what_is_read_beyond_its_noise_is_alike_in_many_numbers_and_widens_the_b
     beyond = beyond_sd(0.02, ORDER, touched)
     ratio = (missed[touched] ** 2 - beyond[touched] ** 2) / (noisy[touched] ** 2 - beyond[touched] ** 2)
     np.testing.assert_allclose(ratio, 1.0 + 0.1 * beliefs.NUMBERS_ALIKE, rtol=1e-6)
+
+
+def test_what_the_equations_miss_widens_the_band_though_the_readings_are_explained(task):
+    rival = started(task)
+    bent = replace(rival, cost=1.2 * rival.cost / rival.per_number)
+    honest, wide = (answer(task, [each], 0.0) for each in (rival, bent))
+    assert bent.whole.chi2 < 1.1
+    assert (wide.h_sd > 1.5 * honest.h_sd)[honest.touched].all()
 
 
 def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touched():
