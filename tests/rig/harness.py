@@ -26,6 +26,7 @@ EVERYTHING = 1_000_000  # more messages than are ever waiting
 RATE_DEG_S = 80.0
 LEAST_WORK = {"observer": {"primary": "quasistatic"}}  # none to compile or load, no processes beside it
 RESTING_RAD_S = 1e-3
+TOGETHER_S = 0.3
 PLAN = """\
 name: lively
 repeat: forever
@@ -281,8 +282,13 @@ class Bench(Stack):
         return wait(lambda: (status := self.rig_status()) and condition(status) and status, what)
 
     def stalled(self):
-        """Whether a slow machine has kept the rig from its work since the last `forget`, as if it were silent."""
-        return self.rig_status()["stalls"] > self._stalls
+        """Whether a slow machine has kept the rig from its work since the last `forget`, as if it were silent.
+
+        Or its lines: pads that fall silent together have one cause, the kernel's thread for pseudo-terminals.
+        """
+        silent = [self.heard.since[f"pad{i}-silent"] for i in (1, 2) if f"pad{i}-silent" in self.heard.since]
+        together = len(silent) == 2 and abs(silent[0] - silent[1]) < TOGETHER_S
+        return together or self.rig_status()["stalls"] > self._stalls
 
     def truth(self):
         """What is really there now."""

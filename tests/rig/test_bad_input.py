@@ -132,8 +132,13 @@ def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
     assert "jog refused: phi1 reaches" in told.stderr
     stands = bench.truth()
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
-    told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.bus.command)
-    assert told.returncode == 0, told.stderr + bench.daemon.all_said[-3000:]
+
+    def jogged(_):
+        told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.bus.command)
+        assert told.returncode == 0 or "the arm does not follow yet" in told.stderr, told.stderr
+        return told.returncode == 0
+
+    bench.until(jogged, "the arm following, which on a slow machine it may not for a moment")
     assert math.degrees(bench.at_rest()["phi2_rad"] - stood["phi2_rad"]) == pytest.approx(-2.0, abs=0.2)
     bench.judge()
 

@@ -1,7 +1,8 @@
 """Things with corners, flat sides and round ones on the emulated rig: how often the live estimate is valid and wrong.
 
 The daemon's core and its smoother against the plant, without wires, on moves drawn at random; blind, each run by its
-kind and seed. `run` gives the same row in any process and in any order.
+kind and seed. Corners, dents and dry lumps that a study of `reconstruct` has logs of (`lab.thing_logs`) are these logs,
+replayed through the live observer. `run` gives the same row in any process and in any order.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 from palmd.config import Drawn, ExploreGoal, rig_description
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless
+from palmd.lab import thing_logs
 from palmd.lab.exploring_plans import plan
+from palmd.lab.montecarlo import answers
 from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR
 from palmd.lab.table import aligned
-from palmd.observer import Simulated
+from palmd.observer import Simulated, make
 from palmd.quantities import ESTIMATE, SHAPE, UNEXPLAINED
 from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body, random_body
@@ -28,7 +31,8 @@ from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
 
 LUMP = "lump"  # a smooth one, as other studies have
-KINDS: tuple[str, ...] = (*THINGS, LUMP)
+LOGGED: tuple[str, ...] = tuple(kind for kind in thing_logs.KINDS if kind not in THINGS)
+KINDS: tuple[str, ...] = (*THINGS, LUMP, *LOGGED)
 OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
 MUCH = 0.01  # of the ticks
 HEAD = (
@@ -62,7 +66,7 @@ class ThingRow:
     valid, wrong, far: shares of all ticks from the first move on; wrong: valid, and a radius off by more than 0.3 mm;
     far: by more than three of its one-sigmas. most: the largest such error (m). e_h: of the last valid outline where it
     was touched (m). refusals: of the smoother.
-    losses: of a contact, falls: off the palms, objects: how many were begun.
+    losses: of a contact, falls: off the palms, objects: how many were begun. Of a log the shares and the error alone.
     """
 
     kind: str
@@ -101,6 +105,8 @@ def failed(task: ThingTask, error: BaseException) -> ThingRow:
 @with_failures(failed)
 def run(task: ThingTask) -> ThingRow:
     """Move, estimate and compare; what raises becomes a row that says so."""
+    if task.kind in LOGGED:
+        return _replayed(task)
     config = default_config(task.imperfections)
     moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
     smoothing = Simulated(rig_description(config))
@@ -135,6 +141,21 @@ def run(task: ThingTask) -> ThingRow:
         falls=int(status["falls"]),
         objects=int(scorer.estimate["object"]),
         far=far / ticks,
+    )
+
+
+def _replayed(task: ThingTask) -> ThingRow:
+    log, truth = thing_logs.simulated(thing_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections))
+    live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
+    misses = np.abs(live.r_error)
+    error = misses.max(axis=1)
+    return ThingRow(
+        kind=task.kind,
+        seed=task.seed,
+        valid=float(live.valid.mean()),
+        wrong=float((live.valid & (error > WRONG_M)).mean()),
+        most_m=float(error[live.valid].max()) if live.valid.any() else math.nan,
+        far=float((live.valid & (misses > FAR * live.r_sd).any(axis=1)).mean()),
     )
 
 

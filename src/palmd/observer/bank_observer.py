@@ -38,7 +38,7 @@ from palmd.observer.session import ObjectSession
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
-from palmd.observer.validity import Evidence, Thresholds, consistent, predictable, settled
+from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
@@ -206,7 +206,11 @@ class BankObserver:
         track.surprise.take(nis, t)
         factor = track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
         told_sd = [each * factor for each in sd]
-        safe = settled(evidence, SETTLED) and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
+        safe = (
+            settled(evidence, SETTLED)
+            and self._foreseen(told_sd)
+            and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
+        )
         valid = session.judge(t, safe)
         best = fusion.bank.best()  # another bank may have taken over
         track = session.track or track  # another object may have been begun
@@ -306,6 +310,18 @@ class BankObserver:
         if self._may_ride(track):
             return False
         return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
+
+    def _foreseen(self, told_sd: list[float]) -> bool:
+        """Whether what is told, surprises and all, is as sharp as who tells it must be: a bank may take all in.
+
+        So may what a smoother has vouched for on few readings, on a rig that is known exactly, until it is established.
+        """
+        if self._link is None or self._fusion.carries:
+            return True
+        vouched = self._link.vouches(self._session.begun)
+        if vouched and not self._exact:
+            return True
+        return max(told_sd[_RADII]) < (VAGUE_M if vouched else SETTLED.radius_sd_m)
 
     def _may_ride(self, track: Track) -> bool:
         """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.

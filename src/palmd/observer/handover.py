@@ -57,7 +57,7 @@ class Handover:
         if bank.lost() or undecided or nis > bank.nis[best] + WORSE_NIS:
             return False
         frame = (object_count, answer.frame)
-        anew = frame != self._frame if fusion.allows_for_rig else track.valid and not answer.established
+        anew = frame != self._frame and (fusion.allows_for_rig or (track.valid and not answer.established))
         if anew and not _as_sharp(P, answer.spread, fusion, track.coverage.marks):
             return False  # it has been found from the latest readings alone, and more is known
         if frame != self._frame:
@@ -71,7 +71,7 @@ class Handover:
         worst = int(np.argmin(np.where(np.arange(bank.size) == best, np.inf, bank.score)))
         narrow = bank.n < len(x)
         bank.x[worst], bank.P[worst] = smoother_outline(x, P) if narrow else (x, P)
-        told = _uncertainty(answer.P[_SHAPE, _SHAPE], answer.touched) < SHARP_M**2 * answer.touched.sum()
+        told = outline_sd(answer) < SHARP_M
         fusion.filters.left_open = (smoother_spread(P, spread) if narrow else spread) if told else None
         bank.score[worst], bank.nis[worst] = bank.score[best] + PRIOR_ODDS, nis
         fusion.forgetting.prior_age_s[worst] = 0.0
@@ -85,6 +85,12 @@ class Handover:
         if abs(math.remainder(psi - bank.x[best, shape_map.Z.PSI], math.tau)) > SAME_POSE_RAD:
             return touched
         return touched | track.coverage.since(answer.t, best, track.fusion.psi)
+
+
+def outline_sd(answer: Improvement) -> float:
+    """RMS of the outline's one-sigma (m) where a smoother is sure to have felt it, were the rig known; inf of none."""
+    felt = int(answer.touched.sum())
+    return math.sqrt(max(_uncertainty(answer.P[_SHAPE, _SHAPE], answer.touched), 0.0) / felt) if felt else math.inf
 
 
 def _as_sharp(P: FloatArray, spread: FloatArray, fusion: Fusion, touched: Marks) -> bool:

@@ -11,9 +11,10 @@ from collections import deque
 
 from palmd.events import Event, FloatArray, Improvement, PadSample, Unexplained
 from palmd.observer.filter_catchup import FilterCatchUp
-from palmd.observer.handover import Handover
+from palmd.observer.handover import Handover, outline_sd
 from palmd.observer.smoothing import Session, Smoothing
 from palmd.observer.track import Track
+from palmd.observer.validity import VOUCHED_M
 from palmd.system.description import RigDescription
 
 MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
@@ -45,7 +46,8 @@ class SmootherLink:
     def refuses(self, begun: float) -> bool:
         """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it.
 
-        Or that something may, which is not vouched for: what has been found contradicts the rig, or is not sure.
+        Or that something may, which is not vouched for: what has been found contradicts the rig, is not sure, or leaves
+        too much open.
         """
         return self._refused_at > begun
 
@@ -80,7 +82,7 @@ class SmootherLink:
             self._refused_at, self._vouched_at = improvement.t, -math.inf
             return improvement
         if improvement is not None:
-            vouches = improvement.established or bool(improvement.touched.any())
+            vouches = improvement.established or outline_sd(improvement) < VOUCHED_M
             never, now = -math.inf, improvement.t
             self._refused_at, self._vouched_at = (never, now) if vouches else (now, never)
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:

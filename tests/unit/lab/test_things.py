@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from palmd.lab import things
-from palmd.lab.things import KINDS, LUMP, ThingRow, ThingTask, body_of, tasks_of
+from palmd.lab.things import KINDS, LOGGED, LUMP, ThingRow, ThingTask, body_of, tasks_of
 
 THETA = np.arange(360) * (math.tau / 360)
 
@@ -25,6 +25,13 @@ def test_each_kind_and_seed_is_one_body_and_every_third_has_its_mass_off_centre(
 def test_all_kinds_have_the_same_seeds() -> None:
     tasks = tasks_of(KINDS, 5, 2, 3.0, "none")
     assert {(task.kind, task.seed) for task in tasks} == {(kind, seed) for kind in KINDS for seed in (5, 6)}
+
+
+def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
+    assert LOGGED == ("corners of 3 mm", "corners of 1 mm", "dent of 4 mm", "dent of 10 mm", "dry lump")
+    row = things.run(ThingTask("dent of 4 mm", 0, 1.5))
+    assert not row.error
+    assert row.wrong <= row.valid <= 1.0
 
 
 def test_what_raises_becomes_a_row_that_says_so() -> None:

@@ -13,7 +13,7 @@ from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.filters.shape_map import smoother_outline
-from palmd.observer.handover import Handover, SmoothedFilters, _turned
+from palmd.observer.handover import Handover, SmoothedFilters, _turned, outline_sd
 from palmd.system.description import RigDescription
 
 N, SMOOTHED_N = shape_map.N, shape_map.size(ORDER)
@@ -61,6 +61,16 @@ def test_an_answer_that_tells_less_than_a_valid_bank_is_not_taken_in(sd, valid, 
     assert (bank.score[1] > bank.score[0]) is np.bool_(taken)
 
 
+@pytest.mark.parametrize(("frame", "taken"), [(1, True), (2, False)])
+def test_what_the_same_search_tells_later_is_taken_in_though_the_bank_has_become_surer(frame, taken):
+    """It has read all that the bank has; another search may have read the latest alone."""
+    now, given = track(valid=True), handover()
+    for sd, of_frame, joins in ((5e-6, 1, True), (2e-5, frame, taken)):
+        P = sd**2 * np.eye(SMOOTHED_N)
+        answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, frame=of_frame)
+        assert given.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is joins
+
+
 @pytest.mark.parametrize(("left_open_m", "taken"), [(1.0e-4, True), (1.5e-4, False)])
 def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(left_open_m, taken):
     """Given the rig's constants its filter is less sure than one that has read on from an older answer."""
@@ -86,6 +96,15 @@ def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_establi
     vague = replace(answer, P=900.0 * P)
     assert handover().take_in(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
     assert now.fusion.filters.left_open is None, "there is no outline to speak of yet"
+
+
+def test_how_well_an_outline_is_told_is_told_where_it_was_felt_alone():
+    """Radius ± 10 µm and first cosine ± 20 µm are ± 22 µm at θ = 0, ± 10 µm at θ = π/2."""
+    P = np.zeros((SMOOTHED_N, SMOOTHED_N))
+    P[SHAPE.start, SHAPE.start], P[SHAPE.start + 1, SHAPE.start + 1] = 1e-5**2, 2e-5**2
+    ahead, aside, nowhere = (np.arange(NORMAL_BINS) == bin_ for bin_ in (0, NORMAL_BINS // 4, -1))
+    sds = [outline_sd(improvement(np.zeros(SMOOTHED_N), P, touched=felt)) for felt in (ahead, aside, nowhere)]
+    np.testing.assert_allclose(sds, [22.3e-6, 10.0e-6, np.inf], rtol=0.02)
 
 
 def test_in_another_gauge_the_outline_turns_and_the_rigs_constants_stay():

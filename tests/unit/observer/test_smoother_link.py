@@ -18,14 +18,16 @@ from palmd import observer
 from palmd.events import Estimate, Event, FloatArray, Improvement, PadSample, PalmSample, Unexplained
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER
-from palmd.observer.bank_observer import DISTRUSTED_S
+from palmd.observer.bank_observer import DISTRUSTED_S, SETTLED
 from palmd.observer.filter_catchup import LATEST_S, LEAD_S, FilterCatchUp
 from palmd.observer.filters.base import LONGEST_STEP_S
 from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.handover import outline_sd
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
+from palmd.observer.validity import VAGUE_M, VOUCHED_M
 from palmd.system.description import HingeMode, RigDescription
 
 Answers = Callable[[float], Improvement | None]
@@ -151,18 +153,54 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment_is_told_from_
     assert estimate.object_count == 2
 
 
-@pytest.mark.parametrize("unsure", [False, True])
-def test_what_no_outline_explains_or_none_for_sure_is_not_valid_until_one_does(run: Run, unsure: bool) -> None:
+@pytest.mark.parametrize("word", ["no outline", "none for sure", "hardly any"])
+def test_what_no_outline_explains_or_none_for_sure_or_sharp_is_not_valid_until_one_does(run: Run, word: str) -> None:
     found, early = answer(run, 4.0), answer(run, 3.0)
     assert early is not None
     doubtful = replace(early, established=False, touched=np.zeros_like(early.touched))
+    widened = (1.1 * VOUCHED_M / outline_sd(early)) ** 2
+    vague = replace(early, established=False, P=widened * early.P)
+    says = {"no outline": Unexplained(3.0), "none for sure": doubtful, "hardly any": vague}[word]
     alone = {t: estimate.valid for t, estimate in ticks(run, observer.make("shape", run.rig))}
-    watcher = observer.make("shape", run.rig, smoothing=Refusing(doubtful if unsure else Unexplained(3.0), 4.5, found))
+    watcher = observer.make("shape", run.rig, smoothing=Refusing(says, 4.5, found))
     valid = {t: estimate.valid for t, estimate in ticks(run, watcher)}
     assert all(alone[t] for t in alone if 2.9 < t < 6.0)
     assert all(valid[t] for t in valid if 2.9 < t < 2.99)
     assert not any(valid[t] for t in valid if 3.01 < t < 4.49)
     assert all(valid[t] for t in valid if t > 5.0)
+
+
+def shaken(run: Run, by: float, since: float, until: float) -> Run:
+    """Its contacts off to and fro by so much (m) from one time to another (s)."""
+    events = tuple(
+        replace(event, s=event.s + by * math.sin(40.0 * event.t_sample))
+        if isinstance(event, PadSample) and since < event.t_sample < until
+        else event
+        for event in run.events
+    )
+    return replace(run, events=events)
+
+
+def test_before_a_smoother_has_spoken_what_surprises_is_not_valid(run: Run) -> None:
+    """A bank takes a thing with edges for a smooth one, and shrinks; here readings are off to and fro for a while."""
+    off = shaken(run, 0.15e-3, 0.0, 2.0)
+    sharp = []
+    for smoothing in (None, Silent()):
+        told = list(ticks(off, observer.make("shape", run.rig, smoothing=smoothing)))
+        sharp.append([max(e.sd["r1"], e.sd["r2"]) < SETTLED.radius_sd_m for _, e in told if e.valid])
+    alone, beside = sharp
+    assert not all(alone)
+    assert any(beside)
+    assert all(beside)
+
+
+def test_what_a_smoother_has_vouched_for_once_is_not_valid_while_it_surprises_much(run: Run) -> None:
+    """Seen with an ellipse: vouched for wrongly, then told to a millimetre and more, and valid."""
+    watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answer(run, 3.0)))
+    told = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
+    assert any(sd > VAGUE_M for t, _, sd in told if t > 4.0)
+    assert all(sd < VAGUE_M for t, valid, sd in told if t > 4.0 and valid)
+    assert all(valid for t, valid, _ in told if 3.2 < t < 4.0)
 
 
 def test_what_was_lost_where_it_lay_has_to_be_explained_for_a_while_before_it_is_valid_again() -> None:
