@@ -100,7 +100,7 @@ class Grown:
     def unexplained(self) -> float:
         """χ² per number read, of readings alone or of equations and beliefs with them, whichever is more.
 
-        What harmonics leave out bends the motion until the equations miss as well: then the readings' own part hides it.
+        What harmonics leave out bends the motion until the equations miss as well; then the readings' own part is less.
         """
         return max(self.whole.chi2, self.per_number)
 
