@@ -243,7 +243,7 @@ class GrowingBody:
             return _unknown(task, self._begun, "the fit is not a minimum")
         belief = first.ahead
         touched = self._before | near(felt_directions(first))  # as it is known now: earlier answers may have erred
-        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.unexplained)
+        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], proven=proven)
         if not reason and not first.found_twice:

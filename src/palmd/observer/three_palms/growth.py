@@ -97,14 +97,6 @@ class Grown:
         return self.cost / (2 * len(self.record.readings.t))
 
     @property
-    def unexplained(self) -> float:
-        """χ² per number read, of readings alone or of equations and beliefs with them, whichever is more.
-
-        What harmonics leave out bends the motion until the equations miss as well; then the readings' own part is less.
-        """
-        return max(self.whole.chi2, self.per_number)
-
-    @property
     def strange(self) -> float:
         """By how many of its one-sigmas the cost is more than it should be."""
         numbers = 2 * len(self.record.readings.t)

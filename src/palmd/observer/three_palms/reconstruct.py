@@ -114,7 +114,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     R = fit.motion.R
     felt = felt_directions(first)
     touched = near(felt)
-    h, sd = surface(p, covariance, touched, first.unexplained)
+    h, sd = surface(p, covariance, touched, fit.chi2)
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
@@ -149,9 +149,8 @@ def surface(
 ) -> tuple[FloatArray, FloatArray]:
     """(D,) h in all directions and its one-sigma (m), turns of the body's frame left out of it.
 
-    covariance: (m, m) of the parameters p; chi2: per number read, as `Grown.unexplained`, by which it is widened where
-    above 1. What is above is no noise of each number but what harmonics leave out, alike in many in a row: those tell
-    as much as one.
+    covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1. What is above
+    is no noise of each number but what harmonics leave out, alike in many in a row: those tell as much as one.
     """
     directions, _ = icosphere()
     rows, point_rows = _everywhere()
