@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from palmd.events import FloatArray
 from palmd.model.symbolic import SX, ca
 
 Y00 = 1.0 / math.sqrt(4.0 * math.pi)
+
+Number = TypeVar("Number", SX, FloatArray)
 
 
 def count(order: int) -> int:
@@ -33,12 +36,15 @@ def degrees(order: int) -> FloatArray:
 
 def solid_harmonics(x: SX, order: int) -> SX:
     """S_lm(x) for x in R³, a column in the order of the coefficients."""
-    square = ca.sumsqr(x)
-    table: dict[tuple[int, int], SX] = {(0, 0): SX(Y00)}
+    return ca.vertcat(*_solid_harmonics(x, ca.sumsqr(x), SX(Y00), SX(0), order))
+
+
+def _solid_harmonics(x: Number, square: Number, first: Number, zero: Number, order: int) -> list[Number]:
+    table = {(0, 0): first}
     for m in range(1, order + 1):
-        c, s = table[m - 1, m - 1], table.get((m - 1, 1 - m), SX(0))
+        c, s = table[m - 1, m - 1], table.get((m - 1, 1 - m), zero)
         if m == 1:
-            s = SX(0)
+            s = zero
         factor = math.sqrt((2 * m + 1) / (2 * m)) * (math.sqrt(2.0) if m == 1 else 1.0)
         table[m, m] = factor * (x[0] * c - x[1] * s)
         table[m, -m] = factor * (x[0] * s + x[1] * c)
@@ -51,7 +57,7 @@ def solid_harmonics(x: SX, order: int) -> SX:
                     b = math.sqrt(((degree - 1) ** 2 - m**2) / (4 * (degree - 1) ** 2 - 1))
                     value -= b * square * table[degree - 2, m]
                 table[degree, m] = a * value
-    return ca.vertcat(*(table[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)))
+    return [table[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)]
 
 
 @cache
@@ -72,17 +78,15 @@ def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return matrices[0], matrices[1], matrices[2]
 
 
-@cache
 def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
     """Unit normals (T, 3) → rows of h (T, n), and of the point ∇H (T, 3, n)."""
-    x, n = SX.sym("x", 3), count(order)
-    surface = SphericalSurface(x, SX.zeros(n), order)
-    terms = surface.terms()
-    function = ca.Function("rows", [x], ca.cse([ca.densify(terms.S), ca.densify(point(surface, terms)[2].T)]))
+    outside, slopes = 1.0 - degrees(order), [each.T for each in derivatives(order)]
 
     def rows(u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        heights, points = (np.asarray(each) for each in function.map(len(u))(u.T))
-        return heights.T, points.reshape(n, 3, len(u), order="F").transpose(2, 1, 0)
+        first, zero = np.full(len(u), Y00), np.zeros(len(u))
+        S = np.stack(_solid_harmonics(u.T, (u**2).sum(axis=1), first, zero, order), axis=1)
+        level = outside * S
+        return S, np.stack([S @ slope + u[:, i, None] * level for i, slope in enumerate(slopes)], axis=1)
 
     return rows
 

@@ -55,6 +55,16 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
     assert found.contacts.shape == (len(found.t), 3, 3)
 
 
+def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):
+    sought = []
+    monkeypatch.setattr(growth, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    assert growth.best(task)[0].per_number < growth.SURE
+    assert sought == []
+    monkeypatch.setattr(growth, "anew", lambda *_: [])
+    assert growth.best(task) == []
+    assert sought == list(growth.STARTS_S)
+
+
 def test_windows_lead_to_what_all_at_once_leads_to(task):
     ahead = growth.advanced(task, started(task), task.intervals(SECONDS))
     whole = growth.smoothed(task, ahead, 20)

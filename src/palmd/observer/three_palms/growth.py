@@ -8,7 +8,7 @@ all of it is smoothed as a whole, and the belief is made anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,8 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
+FIRST_START_S = 2.0
+"""Of a record, that is explained as a whole at once; from the first second alone, in many ways, where that fails."""
 STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
@@ -152,15 +154,22 @@ class Grown:
 def best(task: Task) -> list[Grown]:
     """Rivals followed to the end or to where they are lost: who got furthest first, then the cheapest."""
     ended: list[Grown] = []
-    for seconds in STARTS_S:
-        found = [each for each in rivals(task, seconds) if each.per_number < HOPELESS]
-        ended += raced(task, begun_in_ways(task, found))
+    for running in _starts(task):
+        ended += raced(task, running)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
             break
     if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
     return ended
+
+
+def _starts(task: Task) -> Iterator[list[Grown]]:
+    """What rivals are followed from, one set after the other, each sought only when it is asked for."""
+    found = [each for each in anew(task, task.record(FIRST_START_S), beliefs.hypotheses()) if each.per_number < SURE]
+    yield [each for each in found if each.cost < found[0].cost + BEHIND]
+    for seconds in STARTS_S:
+        yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS])
 
 
 def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
