@@ -31,7 +31,7 @@ from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
+from palmd.observer.record import LEAST_FORCE_N, Record, lasting, lay_out
 from palmd.observer.search import (
     AMBIGUOUS,
     DOUBT,
@@ -65,6 +65,7 @@ LATER = tuple(AGAIN._replace(later_s=seconds) for seconds in (0.5, 4.0, 1.0, 2.0
 BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
 MOST_PARTS = 20  # segments of one log that are looked at
+MOST_RIDDEN_S = 60.0  # of these together, where rides of all of them are read
 DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
 LATER_S = (0.5, 1.0)  # without these readings of the beginning
 SAME = 100.0  # in sigmas squared, of some 45 constants
@@ -81,9 +82,9 @@ def reconstruct(
     """Smooth the longest segment of `events` in which both palms feel the object, and others if they are of the same.
 
     Deterministic for a given seed. Takes about a second for ten seconds of readings; where no smooth outline explains
-    them one with flat sides and corners is looked for, which takes some ten to forty seconds more. Never raises for
-    what the readings say: a record that tells too little, or contradicts the model, comes back with `converged` False
-    and the reason. `say` is told how far a long search has come.
+    them one with flat sides and corners is looked for, in other segments too, which takes some ten to forty seconds
+    more. Never raises for what the readings say: a record that tells too little, or contradicts the model, comes back
+    with `converged` False and the reason. `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
     found = _by_length(data_segments(events))
@@ -95,8 +96,9 @@ def reconstruct(
     shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
     swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
-    unlike = _unlike(search, seed, begun, say) if asked else None
-    if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search)):
+    besides = _besides(found, rig) if first is None or first.reason else []
+    unlike = _unlike(search, besides, seed, begun, say) if asked else None
+    if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search, besides)):
         return unlike
     main = _part(search, seed, attempts[BEFORE_OTHERS:], first)
     if main is None or main.reason:
@@ -105,7 +107,7 @@ def reconstruct(
             main, found = apart, shorter
     if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
         if not asked:
-            unlike = _unlike(search, seed, begun, say)
+            unlike = _unlike(search, besides, seed, begun, say)
         if unlike is not None:
             return unlike
     if main is None:
@@ -179,19 +181,32 @@ def _search(segment: DataSegment, rig: RigDescription) -> Search:
     return Search(segment, with_scatter(rig, segment.pads))
 
 
-def _unlike(search: Search, seed: int, begun: float, say: Callable[[str], None] | None) -> Reconstruction | None:
-    """What is no smooth outline on palms that never stick: a dry one, else one with flat sides; None if neither."""
-    return dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say)
+def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:
+    """Segments besides the longest, `MOST_RIDDEN_S` long together with it."""
+    lasted = np.cumsum([_length(segment) for segment in found[:MOST_PARTS]])
+    within = int(np.searchsorted(lasted, MOST_RIDDEN_S, side="right"))
+    return [_search(segment, rig) for segment in found[1:within]]
+
+
+def _unlike(
+    search: Search, others: Sequence[Search], seed: int, begun: float, say: Callable[[str], None] | None
+) -> Reconstruction | None:
+    """What is no smooth outline on palms that never stick: a dry one, else one with flat sides; None if neither.
+
+    What rides in `others` as well is told of these too.
+    """
+    return dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say, others)
 
 
 def _whole(told: Reconstruction, segment: DataSegment) -> bool:
     """Whether it explains all of a segment so well that to look for anything else would be a waste."""
-    return told.lasts > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+    there = lasting([span for span in told.spans if segment.start <= span[0] <= segment.end])
+    return there > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
 
 
-def _sharp(told: Reconstruction, search: Search) -> bool:
+def _sharp(told: Reconstruction, search: Search, others: Sequence[Search]) -> bool:
     """Whether it has flat sides without which its motion is not explained: no smooth outline need be looked for."""
-    return len(told.sides) > 0 and not explained_smoothly(search, told)
+    return len(told.sides) > 0 and not explained_smoothly(search, told, others)
 
 
 def attempts_on(search: Search) -> Numbered:

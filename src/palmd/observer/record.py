@@ -103,7 +103,7 @@ class Record:
     def within(self, spans: Sequence[tuple[float, float]]) -> Record:
         """Its parts in `spans` (s, in order), as one record that says nothing of the motion in between."""
         at = [np.searchsorted(self.t, (start - WITHIN_S, end + WITHIN_S)) for start, end in spans]
-        return _joined([self.between(int(first), int(last) - 1) for first, last in at])
+        return joined([self.between(int(first), int(last) - 1) for first, last in at])
 
     def pressed_by(self, force: FloatArray) -> Record:
         """The same, contacts pressed by `force` (N, of each); scaled as the pads tell that, and not where none does."""
@@ -162,8 +162,8 @@ def lasting(spans: Sequence[tuple[float, float]]) -> float:
     return sum(end - start for start, end in spans)
 
 
-def _joined(parts: Sequence[Record]) -> Record:
-    """Parts of one record, in order of time, as one that says nothing of the motion between them."""
+def joined(parts: Sequence[Record]) -> Record:
+    """Parts of one record, or records of one rig, in order of time, as one that says nothing of the motion between."""
     first = np.cumsum([0, *(len(part.t) for part in parts)])
 
     def put(name: str) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,9 @@ from palmd.observer.likeness import likeness, root_of
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.record import joined
 from palmd.observer.search import Search, explained, minima, still
-from palmd.observer.sided import LEAST_S, Candidate, SidedSearch
+from palmd.observer.sided import LEAST_S, Candidate, SidedSearch, in_order
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
@@ -37,15 +38,20 @@ LEFT = 1 / 3
 
 
 def sharp_reconstruction(
-    search: Search, seed: int, begun: float, say: Callable[[str], None] | None = None
+    search: Search,
+    seed: int,
+    begun: float,
+    say: Callable[[str], None] | None = None,
+    others: Sequence[Search] = (),
 ) -> Reconstruction | None:
     """The outline with flat sides that explains the longest part of the segment of `search` that one explains.
 
-    None where none does beyond doubt. `say` is told how far the search has come.
+    Where the object rides as well in the segments of `others`, of these too. None where none does beyond doubt. `say`
+    is told how far the search has come.
     """
     if still(search.record) or search.segment.end - search.segment.start < LEAST_S:
         return None
-    sided = SidedSearch(search, seed)
+    sided = SidedSearch(search, seed, others)
     segment = search.segment
 
     def followed(so_far: Candidate) -> None:
@@ -68,13 +74,13 @@ def sharp_reconstruction(
     return None
 
 
-def explained_smoothly(search: Search, told: Reconstruction) -> bool:
+def explained_smoothly(search: Search, told: Reconstruction, others: Sequence[Search] = ()) -> bool:
     """Whether a smooth outline explains what `told` does as well, begun from that motion and outline.
 
-    On a rig as it is taken for, or on any.
+    On a rig as it is taken for, or on any. told: of the segments of `search` and `others`.
     """
     assert told.h is not None  # of what is claimed
-    record = search.record.within(told.spans)
+    record = joined([each.record for each in in_order(search, others)]).within(told.spans)
     psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
     p = search.prior.mean.copy()
     dither = math.exp(p[C.SATURATION])

@@ -1,12 +1,13 @@
 """The search for an outline with flat sides and corners behind a segment of readings, blind.
 
 What lies on a flat side rides on its palm, and where it does is read off the readings (`observer.rides`): all rides on
-one side, with one corner on the other palm, tell of one outline together, whatever came between them.
+one side, with one corner on the other palm, tell of one outline together, whatever came between them: a contact that
+was lost, too, so rides in other segments count.
 
-Else the search begins at the beginning: ψ follows that palm's angle, while the contact wanders along the side as the
-balance of torques asks. That gives two starts, one a palm, besides those of the bank of filters. The window then grows
-over the segment. Where no motion of the present outline explains what comes next, rivals are born that have one more
-side, at the normal by which either palm feels the object there; the readings choose among them.
+Else the search begins at the segment's beginning: ψ follows that palm's angle, while the contact wanders along the
+side as the balance of torques asks. That gives two starts, one a palm, besides those of the bank of filters. The window
+then grows over the segment. Where no motion of the present outline explains what comes next, rivals are born that have
+one more side, at the normal by which either palm feels the object there; the readings choose among them.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from palmd.observer.joined import (
 )
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.outline import normal_angles
-from palmd.observer.record import Record, lasting, lay_out
+from palmd.observer.record import Record, joined, lasting, lay_out
 from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
@@ -164,31 +165,39 @@ class SidedSmoother(Smoother):
 
 
 class SidedSearch:
-    """One segment, as `search` has laid it out."""
+    """One segment, as `search` has laid it out, and `others` in which the object may have ridden as well."""
 
-    def __init__(self, search: Search, seed: int = 0):
+    def __init__(self, search: Search, seed: int = 0, others: Sequence[Search] = ()):
         self._search, self._seed = search, seed
-        segment = search.segment
-        self.record = lay_out(segment.pads, search.path, search.rig, segment.start, segment.end, SPACING_S)
+        self._all = in_order(search, others)
+        self._records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
+        self.record = joined(self._records)
         self._work = 0
 
     def ridden(self) -> Iterator[tuple[Candidate, ...]]:
         """What explains rides, wherever they last long enough: on several sides together, then on one at a time.
 
-        On one side, with one corner on the other palm. Best first: the same minimum twice, or another.
+        On one side, with one corner on the other palm. Best first: the same minimum twice, or another. Only what has
+        ridden in the segment itself is told, else it may be another object.
         """
-        groups = [rides for rides in same(rides_of(self.record)) if any(ride.rolls for ride in rides)]
+        by_length = sorted((ride for each in self._records for ride in rides_of(each)), key=lambda ride: -ride.lasts)
+        groups = [rides for rides in same(by_length) if any(ride.rolls for ride in rides)]
         told = {i: self._on_one_side(groups[i]) for i in sorted(_neighbours(groups))}
         parts = ((found[0], groups[i][0].palm) for i, found in told.items() if math.isfinite(found[0].fit.cost))
-        joined = self._joined([Part.of(each, palm) for each, palm in parts])
-        if joined is not None and joined.lasts > LEAST_S:
-            yield (joined,)
+        whole = self._joined([Part.of(each, palm) for each, palm in parts])
+        if whole is not None and whole.lasts > LEAST_S and self._here(whole.record.spans):
+            yield (whole,)
         for i, rides in enumerate(groups):
-            if lasting(trimmed(rides)) > LEAST_S:
+            if lasting(trimmed(rides)) > LEAST_S and self._here(trimmed(rides)):
                 found = told[i] if i in told else self._on_one_side(rides)
                 yield found
                 if not found[0].explains:
                     yield from (self._on_one_side([piece]) for piece in _pieces(rides))
+
+    def _here(self, spans: Sequence[tuple[float, float]]) -> bool:
+        """Whether any of these (s) is in the segment itself."""
+        segment = self._search.segment
+        return any(segment.start < end and start < segment.end for start, end in spans)
 
     def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
         found = _in_order(self._along(way, rides) for way in WAYS)
@@ -268,7 +277,7 @@ class SidedSearch:
     ) -> Iterator[tuple[tuple[float, float], list[tuple[float, float]], FloatArray]]:
         """A gap between a part of `record` that is in `one` and another (s), the parts without it, and the nodes.
 
-        The shortest gap comes first; those without a way over it are left out.
+        The shortest gap comes first; those without a way over it are left out, and where a contact was lost.
         """
         spans, x = record.spans, guess.x
         gaps = [
@@ -279,6 +288,8 @@ class SidedSearch:
         for _, k in sorted(gaps):
             i, j = int(record.torn[k]) - SETTLED_NODES, int(record.torn[k]) + 1 + SETTLED_NODES
             gap = self.record.within([(float(record.t[i]), float(record.t[j]))])
+            if len(gap.torn):
+                continue
             before, after = (turning(gap, ridden_at(record, guess, node, sides))[:, 0] for node in (i, j))
             psi = bridged(gap, guess.p, x[i, 0] + before, x[j, 0] + after - after[-1])
             if psi is not None:
@@ -328,7 +339,7 @@ class SidedSearch:
         Where nothing follows the object from one side to another, a new search begins, as long as `WORK` lasts and what
         is left may be longer than what was found.
         """
-        whole, found = self.record, list[tuple[Candidate, ...]]()
+        whole, found = self._records[self._all.index(self._search)], list[tuple[Candidate, ...]]()
         begin, longest = 0, LEAST_S
         while begin < len(whole.dt) and whole.t[-1] - whole.t[begin] > longest and self._work < WORK:
             explained = self._explained(whole.between(begin, len(whole.dt)), log)
@@ -466,9 +477,13 @@ class SidedSearch:
 
         On finer ones the width is held: on a side that narrows steps become blows, which explain what they like.
         """
-        search, start, end = self._search, candidate.record.t[0], candidate.record.t[-1]
-        finer = lay_out(search.segment.pads, search.path, search.rig, start, end, LAST_S)
-        record = finer.within(candidate.record.spans)
+        finer = list[Record]()
+        for search in self._all:
+            segment = search.segment
+            mine = [each for each in candidate.record.spans if segment.start - NEAR_S < each[0] < segment.end]
+            if mine:
+                finer.append(_laid_out(search, mine[0][0], mine[-1][1], LAST_S))
+        record = joined(finer).within(candidate.record.spans)
         guess = candidate.fit.guess
         held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
         there = guess.on(candidate.record.t, record.t)
@@ -538,6 +553,16 @@ class SidedSearch:
             mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
         mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
         return Prior(mean, sd, base.omega0_sd)
+
+
+def in_order(search: Search, others: Sequence[Search]) -> list[Search]:
+    """All of them in order of time."""
+    return sorted((search, *others), key=lambda each: each.segment.start)
+
+
+def _laid_out(search: Search, start: float, end: float, spacing: float) -> Record:
+    """Of the readings of `search` those from `start` to `end` (s)."""
+    return lay_out(search.segment.pads, search.path, search.rig, start, end, spacing)
 
 
 def _pieces(rides: Sequence[Ride]) -> list[Ride]:

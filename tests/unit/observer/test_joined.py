@@ -190,6 +190,18 @@ def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
     assert search._joined([one, other]) is None
 
 
+def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
+    segment, tried = tipped.search.segment, list[int]()
+    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: tried.append(1))
+    first, second = (Search(each, RIG) for each in (segment.until(3.0), segment.since(3.3)))
+    for search, ways in ((SidedSearch(tipped.search), 1), (SidedSearch(first, 0, [second]), 0)):
+        record = search.record.within([(0.5, 2.4), (4.6, 6.0)])
+        guess = Guess(np.zeros((len(record.t), 2)), tipped.p)
+        assert list(search._bridges(record, guess, 2, record.spans[:1])) == []
+        assert len(tried) == ways
+        tried.clear()
+
+
 @pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
 def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
     search = SidedSearch(tipped.search)

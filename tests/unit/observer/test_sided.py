@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated import Run, simulated
+from simulated import Run, is_pad, simulated
 
 from palmd.model import sharp
 from palmd.model.shape import coefficients_of, turned
 from palmd.model.smoothing import NODE, ORDER, C
-from palmd.observer.data_segment import longest_segment
+from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.followed import followed
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first, turning
-from palmd.observer.rides import rides_of, same
+from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
 from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage
@@ -257,3 +258,34 @@ def test_a_polygon_that_rides_on_a_calibrated_rig_is_told_by_its_side_and_its_co
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
     assert score.e_h < min(1e-4, 3 * band)
     assert band > SHARP_M  # for the rig's sake: the readings tell enough all the same
+
+
+def torn_apart(run: Run) -> list[Search]:
+    """Its two segments, the longer first, where a contact is lost for half a second."""
+    seen = [event for event in run.events if not (is_pad(event) and 3.2 < event.t_sample < 3.7)]
+    main, other = (Search(segment, run.rig) for segment in data_segments(seen))
+    assert main.segment.end < other.segment.start
+    return [main, other]
+
+
+def test_rides_in_other_segments_tell_of_the_same_side(monkeypatch):
+    for module in ("sided", "sharp_reconstruct"):
+        monkeypatch.setattr(f"palmd.observer.{module}.LEAST_S", 3.0)
+    run = hexagon()
+    main, *others = torn_apart(run)
+    answer = sharp_reconstruction(main, 0, time.perf_counter(), None, others)
+    assert answer is not None
+    assert {end < 3.3 for _, end in answer.spans} == {True, False}
+    assert answer.lasts > 4.5
+    assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 5e-5
+    assert not explained_smoothly(main, answer, others)
+
+
+@pytest.mark.parametrize(("start", "times"), [(0.1, 1), (3.8, 0)])
+def test_what_rides_in_another_segment_alone_is_not_told(monkeypatch, start, times):
+    main, *others = torn_apart(hexagon())
+    search = SidedSearch(main, 0, others)
+    ride = Ride(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    monkeypatch.setattr("palmd.observer.sided.rides_of", lambda record: [ride] if record.t[0] < 1.0 else [])
+    monkeypatch.setattr(search, "_on_one_side", lambda _: [SimpleNamespace(explains=True)])
+    assert len(list(search.ridden())) == times
