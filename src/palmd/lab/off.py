@@ -259,8 +259,7 @@ def _replayed(row: OffRow, log: EventLog, told: Line) -> OffRow:
     live = answers(log, told, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig)))
     error, sd = live.r_error[live.valid], live.r_sd[live.valid]
     far = np.mean((error / sd) ** 2, axis=1) > FAR**2
-    wrong = (np.abs(error) > WRONG_M).any(axis=1)
-    return replace(row, ticks=len(live.t), valid=len(error), live_far=int(far.sum()), live_wrong=int(wrong.sum()))
+    return replace(row, ticks=len(live.t), valid=len(error), live_far=int(far.sum()), live_wrong=int(live.wrong.sum()))
 
 
 def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfections:

@@ -234,6 +234,11 @@ class ObserverAnswers:
     r_sd: FloatArray
     e_h: FloatArray
 
+    @property
+    def wrong(self) -> Bools:
+        """Where they are valid, and a radius is off by more than 0.3 mm."""
+        return self.valid & (np.abs(self.r_error) > WRONG_M).any(axis=1)
+
 
 def causal_of(answers: ObserverAnswers) -> Causal:
     """What came of a causal replay."""

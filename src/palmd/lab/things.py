@@ -153,7 +153,7 @@ def _replayed(task: ThingTask) -> ThingRow:
         kind=task.kind,
         seed=task.seed,
         valid=float(live.valid.mean()),
-        wrong=float((live.valid & (error > WRONG_M)).mean()),
+        wrong=float(live.wrong.mean()),
         most_m=float(error[live.valid].max()) if live.valid.any() else math.nan,
         far=float((live.valid & (misses > FAR * live.r_sd).any(axis=1)).mean()),
     )

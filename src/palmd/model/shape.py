@@ -38,11 +38,7 @@ def slope_of(rows: FloatArray) -> FloatArray:
 
 def tangential_basis(theta: FloatArray, order: int = HARMONICS) -> FloatArray:
     """−d/dθ of `basis`: what maps coefficients to the tangential offset d = −h′."""
-    k = np.arange(1, order + 1)
-    angles = np.multiply.outer(np.asarray(theta, dtype=np.float64), k)
-    rows = np.zeros((angles.shape[0], 2 * order + 1))
-    rows[:, 1::2], rows[:, 2::2] = k * np.sin(angles), -k * np.cos(angles)
-    return rows
+    return -slope_of(basis(theta, order))
 
 
 def gauge_free_basis(theta: FloatArray, touched: FloatArray, coefficients: FloatArray) -> FloatArray:

@@ -102,12 +102,12 @@ class IncrementalSmoother:
         answer = self._found = self._seeker.sought(segment, self._hint)
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
-        if answer is None or not (self._archive or segment.end - segment.start >= FOUND_S) or not self._seeker.sure:
+        if answer is None or not (self._archive or segment.lasts >= FOUND_S) or not self._seeker.sure:
             return answer
         follower = Follower(answer)
         if self._joined(follower):
             answer = follower.smoothed(segment) or answer
-        elif segment.end - segment.start < FOUND_S:
+        elif segment.lasts < FOUND_S:
             return answer
         self._follower = follower
         self._drop_before(follower.needs_from)

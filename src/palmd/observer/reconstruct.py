@@ -93,10 +93,11 @@ def reconstruct(
     search = _search(found[0], rig)
     attempts = attempts_on(search)
     first = _part(search, seed, attempts[:BEFORE_OTHERS])
-    shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if first is None or first.reason else []
-    swapped = bool(shorter) and _length(shorter[0]) < _length(found[0])  # perhaps, in a gap
+    in_doubt = first is None or bool(first.reason)
+    shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if in_doubt else []
+    swapped = bool(shorter) and shorter[0].lasts < found[0].lasts  # perhaps, in a gap
     asked = first is None and not swapped and not rig.curved
-    besides = _besides(found, rig) if first is None or first.reason else []
+    besides = _besides(found, rig) if in_doubt and not rig.curved else []
     unlike = _unlike(search, besides, seed, begun, say) if asked else None
     if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search, besides)):
         return unlike
@@ -169,12 +170,9 @@ class _Joined:
     omega0: FloatArray
 
 
-def _length(segment: DataSegment) -> float:
-    return segment.end - segment.start
-
-
 def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
-    return sorted((segment for segment in found if _length(segment) >= LEAST_S), key=_length, reverse=True)
+    long_enough = (segment for segment in found if segment.lasts >= LEAST_S)
+    return sorted(long_enough, key=lambda segment: segment.lasts, reverse=True)
 
 
 def _search(segment: DataSegment, rig: RigDescription) -> Search:
@@ -183,7 +181,7 @@ def _search(segment: DataSegment, rig: RigDescription) -> Search:
 
 def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:
     """Segments besides the longest, `MOST_RIDDEN_S` long together with it."""
-    lasted = np.cumsum([_length(segment) for segment in found[:MOST_PARTS]])
+    lasted = np.cumsum([segment.lasts for segment in found[:MOST_PARTS]])
     within = int(np.searchsorted(lasted, MOST_RIDDEN_S, side="right"))
     return [_search(segment, rig) for segment in found[1:within]]
 
@@ -201,7 +199,7 @@ def _unlike(
 def _whole(told: Reconstruction, segment: DataSegment) -> bool:
     """Whether it explains all of a segment so well that to look for anything else would be a waste."""
     there = lasting([span for span in told.spans if segment.start <= span[0] <= segment.end])
-    return there > WHOLE * _length(segment) and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+    return there > WHOLE * segment.lasts and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
 
 
 def _sharp(told: Reconstruction, search: Search, others: Sequence[Search]) -> bool:
@@ -248,7 +246,7 @@ def _found_again(part: _Part, seed: int) -> _Part:
         return part
     for later_s in LATER_S:
         segment = part.segment.since(part.segment.start + later_s)
-        if _length(segment) < LEAST_S:
+        if segment.lasts < LEAST_S:
             break
         other = _part(_search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
@@ -295,7 +293,7 @@ def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
     left, best, longest = list(parts), (parts[0], list[_Joined]()), 0.0
     while left:
         main, others = left.pop(0), list[_Joined]()
-        lasts = _length(main.segment)
+        lasts = main.segment.lasts
         waiting = list(left)
         while waiting:
             part = waiting.pop(0)
@@ -304,7 +302,7 @@ def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
                 main, other = joined
                 others.append(other)
                 left = [each for each in left if each is not part]
-                lasts += _length(part.segment)
+                lasts += part.segment.lasts
                 waiting = list(left)  # more of the outline is known now that they may overlap with
         if lasts > longest:
             best, longest = (main, others), lasts

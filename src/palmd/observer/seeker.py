@@ -69,7 +69,7 @@ class Seeker:
 
         `hint`: constants that a live filter has settled on, in whatever gauge.
         """
-        seconds = segment.end - segment.start
+        seconds = segment.lasts
         self.unexplained = False
         if seconds < LEAST_S:
             return None

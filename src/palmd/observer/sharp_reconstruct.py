@@ -49,7 +49,7 @@ def sharp_reconstruction(
     Where the object rides as well in the segments of `others`, of these too. None where none does beyond doubt. `say`
     is told how far the search has come.
     """
-    if still(search.record) or search.segment.end - search.segment.start < LEAST_S:
+    if still(search.record) or search.segment.lasts < LEAST_S:
         return None
     sided = SidedSearch(search, seed, others)
     segment = search.segment
@@ -57,7 +57,7 @@ def sharp_reconstruction(
     def followed(so_far: Candidate) -> None:
         until = so_far.record.t[-1] - segment.start
         if say is not None:
-            say(f"looking for flat sides: {until:.1f} of {segment.end - segment.start:.1f} s")
+            say(f"looking for flat sides: {until:.1f} of {segment.lasts:.1f} s")
 
     def longest() -> Iterator[tuple[Candidate, ...]]:
         yield from sided.ridden()
