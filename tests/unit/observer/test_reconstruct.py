@@ -3,6 +3,7 @@
 import math
 import random
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from palmd.lab import sbc
 from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model.smoothing import R
 from palmd.observer import criticism
-from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, reconstruct
+from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.observer.seeker import attempts_for
@@ -359,3 +360,11 @@ def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smoot
     assert lasts > 2.0
     later = [each for each in LATER if each.later_s + each.seconds <= lasts]
     assert len(tried) == (searches or len(later) + len(attempts_for(run.rig)))
+
+
+def test_rides_are_read_in_the_longest_segments_of_a_minute_together(monkeypatch):
+    monkeypatch.setattr("palmd.observer.reconstruct._search", lambda segment, _: segment)
+    segments = [SimpleNamespace(lasts=seconds) for seconds in (30.0, 20.0, 15.0, 5.0)]
+    assert _besides(segments, None) == segments[1:2]
+    assert _besides(segments[1:], None) == segments[2:]
+    assert _besides(segments[:1], None) == []
