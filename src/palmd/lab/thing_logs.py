@@ -19,7 +19,7 @@ from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR, RIGHT_M
 from palmd.lab.simulated import written
 from palmd.lab.table import aligned
-from palmd.lab.thing_recordings import Recording, recorded
+from palmd.lab.thing_recordings import ThingRecording, recorded
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import read_log
 from palmd.rig.dry_plant import DRY
@@ -164,7 +164,7 @@ def run(task: SharpTask) -> SharpRow:
     )
 
 
-def simulated(task: SharpTask) -> Recording:
+def simulated(task: SharpTask) -> ThingRecording:
     """The task's log, as it is read from a file, or its recording, and the truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     dry = task.kind.startswith(_DRY)
@@ -174,7 +174,7 @@ def simulated(task: SharpTask) -> Recording:
     sds = CALIBRATION[task.imperfections]
     lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, surface=surface, calibration_sd=sds)
     with written(lines) as path:
-        return Recording(read_log(path), truth, math.nan)
+        return ThingRecording(read_log(path), truth, math.nan)
 
 
 _VERDICTS = ("right", "in its band", "wrong", "refused")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmd.config import Drawn, ExploreSpec, PlanSpec, rig_description
+from palmd.events import Event
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_watch import ExplorationWatch
 from palmd.lab.silent_observer import SilentObserver
@@ -21,7 +22,7 @@ from palmd.rig.simulate import Line
 from palmd.rig.world import default_config
 
 
-class Recording(NamedTuple):
+class ThingRecording(NamedTuple):
     """What the daemon was fed, the body as `rig/object` tells it, and the share of its normals that were touched."""
 
     log: EventLog
@@ -37,7 +38,7 @@ def recorded(
     imperfections: Drawn,
     options: PlantOptions,
     surface: FrictionSurface | None = None,
-) -> Recording:
+) -> ThingRecording:
     """So many seconds of the plan. One that explores does so by what the observer and its smoother find.
 
     Against `surface`, by default a random one. The same arguments, the same bits. Raises PlanError for a plan that
@@ -50,8 +51,9 @@ def recorded(
     wireless = Wireless(config, plan, seed, options=options, body=body, surface=surface, **found_by)
     wireless.start()
     pads = tuple(pad.length for pad in rig.pads)
-    fed, watch = [], ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, wireless.t)
+    fed = list[Event]()
+    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, wireless.t)
     for instant in wireless.run(seconds):
         watch.take(instant)
         fed += events_of(instant.messages[EVENTS.name])
-    return Recording(EventLog(rig, tuple(fed)), wireless.world.object_truth(), watch.coverage)
+    return ThingRecording(EventLog(rig, tuple(fed)), wireless.world.object_truth(), watch.coverage)

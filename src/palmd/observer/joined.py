@@ -22,7 +22,7 @@ from palmd.model.sharp import NORMALS, WIDTH
 from palmd.observer.factor import Prior
 from palmd.observer.followed import FOLLOW_WIDTH, followed
 from palmd.observer.normal_equations import Guess, Residuals
-from palmd.observer.outline import normal_angles
+from palmd.observer.outline import normal_angles, wrapped
 from palmd.observer.record import Record
 from palmd.observer.ridden import outline_through
 from palmd.observer.rides import Ride
@@ -104,8 +104,8 @@ def footing(record: Record, guess: Guess, palm: int, rides: Sequence[Ride] = ())
 
 def told_by(p: FloatArray, sides: int, before: Footing) -> Footing:
     """The same as an outline of so many `sides` has it, `before` in its frame."""
-    away = [math.remainder(float(each) - before.normal, math.tau) for each in p[NORMALS : NORMALS + sides]]
-    return _read(p, replace(before, normal=before.normal + min(away, key=abs)))
+    away = wrapped(p[NORMALS : NORMALS + sides] - before.normal)
+    return _read(p, replace(before, normal=before.normal + float(away[np.argmin(np.abs(away))])))
 
 
 def _read(p: FloatArray, of: Footing) -> Footing:
@@ -124,8 +124,9 @@ def side_between(one: Footing, other: Footing) -> tuple[Footing, Footing]:
     """
     apart = other.corner - one.corner
     away = math.acos(max(-1.0, min(1.0, (one.radius - other.radius) / abs(apart))))
-    gaps = [(theirs + math.remainder(mine - theirs, math.tau), theirs) for mine in one.felt for theirs in other.felt]
-    middle = sum(min(gaps, key=lambda gap: abs(gap[0] - gap[1]))) / 2
+    near = [(theirs + math.remainder(mine - theirs, math.tau), theirs) for mine in one.felt for theirs in other.felt]
+    mine, theirs = min(near, key=lambda both: abs(both[0] - both[1]))
+    middle = (mine + theirs) / 2
     normals = (middle + math.remainder(cmath.phase(apart) + way - middle, math.tau) for way in (-away, away))
     normal = min(normals, key=lambda each: abs(each - middle))
     foot = sum((each.corner * cmath.exp(-1j * normal)).imag for each in (one, other)) / 2
@@ -201,10 +202,9 @@ def seated(record: Record, x: FloatArray, own: FloatArray, p: FloatArray, sides:
         near = normal + np.sinh(SEAT * np.linspace(-1.0, 1.0, SEATS)) * (SEAT_RAD / math.sinh(SEAT))
         slopes = np.maximum.accumulate(slope_of(near, p))
         for theta in normals.T:
-            away = theta - normal
-            whole = math.tau * np.round(away / math.tau)
-            on = np.abs(away - whole) < SEAT_RAD / 2
-            moved[on, 0] -= np.interp(slope_of(theta[on], own), slopes, near) + whole[on] - theta[on]
+            away = wrapped(theta - normal)
+            on = np.abs(away) < SEAT_RAD / 2
+            moved[on, 0] -= np.interp(slope_of(theta[on], own), slopes, near) - normal - away[on]
     shift = moved[:, 0] - x[:, 0]
     for nodes in np.split(np.arange(len(x)), record.torn + 1):
         moved[nodes, 1] += np.gradient(shift[nodes], record.t[nodes])
@@ -251,5 +251,5 @@ def bridged(gap: Record, p: FloatArray, before: FloatArray, after: FloatArray) -
 def ridden_at(record: Record, guess: Guess, node: int, sides: int) -> int:
     """The palm (0, 1) that feels the object by the normal next to that of a side."""
     normals = normal_angles(record.palms[node : node + 1], guess.x[node : node + 1, 0])[0]
-    away = normals[:, None] - guess.p[NORMALS : NORMALS + sides]
-    return int(np.argmin(np.abs(away - math.tau * np.round(away / math.tau)).min(axis=1)))
+    away = wrapped(normals[:, None] - guess.p[NORMALS : NORMALS + sides])
+    return int(np.argmin(np.abs(away).min(axis=1)))

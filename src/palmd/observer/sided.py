@@ -225,7 +225,8 @@ class SidedSearch:
 
     def _joined(self, parts: Sequence[Part]) -> Candidate | None:
         """What explains most of these, each ridden on one side, by one outline; None where no two are of one."""
-        most, best = self._work + JOINING, None
+        most = self._work + JOINING
+        best: Part | None = None
         left = _longest_first(self._lying_still(self._explained_parts(parts)))
         while left:
             first, *left = left
@@ -238,7 +239,7 @@ class SidedSearch:
                     waiting = left  # more of the outline is known now
             if whole is not first and (best is None or whole.candidate.lasts > best.candidate.lasts):
                 best = whole
-        return best and best.candidate
+        return None if best is None else best.candidate
 
     def _explained_parts(self, parts: Iterable[Part]) -> Iterator[Part]:
         """These, and of what is not explained each ride by itself: sides may be alike."""
@@ -287,11 +288,11 @@ class SidedSearch:
         for new in (normal, *(each.normal for each in passed[:1])):
             if all(abs(math.remainder(new - each, math.tau)) > SAME_SIDE_RAD for each in normals):
                 normals.append(new)
-        spans = sorted([*one.record.spans, *other.record.spans])
-        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(spans)):
+        together = sorted([*one.record.spans, *other.record.spans])
+        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(together)):
             return None
         footings = [*whole.footings, *(each.turned(turn) for each in part.footings), *passed]
-        record, p = self.record.within(spans), one.fit.guess.p.copy()
+        record, p = self.record.within(together), one.fit.guess.p.copy()
         p[NORMALS : NORMALS + len(normals)] = normals
         p[LENGTHS + before : LENGTHS + len(normals)] = SIDE_M
         p = sketched(p, footings, self._prior(tuple(map(FlatSide, normals))), len(normals))
@@ -301,14 +302,16 @@ class SidedSearch:
             x[nodes] = seated(each.record, guess.x, guess.p, p, on)
         shift = float(x[0, 0])
         torn, sides = rotated(Guess(x, p), shift), tuple(FlatSide(each + shift) for each in normals)
-        apart = [(None, record.spans, torn.x)]
-        for gap, spans, x in apart if passed else self._bridges(record, torn, len(sides), one.record.spans):
+        ways = self._bridges(record, torn, len(sides), one.record.spans)
+        for gap, spans, x in [(None, record.spans, torn.x)] if passed else ways:
             both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
             explained = self._calm(both)
             if lasting(explained) < (1.0 - MOST_CUT) * both.lasts:
                 continue
             between_told = gap is None or (both.explains and self._explained_between(both, *gap))
             both = self._cut(both, explained)
+            if not both.explains:  # what has been left out had bent it
+                both = self._loosened(both.record, both.sides, both.fit.guess)
             if between_told and both.explains:
                 shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
                 p = both.fit.guess.p
