@@ -228,7 +228,7 @@ def parameters(h_of, inertia, order):
 class Lived:
     """Readings of a body on swinging palms, and a smoother that is led to the right start: a blind one takes long."""
 
-    END, SECONDS, STEP = 4.2, 4.9, 2e-3
+    FIRST, END, SECONDS, STEP = 3.75, 4.2, 4.9, 2e-3
 
     def __init__(self):
         rng = np.random.default_rng(SEED)
@@ -252,9 +252,9 @@ class Lived:
             led.setattr(growing, "anew", lambda task, record, _: self._right(task, record))
             led.setattr(growing, "raced", self._followed)
             smoother = self.smoother = GrowingBody(self.rig)
-            smoother.add([event for event in self.events if event.t_sample < 2.9])
+            smoother.add([event for event in self.events if event.t_sample < self.FIRST])
             self.first = smoother.answer()
-            smoother.add([event for event in self.events if 2.9 <= event.t_sample < self.END])
+            smoother.add([event for event in self.events if self.FIRST <= event.t_sample < self.END])
             self.answer = smoother.answer()
 
     def _settle(self, plant, rng):
@@ -325,7 +325,32 @@ def test_the_smoother_goes_on_with_what_it_has(lived):
     assert lived.first is not None
     assert lived.answer.claimed, lived.answer.reason
     assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
-    assert lived.answer.t > lived.first.t + 1.0
+    assert lived.answer.t > lived.first.t + 0.4
+
+
+def test_where_all_of_a_record_tells_nothing_short_starts_are_tried_and_then_another_beginning(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    smoother, sought = GrowingBody(lived.rig), []
+    dear = replace(first, cost=1.4 * 2 * len(first.record.readings.t))
+    monkeypatch.setattr(growing, "anew", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or [dear])
+    monkeypatch.setattr(growing, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(growing, "begun_in_ways", lambda _, found: found)
+    monkeypatch.setattr(smoother, "_begin_anew", lambda _: sought.append("anew"))
+    assert not any(smoother._try(task) for _ in range(4))
+    whole = pytest.approx(task.end - task.start, abs=0.03)
+    assert sought == [whole, *growing.STARTS_S, "anew", whole]
+    monkeypatch.setattr(growing, "rivals", lambda *_: [first, dear, replace(first, cost=math.inf)])
+    assert smoother._try(task)  # which the short ones are to explain only in part
+    assert smoother._running == [first, dear]
+
+
+def test_what_two_starts_of_all_of_a_record_have_met_in_is_found_twice_at_once(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    met = replace(first, confirmed=first.intervals)
+    monkeypatch.setattr(growing, "anew", lambda *_: [met, replace(first, cost=first.cost + 30.0, confirmed=0)])
+    smoother = GrowingBody(lived.rig)
+    assert smoother._try(task)
+    assert [each.found_twice for each in smoother._running] == [True, False]
 
 
 def test_what_was_found_but_once_is_not_claimed(lived):

@@ -22,6 +22,7 @@ from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import (
     BEHIND,
+    SURE,
     Grown,
     anew,
     apart,
@@ -39,13 +40,14 @@ from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
 STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
-STARTS_S = (3.0, 1.8, 8.0)  # of a record, as far as there is so much, that it is begun with
-LEAST_S = 2.2  # of a record, before anything is tried
+WHOLE_S, STARTS_S = 6.0, (1.3, 0.8)  # of a record that it is begun with: as a whole, then shorter, in many ways
+LEAST_S = 3.4  # of a record, before anything is tried
 NEWS_S = 0.4  # of readings, before another lap
 LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
 WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
 MOST_RIVALS = 2
+FIRST_WAYS = 4  # of a start: who has not met by then has contacts that tell too little
 OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
 STRANGE = 1.5  # one-sigmas of the cost, beyond which more is tried
 SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
@@ -184,12 +186,17 @@ class GrowingBody:
         return Task(path, readings, contacts, self._rig, self._start, end)
 
     def _try(self, task: Task) -> bool:
-        """Begin from nothing with one length of start; whether there is a rival."""
-        record = task.record(STARTS_S[self._attempt])
-        self._attempt = (self._attempt + 1) % len(STARTS_S)
-        found = [each for each in anew(task, record, beliefs.hypotheses()) if each.per_number < HOPELESS]
-        self._running = [replace(each, confirmed=0) for each in found[:MOST_RIVALS]]  # of a longer record it may be
-        self._looked = len(record.middle_palms)
+        """Begin from nothing in one manner, another one each time; whether there is a rival."""
+        attempt, self._attempt = self._attempt, (self._attempt + 1) % (1 + len(STARTS_S))
+        if attempt == 0:
+            record = task.record(WHOLE_S)
+            found = anew(task, record, islice(beliefs.hypotheses(), FIRST_WAYS))
+            self._running = [each for each in found if each.per_number < SURE][:MOST_RIVALS]
+            self._looked = len(record.middle_palms)
+        else:
+            short = rivals(task, STARTS_S[attempt - 1])
+            self._running = begun_in_ways(task, [each for each in short if each.per_number < HOPELESS])
+            self._looked = 0
         if not self._running and self._attempt == 0:
             self._begin_anew(task.end - LEAST_S)
         return bool(self._running)

@@ -42,6 +42,8 @@ FIRST_START_S = 2.0
 STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
+FOUND_S = 9.0
+"""Of a record, beyond which no other start is asked for any more where two thirds of it were found twice."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
@@ -109,8 +111,8 @@ class Grown:
 
     @property
     def found_twice(self) -> bool:
-        """Whether another start has come to the same, of no less than two thirds of it."""
-        return 3 * self.confirmed >= 2 * self.intervals
+        """Whether another start has come to the same, of no less than two thirds of it or of `FOUND_S`."""
+        return 3 * self.confirmed >= 2 * min(self.intervals, round(FOUND_S / SPACING_S))
 
     @property
     def surprise(self) -> float:
