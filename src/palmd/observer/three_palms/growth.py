@@ -174,15 +174,18 @@ def _starts(task: Task) -> Iterator[list[Grown]]:
         yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS])
 
 
-def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
-    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
+def begun_in_ways(task: Task, found: list[Rival], forks: float = math.inf) -> list[Grown]:
+    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it.
+
+    None of these is forked again in more than so many windows.
+    """
     if not found:
         return []
     started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
     near = [each for each in started if each.cost < started[0].cost + BEHIND]
     until = near[0].intervals + round(FORK_S / SPACING_S)
     ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
-    further = [advanced(task, each, until) for each in (*ways, *near[FORKED_STARTS:])]
+    further = [advanced(task, each, until, forks=forks) for each in (*ways, *near[FORKED_STARTS:])]
     return apart(sorted(further, key=lambda each: each.cost))
 
 
