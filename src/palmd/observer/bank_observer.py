@@ -328,7 +328,8 @@ class BankObserver:
 
         A bank takes that for a smooth object, however far off, and so may a smoother that no second search has agreed
         with or, on a rig that is known exactly, that has not weighed its answer against a ride: of a disc it may all
-        the same, unless that is told sharply and both palms' readings together are not those of a disc. What has been felt to have a corner no smooth outline is of, whoever tells it.
+        the same, unless that is told sharply and both palms' readings together are not those of a disc. What has been
+        felt to have a corner no smooth outline is of, whoever tells it.
         """
         if self._link is None or self._curved:
             return False
