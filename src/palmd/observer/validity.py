@@ -7,6 +7,7 @@ expected, or the hypothesis that it is a known one was accepted (`identified`, w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from palmd.events import DECIDED
 
@@ -23,9 +24,8 @@ VAGUE_M = 5e-4  # of what is told of a radius, surprises counted: above it a vou
 PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of the radii
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What one estimate rests on.
+class Evidence(NamedTuple):
+    """What one estimate rests on; a tuple, as a frozen dataclass takes several times as long to make.
 
     touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
     all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the

@@ -15,6 +15,7 @@ from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, growth, live
+from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
@@ -442,6 +443,17 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     lived.smoother._answer(task, [erring])
     told = lived.smoother._answer(task, ended)
     assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
+
+
+def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
+    task, ended = lived.raced
+    costly = [replace(ended[0], cost=1.2 * ended[0].numbers)]
+    explained, unexplained = (lived.smoother._answer(task, each) for each in (ended, costly))
+    variance = 0.2 * task.noise.reading**2
+    np.testing.assert_allclose(unexplained.h_sd**2 - explained.h_sd**2, variance, rtol=1e-6)
+    wider = np.diag(unexplained.covariance - explained.covariance)
+    np.testing.assert_allclose(wider[STATES + 1 : STATES + 4], variance * 4.0 * np.pi / 3.0, rtol=1e-6)
+    assert np.count_nonzero(wider) == 3
 
 
 def test_what_was_believed_and_has_foretold_for_long_may_cost_what_truncation_does(lived, monkeypatch):

@@ -19,6 +19,7 @@ from palmd.config import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
+from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import (
     BEHIND,
@@ -243,7 +244,9 @@ class GrowingBody:
             return _unknown(task, self._begun, "the fit is not a minimum")
         belief = first.ahead
         touched = self._before | near(felt_directions(first))  # as it is known now: earlier answers may have erred
-        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2)
+        centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained)
+        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2, centre_sd)
+        covariance = beliefs.with_centre(covariance, STATES, centre_sd)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], proven=proven)
         if not reason and not first.found_twice:

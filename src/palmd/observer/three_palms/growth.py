@@ -74,6 +74,7 @@ class Grown:
 
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
     met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
+    folded: how many numbers were read before the record, and what they cost.
     """
 
     prior: BodyPrior
@@ -85,6 +86,12 @@ class Grown:
     windows: tuple[tuple[int, float], ...] = ()
     met: int = 1
     confirmed: int = 0
+    folded: tuple[int, float] = (0, 0.0)
+
+    @property
+    def numbers(self) -> int:
+        """How many were read, two by each reading."""
+        return 2 * len(self.record.readings.t)
 
     @property
     def intervals(self) -> int:
@@ -94,13 +101,18 @@ class Grown:
     @property
     def per_number(self) -> float:
         """Cost per number read."""
-        return self.cost / (2 * len(self.record.readings.t))
+        return self.cost / self.numbers
+
+    @property
+    def unexplained(self) -> float:
+        """What it cost more than 1 for each number that was ever read; 0 where all is explained."""
+        numbers, cost = self.folded
+        return max((cost + self.cost) / (numbers + self.numbers) - 1.0, 0.0)
 
     @property
     def strange(self) -> float:
         """By how many of its one-sigmas the cost is more than it should be."""
-        numbers = 2 * len(self.record.readings.t)
-        return (self.cost / numbers - 1.0) * math.sqrt(numbers / 2)
+        return (self.per_number - 1.0) * math.sqrt(self.numbers / 2)
 
     @property
     def since_whole(self) -> float:
@@ -315,7 +327,9 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
     lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
-    return smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
+    kept = smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
+    numbers, cost = now.folded
+    return replace(kept, folded=(numbers + now.numbers - kept.numbers, cost + now.cost - kept.cost))
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: float = math.inf) -> Grown:

@@ -114,7 +114,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     R = fit.motion.R
     felt = felt_directions(first)
     touched = near(felt)
-    h, sd = surface(p, covariance, touched, fit.chi2)
+    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained))
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
@@ -145,12 +145,13 @@ def near(felt: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def surface(
-    p: FloatArray, covariance: FloatArray, touched: npt.NDArray[np.bool_], chi2: float
+    p: FloatArray, covariance: FloatArray, touched: npt.NDArray[np.bool_], chi2: float, centre_sd: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """(D,) h in all directions and its one-sigma (m), turns of the body's frame left out of it.
 
     covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1. What is above
     is no noise of each number but what harmonics leave out, alike in many in a row: those tell as much as one.
+    centre_sd: of the centre of mass besides (m), from which all heights count.
     """
     directions, _ = icosphere()
     rows, point_rows = _everywhere()
@@ -158,8 +159,8 @@ def surface(
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
     beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched, chi2)
-    missed = max(chi2 - 1.0, 0.0)
-    return rows @ p[:n], np.asarray(np.sqrt((1.0 + beliefs.NUMBERS_ALIKE * missed) * sd**2 + beyond**2), np.float64)
+    alike = 1.0 + beliefs.NUMBERS_ALIKE * max(chi2 - 1.0, 0.0)
+    return rows @ p[:n], np.asarray(np.sqrt(alike * sd**2 + beyond**2 + centre_sd**2), np.float64)
 
 
 @cache
