@@ -132,6 +132,11 @@ class Grown:
         return self.windows[-1][1] if self.windows else 0.0
 
     @property
+    def turned(self) -> float:
+        """By how much the body has turned in all of the record, to and fro (rad)."""
+        return float(np.linalg.norm(self.motion.omega, axis=1).sum()) * SPACING_S
+
+    @property
     def lost(self) -> bool:
         """Whether what it foretells has nothing to do with what is read any more."""
         length, cost = 0, 0.0
