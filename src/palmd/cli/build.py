@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         systems = LIVE if arguments.all else (TWO_PALMS,)
         usual = [each for name in systems for each in load_part(LIVE[name].kernels)(None)]
-        parts = [*(_other_forms() if arguments.all else ()), *usual, *_emulated()]  # those that last go first
+        parts = [*(_other_forms() if arguments.all else ()), *usual, *_beside()]  # those that last go first
     for what, backend, seconds in side_by_side(parts):
         print(f"{what}: {_BACKENDS[backend]}, {seconds:.1f} s", flush=True)
     return 0
@@ -116,10 +116,11 @@ def _make(make: Callable[[], str], told: Connection) -> None:
         told.send(made)
 
 
-def _emulated() -> list[Part]:
+def _beside() -> list[Part]:
+    from palmd.record import jsontext
     from palmd.rig import compiled_plant
 
-    return [("emulated rig", compiled_plant.backend)]
+    return [("emulated rig", compiled_plant.backend), ("numbers as text", jsontext.backend)]
 
 
 def _other_forms() -> list[Part]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from palmd import observer
@@ -11,7 +10,7 @@ from palmd.cli.logs import add_calibration_argument, opened, read_any
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
-from palmd.record.replay import lines
+from palmd.record.replay import texts
 from palmd.record.systems import NotYetError
 
 
@@ -51,8 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
         Progress(f"{arguments.observer} observer", system.tick_count(log), "ticks") as progress,
     ):
         for tick in ticks:
-            for line in lines(tick):
-                stream.write(json.dumps(line, allow_nan=False) + "\n")
+            for line in texts(tick):
+                stream.write(line + "\n")
             progress.at(tick.number)
     return 0
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
 from palmd.model.icosphere import icosphere
+from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyDraws, BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
+from palmd.motion.convex_bodies import convex
 from palmd.motion.decisions import Decision
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 
@@ -82,9 +84,10 @@ class BodyDecider:
     def _of(self, question: Question, outlook: BodyOutlook) -> tuple[BodyForesight, BodyExplorer]:
         """Who foresees this body as it is known now."""
         known = outlook.object_count, outlook.begun
+        p = convex(outlook.p, outlook.covariance[6:, 6:], slice(0, len(outlook.p) - BODY))
         if self._explorer is None or known != self._known:
             self._known, self._was_claimed = known, outlook.claimed
-            self._foresight = BodyForesight(outlook.p, self._rig.gravity, self._rig.pad.side)
+            self._foresight = BodyForesight(p, self._rig.gravity, self._rig.pad.side)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
-        self._foresight.learn(outlook.p)
+        self._foresight.learn(p)
         return self._foresight, self._explorer

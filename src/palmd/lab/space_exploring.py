@@ -24,6 +24,7 @@ from palmd.motion.body_explorer import BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
+from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing
@@ -31,7 +32,6 @@ from palmd.rig.three_palms.simulate import KINDS, REST_POSE, STEP_S, started
 from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of, room_on_pads
 from palmd.three_palms_config import ThreePalmsLimitsConfig
 
-ORDER = 8
 WIDE = ThreePalmsLimitsConfig(beta_deg=(10.0, 80.0), gamma2_deg=(15.0, 75.0), gamma3_deg=(15.0, 75.0))
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
 HALVINGS = 3  # of the directions that are counted: 642

@@ -31,7 +31,7 @@ from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reduction import Compiled, ReadingRows, StepRows, Twin, arithmetic
 from palmd.record.eventlog import EventLog
-from palmd.record.replay import PERIOD_S, as_said, lines, replay
+from palmd.record.replay import PERIOD_S, as_said, replay, texts
 from palmd.rig.shapes import Kind
 from palmd.system.description import RigDescription
 
@@ -190,7 +190,7 @@ def estimated(seconds: float) -> None:
     log = record(seconds)
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
     for said in map(as_said, replay(log, watcher)):
-        for _ in lines(said):
+        for _ in texts(said):
             pass
 
 

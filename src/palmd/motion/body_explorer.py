@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import rotation
+from palmd.model.three_palms import BODY
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
+from palmd.motion.convex_bodies import convex
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 
@@ -59,10 +61,15 @@ class BodyDraws:
 
     @classmethod
     def of(cls, p: FloatArray, covariance: FloatArray, random: np.random.Generator) -> BodyDraws:
-        """`BODIES` of a belief about turn, spin and parameters (6 + m, 6 + m) whose mean has these parameters (m,)."""
+        """`BODIES` of a belief about turn, spin and parameters (6 + m, 6 + m) whose mean has these parameters (m,).
+
+        None is hollow, as far as the belief allows.
+        """
         variance, axes = np.linalg.eigh(covariance)
-        off = random.normal(size=(BODIES, len(variance))) * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
-        return cls(off[:, :3], off[:, 3:6], p + off[:, 6:])
+        x = random.normal(size=(BODIES, len(variance))) * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+        x[:, 6:] += p
+        x = np.array([convex(each, covariance, slice(6, len(variance) - BODY)) for each in x])
+        return cls(x[:, :3], x[:, 3:6], x[:, 6:])
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,10 +39,11 @@ def answer(
         f = values[name]
         values[name], sds[name] = m * f, math.hypot(m * sds[name], m_sd * f)
     sds["mass"] = m_sd
-    return Estimate(
-        t=t, valid=valid, observer=observer, object_count=object_count,
-        mass=m, nis=nis, observability=observability, touched=touched, sd=sds, **values,
-    )  # fmt: skip
+    told = {
+        "t": t, "valid": valid, "observer": observer, "object_count": object_count,
+        "mass": m, "nis": nis, "observability": observability, "touched": touched, "sd": sds,
+    }  # fmt: skip
+    return Estimate.of(told | values)
 
 
 def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:

@@ -291,9 +291,10 @@ class Search:
         most, rival = -math.inf, best
         for start in self._riding(best.guess.p):
             fit = smoother.fit(start, self.noise, RIDE_ITERATIONS)
+            if not explained(fit, finding.record) or _difference(fit, best) <= DIFFERENT_M:
+                continue
             found = smoother.posterior_if_any(fit)
-            another = explained(fit, finding.record) and _difference(fit, best) > DIFFERENT_M
-            if another and found is not None and found.evidence > most:
+            if found is not None and found.evidence > most:
                 most, rival = found.evidence, fit
         decided = most < posterior.evidence - LIKELIER
         return (Minima(finding.record, (rival,)) if most > posterior.evidence + LIKELIER else finding), decided

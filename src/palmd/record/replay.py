@@ -9,10 +9,10 @@ from typing import Any, Protocol
 
 from palmd.blas import one_thread
 from palmd.events import Estimate, Event, ObjectEstimate, ShapeEstimate
-from palmd.jsonvalues import or_none
 from palmd.messages import Fields, estimate_fields, object_fields, shape_fields, stamp
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.record.eventlog import EventLog
+from palmd.record.jsontext import as_json
 
 PERIOD_S = 0.01
 TICKS_PER_SHAPE = 100
@@ -98,12 +98,16 @@ def as_said(tick: Tick) -> Said:
 def lines(said: Said) -> Iterator[dict[str, Any]]:
     """The tick as JSON objects: the fields of the estimate, and of outline and object where there are any.
 
-    `t` is the log's own time, and so are the stamps. NaN becomes None.
+    `t` is the log's own time, and so are the stamps. What has no number is NaN.
     """
     t = round(said.t, 9)
-    fields = or_none(said.estimate)
-    yield {"t": t} | stamp(fields, t, t, said.number)
+    yield stamp({"t": t, **said.estimate}, t, t, said.number)
     if said.shape is not None:
-        yield {"t": t, "shape": {name: or_none(value) for name, value in said.shape.items()}}
+        yield {"t": t, "shape": said.shape}
     if said.object is not None:
         yield {"t": t, "object": object_fields(said.object)}
+
+
+def texts(said: Said) -> Iterator[str]:
+    """The same as lines of text; null for what has no number."""
+    return map(as_json, lines(said))

@@ -11,10 +11,13 @@ from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
 from palmd.model.icosphere import icosphere
+from palmd.model.spherical import count
 from palmd.motion.body_explorer import LEAST_FORCE
+from palmd.motion.convex_bodies import least_radii
 from palmd.motion.decisions import UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
+from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 from palmd.three_palms_config import TiltGoal
@@ -120,3 +123,13 @@ def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):
     ):
         decider.answer(question(each, choose=False))
     assert len(made) == 3
+
+
+def test_what_was_never_felt_is_foreseen_as_convex(outlook):
+    decider, hollow, n = BodyDecider(RIG), outlook.p.copy(), count(ORDER)
+    hollow[count(8) : n] += 3e-5 * np.random.default_rng(0).normal(size=n - count(8))
+    wide = outlook.covariance.copy()
+    wide[6 : 6 + n, 6 : 6 + n] += 1e-7 * np.eye(n)
+    assert least_radii(hollow[:n])[0].min() < 0.0
+    decider.answer(question(dataclasses.replace(outlook, p=hollow, covariance=wide), choose=False))
+    assert least_radii(decider._foresight.known[:n])[0].min() > 0.0

@@ -11,12 +11,15 @@ from palmd.lab import space_exploring
 from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
+from palmd.model.spherical import count
+from palmd.model.three_palms import BODY
 from palmd.motion import body_explorer
 from palmd.motion.body_explorer import BODIES, DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms import kernels
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import palms_at
@@ -40,7 +43,7 @@ def bearings(count, omega=(0.0, 0.0, 0.0)):
 
 def integrated(move, R, omega, p, h=5e-4):
     """Rotation and spin at a move's end by the observer's kernel and Heun's method in small steps; the normals."""
-    acceleration, normals = kernels.acceleration(8), []
+    acceleration, normals = kernels.acceleration(ORDER), []
 
     def rates(t, R, omega):
         at = move.at(t)
@@ -113,7 +116,7 @@ def rooted(who, touched):
 def test_what_has_been_touched_is_worth_nothing_more():
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
     root = rooted(who, none)
-    fresh = who._grown([root] * COLUMNS, root)
+    fresh = [each for _ in range(3) for each in who._grown([root] * COLUMNS, root)]
     assert max(each.gain for each in fresh) > 2 * body_explorer.NOVELTY
     assert all(each.gain == each.touched.mean() for each in fresh)
     full = dataclasses.replace(root, touched=~none)
@@ -196,9 +199,11 @@ def test_a_body_is_to_be_held_however_it_may_be():
 
 def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     monkeypatch.setattr(body_explorer, "BODIES", 4000)
-    root = np.random.default_rng(1).normal(size=(10, 10))
-    drawn = BodyDraws.of(np.arange(4.0), root @ root.T, np.random.default_rng(2))
-    each = np.concatenate([drawn.turn, drawn.spin, drawn.p - np.arange(4.0)], axis=1)
+    p = np.zeros(count(1) + BODY)
+    p[0] = 1e3  # a ball, which none of them makes hollow
+    root = np.random.default_rng(1).normal(size=(6 + len(p), 6 + len(p)))
+    drawn = BodyDraws.of(p, root @ root.T, np.random.default_rng(2))
+    each = np.concatenate([drawn.turn, drawn.spin, drawn.p - p], axis=1)
     spread = np.sqrt(np.diagonal(root @ root.T))
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
 

@@ -30,6 +30,16 @@ def test_before_the_first_reading_nothing_was_seen():
     assert not contacts.any
 
 
+def test_once_cleared_nothing_was_seen():
+    contacts = read((1.0, 1), (1.0, 2))
+    contacts.clear()
+    assert contacts.quietest == contacts.last_seen(1) == -math.inf
+    assert contacts.gone(1.0)
+    contacts.read(PadSample(1.01, 1, 0.02))
+    assert contacts.quietest == -math.inf
+    assert not contacts.touching(1.01)
+
+
 def test_a_lifted_pad_touches_again_once_it_is_read():
     contacts = read((1.0, 1), (1.0, 2))
     contacts.lift(2)

@@ -97,6 +97,13 @@ def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_
     assert not alone.found_twice  # nobody else has come there, and another is near
 
 
+def test_what_was_found_twice_in_a_long_record_needs_no_other_start_any_more(right):
+    long = replace(right, confirmed=300)  # of 6 s
+    nodes = np.zeros((round(20.0 / 0.02), 36))
+    assert replace(long, record=replace(right.record, middle_palms=nodes)).found_twice
+    assert not replace(long, confirmed=299, record=replace(right.record, middle_palms=nodes)).found_twice
+
+
 def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, right):
     (alone,) = growth.found_again(task, [replace(right, confirmed=0)], ())
     assert alone.found_twice
@@ -190,6 +197,32 @@ def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touc
     assert bands[:2] == pytest.approx([np.hypot(0.5, 0.75) * everywhere] * 2, rel=0.02)
     assert bands[2] == pytest.approx(np.hypot(0.5, 0.15) * everywhere, rel=0.01)
     assert bands[3] == pytest.approx(0.5 * everywhere, rel=0.1)
+
+
+def test_contacts_that_are_off_mislead_the_centre_of_mass_by_as_much():
+    p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
+    p[0] = 0.02 / Y00
+    sd = beliefs.centre_sd(1e-4, 0.25)
+    assert sd == pytest.approx(5e-5)
+    assert beliefs.centre_sd(1e-4, 0.0) == 0.0
+    known, misled = (surface(p, 1e-10 * np.eye(len(p)), touched, 1.1, each)[1] for each in (0.0, sd))
+    np.testing.assert_allclose(misled**2 - known**2, sd**2)
+    wider = beliefs.with_centre(np.zeros((6 + len(p), 6 + len(p))), 6, sd)
+    heights = evaluator(ORDER)(icosphere()[0])[0] @ wider[6 : 6 + count(ORDER), 6 : 6 + count(ORDER)]
+    np.testing.assert_allclose((heights * evaluator(ORDER)(icosphere()[0])[0]).sum(axis=1), sd**2)
+
+
+def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
+    now = started(task)
+    costly = replace(now, cost=1.2 * now.numbers)
+    assert costly.unexplained == pytest.approx(0.2)
+    assert now.unexplained == max(now.per_number - 1.0, 0.0)
+    kept = growth.folded(task, costly, now.intervals // 2)
+    assert kept.folded[0] + kept.numbers == now.numbers
+    assert kept.unexplained == pytest.approx(0.2)
+    assert kept.per_number < 1.1  # of what is left
+    again = growth.folded(task, kept, kept.intervals // 2)
+    assert again.unexplained == pytest.approx(0.2)
 
 
 def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():

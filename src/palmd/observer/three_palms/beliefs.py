@@ -64,6 +64,24 @@ def beyond_sd(radius: float, order: int, touched: Bools, chi2: float = 1.0) -> F
     return sd
 
 
+def centre_sd(reading_sd: float, unexplained: float) -> float:
+    """One-sigma of each coordinate of the centre of mass in the body, from what harmonics leave out (m).
+
+    Readings do not tell the centre, balance does, and contacts that are off mislead it by as much: `reading_sd` (m)
+    times the root of what a number read costs more than 1. It stays however long that goes on, for contacts on the
+    same sharp places are off alike.
+    """
+    return reading_sd * math.sqrt(unexplained)
+
+
+def with_centre(covariance: FloatArray, first: int, sd: float) -> FloatArray:
+    """The same covariance, the centre of mass known to no better than `sd` (m); the outline begins in row `first`."""
+    wider = covariance.copy()
+    at = first + np.arange(1, 4)
+    wider[at, at] += 4.0 * np.pi / 3.0 * sd**2
+    return wider
+
+
 def prior(radius: float, order: int, spin_sd: float) -> BodyPrior:
     """Of a body whose contacts suggest this radius (m), with this one-sigma of its first spin (rad/s)."""
     mean = np.zeros(count(order) + BODY)

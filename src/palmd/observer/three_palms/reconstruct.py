@@ -30,6 +30,9 @@ NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 7e-5
+TUMBLED_RAD = 4.0 * math.pi
+"""By how much a body must have turned for a motion that explains it all to be the right one, truncation and all: what
+is wrong about a body does not foretell how it tumbles on."""
 MOST_LAMBDA = 0.5
 """Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
@@ -114,11 +117,11 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     R = fit.motion.R
     felt = felt_directions(first)
     touched = near(felt)
-    h, sd = surface(p, covariance, touched, fit.chi2)
+    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained))
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
-        converged=not (reason := doubt(task, ended, sd[touched])),
+        converged=not (reason := doubt(task, ended, sd[touched], proven=first.turned > TUMBLED_RAD)),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
         h=h, h_sd=sd, touched=touched, coefficients=p[:n],
         points=within(point_rows @ p[:n], directions, h),
@@ -145,12 +148,13 @@ def near(felt: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def surface(
-    p: FloatArray, covariance: FloatArray, touched: npt.NDArray[np.bool_], chi2: float
+    p: FloatArray, covariance: FloatArray, touched: npt.NDArray[np.bool_], chi2: float, centre_sd: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """(D,) h in all directions and its one-sigma (m), turns of the body's frame left out of it.
 
     covariance: (m, m) of the parameters p; chi2: per number read, by which it is widened where above 1. What is above
     is no noise of each number but what harmonics leave out, alike in many in a row: those tell as much as one.
+    centre_sd: of the centre of mass besides (m), from which all heights count.
     """
     directions, _ = icosphere()
     rows, point_rows = _everywhere()
@@ -158,8 +162,8 @@ def surface(
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
     beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched, chi2)
-    missed = max(chi2 - 1.0, 0.0)
-    return rows @ p[:n], np.asarray(np.sqrt((1.0 + beliefs.NUMBERS_ALIKE * missed) * sd**2 + beyond**2), np.float64)
+    alike = 1.0 + beliefs.NUMBERS_ALIKE * max(chi2 - 1.0, 0.0)
+    return rows @ p[:n], np.asarray(np.sqrt(alike * sd**2 + beyond**2 + centre_sd**2), np.float64)
 
 
 @cache
@@ -192,7 +196,7 @@ def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.b
 def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = False) -> str:
     """Why the first of the rivals is not to be believed; empty if it is.
 
-    proven: it was believed before, and has foretold what came for long: what more it costs is truncation.
+    proven: it has foretold for long what came, or how the body tumbled: what more it costs is truncation.
     """
     first = ended[0]
     most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)

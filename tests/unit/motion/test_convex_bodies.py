@@ -1,0 +1,68 @@
+"""Beliefs of a body made convex, without what is known of it."""
+
+import numpy as np
+import pytest
+
+from palmd.model.icosphere import icosphere
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY
+from palmd.motion.body_explorer import BodyDraws
+from palmd.motion.convex_bodies import LEAST_RADIUS, convex, least_radii
+from palmd.observer.three_palms.beliefs import shape_variance
+from palmd.observer.three_palms.body import ORDER, curvatures
+
+RADIUS = 0.02
+SHAPE = slice(0, count(ORDER))
+DIRECTIONS = icosphere(3)[0]
+
+
+@pytest.fixture(scope="module")
+def felt():
+    """A cap of the body that has been felt to 10 µm: which directions, mean and covariance of the outline."""
+    cap = DIRECTIONS[:, 2] > 0.8
+    rows = evaluator(ORDER)(DIRECTIONS[cap])[0]
+    prior = np.diag(shape_variance(RADIUS, ORDER))
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + 1e-10 * np.eye(len(rows)))
+    mean = np.zeros(count(ORDER))
+    mean[0] = RADIUS / Y00
+    covariance = prior - gain @ rows @ prior
+    return cap, rows, mean, 0.5 * (covariance + covariance.T)
+
+
+def drawn(mean, covariance, seed=3):
+    variance, axes = np.linalg.eigh(covariance)
+    return mean + axes @ (np.sqrt(np.maximum(variance, 0.0)) * np.random.default_rng(seed).normal(size=len(mean)))
+
+
+def test_the_least_radii_are_those_of_the_surface(felt):
+    _, _, mean, covariance = felt
+    c = drawn(mean, covariance)
+    radii, rows = least_radii(c)
+    np.testing.assert_allclose(radii, curvatures(c, DIRECTIONS)[:, 0], atol=1e-7)
+    np.testing.assert_allclose(rows @ c, radii, atol=1e-12)
+
+
+def test_what_was_never_felt_is_made_convex_and_what_was_felt_stays(felt):
+    cap, rows, mean, covariance = felt
+    c = drawn(mean, covariance)
+    assert least_radii(c)[0].min() < -0.5 * RADIUS  # as a Gaussian belief draws it
+    made = convex(c, covariance, SHAPE)
+    assert least_radii(made)[0].min() > 0.0
+    np.testing.assert_allclose(rows @ made, rows @ c, atol=2e-5)
+    elsewhere = evaluator(ORDER)(DIRECTIONS[~cap])[0]
+    assert np.abs(elsewhere @ (made - c)).max() > 1e-3
+
+
+def test_what_is_convex_stays_to_the_last_bit(felt):
+    _, _, mean, covariance = felt
+    assert least_radii(mean)[0].min() > LEAST_RADIUS * RADIUS
+    assert np.array_equal(convex(mean, covariance, SHAPE), mean)
+
+
+def test_bodies_that_are_drawn_of_a_belief_are_convex(felt):
+    _, _, mean, shape = felt
+    p, covariance = np.zeros(count(ORDER) + BODY), 1e-8 * np.eye(6 + count(ORDER) + BODY)
+    p[SHAPE], covariance[6 : 6 + count(ORDER), 6 : 6 + count(ORDER)] = mean, shape
+    draws = BodyDraws.of(p, covariance, np.random.default_rng(0))
+    assert all(least_radii(each[SHAPE])[0].min() > 0.0 for each in draws.p)
+    assert 0.5e-4 < draws.turn.std() < 2e-4  # what has nothing to do with it is as it was
