@@ -124,7 +124,7 @@ def work(
             next_one = started + max(period_s(), spent / SHARE)
             if said is not None:
                 socket.send(msgpack.packb(said))
-            give_back_memory()
+                give_back_memory()  # not beside a thought: the collector stops it, for a third of its time
 
 
 def serve(address: str, rig: str) -> None:

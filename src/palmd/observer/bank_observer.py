@@ -328,13 +328,17 @@ class BankObserver:
 
         A bank takes that for a smooth object, however far off, and so may a smoother that no second search has agreed
         with or, on a rig that is known exactly, that has not weighed its answer against a ride: of a disc it may all
-        the same. What has been felt to have a corner no smooth outline is of, whoever tells it.
+        the same, unless that is told sharply and both palms' readings together are not those of a disc. What has been
+        felt to have a corner no smooth outline is of, whoever tells it.
         """
         if self._link is None or self._curved:
             return False
         riding = track.riding
-        told = self._link.vouches(self._session.begun) if self._exact else self._fusion.allows_for_rig
-        return riding.cornered or (riding.disc if told else not riding.excluded)
+        begun = self._session.begun
+        told = self._link.vouches(begun) if self._exact else self._fusion.allows_for_rig
+        if riding.cornered or not told:
+            return riding.cornered or not riding.excluded
+        return riding.disc and not (self._exact and self._link.sure(begun) and not riding.concentric)
 
     def _lies_on(self, y: list[float]) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

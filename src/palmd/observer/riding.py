@@ -67,7 +67,7 @@ class Riding:
             told_by = np.array(rows)
             rows.clear()
             self._sums[sample.pad] += told_by.T @ told_by
-            self._ride[sample.pad] = _fitted(self._sums[sample.pad], self._readings[sample.pad])
+            self._ride[sample.pad] = _solved(_without_rig(self._sums[sample.pad]), self._readings[sample.pad])
             told = self._most - self._least > TELLING_RAD
             self.cornered = self.cornered or (told and self._sharp(sample.pad))
 
@@ -80,6 +80,18 @@ class Riding:
     def disc(self) -> bool:
         """Whether neither palm's readings contradict a ride on the other, as those of a disc do not."""
         return not any(self._contradicted(pad) for pad in PALMS)
+
+    @property
+    def concentric(self) -> bool:
+        """Whether the readings of both palms together are those of a disc, for all that is known of an exact rig.
+
+        Its centre is as high over a palm for either palm's readings: one reads with Y = ρ2, the other with Y = ρ1.
+        """
+        one, other = (_without_rig(self._sums[pad]) for pad in PALMS)
+        turned = (1, 0, 2)
+        sums = [[one[j][k] + other[row][column] for column, k in enumerate(turned)] for row, j in enumerate(turned)]
+        ride = _solved(sums, sum(self._readings.values()))
+        return ride is None or not ride.contradicted
 
     def _contradicted(self, pad: int) -> bool:
         ride = self._ride[pad]
@@ -100,13 +112,18 @@ class _Ride(NamedTuple):
     contradicted: bool
 
 
-def _fitted(sums: FloatArray, readings: int) -> _Ride | None:
-    """From a pad's sums of products of (1, cos φ2, s sin φ2, constants of the rig in one-sigmas); None of too few."""
-    left = sums.tolist()  # a few numbers: plainly it takes a third of the time
+def _without_rig(sums: FloatArray) -> list[list[float]]:
+    """Sums of products of (1, cos φ2, s sin φ2), constants of the rig in one-sigmas, behind them, eliminated."""
+    left: list[list[float]] = sums.tolist()  # a few numbers: plainly it takes a third of the time
     while len(left) > 3:
         *left, pivot = left
         left = [[x - row[-1] / pivot[-1] * y for x, y in zip(row[:-1], pivot[:-1], strict=True)] for row in left]
-    (a, b, p), (_, c, q), (*_, total) = left
+    return left
+
+
+def _solved(sums: list[list[float]], readings: int) -> _Ride | None:
+    """From a pad's sums of products of (1, cos φ2, s sin φ2); None of too few."""
+    (a, b, p), (_, c, q), (*_, total) = sums
     determinant = a * c - b * b
     if not determinant > 0.0:
         return None

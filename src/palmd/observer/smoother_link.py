@@ -14,7 +14,7 @@ from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.handover import Handover, outline_sd
 from palmd.observer.smoothing import Session, Smoothing
 from palmd.observer.track import Track
-from palmd.observer.validity import VOUCHED_M
+from palmd.observer.validity import SURE_M, VOUCHED_M
 from palmd.system.description import RigDescription
 
 MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
@@ -32,7 +32,7 @@ class SmootherLink:
         self._recent: deque[Event] = deque()
         self._batch: list[Event] = []
         self._awaited: Improvement | None = None
-        self._refused_at = self._vouched_at = -math.inf
+        self._refused_at = self._vouched_at = self._sure_at = -math.inf
         self.improvements = 0
 
     def reset(self) -> None:
@@ -41,7 +41,7 @@ class SmootherLink:
         self._recent.clear()
         self._batch.clear()
         self._awaited = None
-        self._refused_at = self._vouched_at = -math.inf
+        self._refused_at = self._vouched_at = self._sure_at = -math.inf
 
     def refuses(self, begun: float) -> bool:
         """Whether the last word on the object that lies there since `begun` (s) is that nothing explains it.
@@ -54,6 +54,10 @@ class SmootherLink:
     def vouches(self, begun: float) -> bool:
         """Whether it has told the outline of the object that lies there since `begun` (s), and vouches for it."""
         return self._vouched_at > begun
+
+    def sure(self, begun: float) -> bool:
+        """Whether it vouches for that outline, and tells it so sharply that only a disc may be another."""
+        return self._sure_at > begun
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells, as far as the smoother knows its lag."""
@@ -79,12 +83,13 @@ class SmootherLink:
         self._batch.clear()
         improvement = self._smoothing.collect(t)
         if isinstance(improvement, Unexplained):
-            self._refused_at, self._vouched_at = improvement.t, -math.inf
+            self._refused_at, self._vouched_at, self._sure_at = improvement.t, -math.inf, -math.inf
             return improvement
         if improvement is not None:
-            vouches = improvement.established or outline_sd(improvement) < VOUCHED_M
+            sd = 0.0 if improvement.established else outline_sd(improvement)
             never, now = -math.inf, improvement.t
-            self._refused_at, self._vouched_at = (never, now) if vouches else (now, never)
+            self._refused_at, self._vouched_at = (never, now) if sd < VOUCHED_M else (now, never)
+            self._sure_at = now if sd < SURE_M else never
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement

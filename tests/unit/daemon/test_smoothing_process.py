@@ -143,6 +143,19 @@ def test_it_pauses_for_what_others_have_not_had_already(
     assert second - (first + 1.0 + others_s) == pytest.approx(paused_s, abs=0.06)
 
 
+def test_memory_is_given_back_after_an_answer_and_not_beside_a_thought(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, given = Clock(0.0), list[float]()
+    monkeypatch.setattr(smoothing, "meet", clock.meet)
+    monkeypatch.setattr(smoothing, "time", clock)
+    monkeypatch.setattr(smoothing, "give_back_memory", lambda: given.append(clock.t))
+    for said in (None, [1.0]):
+        given.clear()
+        clock.said, clock.waited = said, 0
+        with pytest.raises(Clock.OverError):
+            smoothing.work("", lambda *_: None, clock.answer, lambda: 0.1)
+        assert given == ([] if said is None else clock.sent)
+
+
 class Clock:
     """Time and a loop that hands something over every 50 ms, for five seconds of waiting."""
 
@@ -152,7 +165,9 @@ class Clock:
     def __init__(self, others_s: float) -> None:
         self.t = self.spent = 0.0
         self.answered: list[float] = []
-        self._others_s, self._waited = others_s, 0
+        self.sent: list[float] = []
+        self.said: list[float] | None = None
+        self._others_s, self.waited = others_s, 0
 
     def monotonic(self) -> float:
         return self.t
@@ -166,15 +181,19 @@ class Clock:
 
     def recv(self) -> bytes:
         self.t += 0.05
-        self._waited += 1
-        if self._waited > 100:
+        self.waited += 1
+        if self.waited > 100:
             raise self.OverError
         return msgpack.packb([[]])
 
     def poll(self, _timeout: int) -> int:
         return 0
 
-    def answer(self) -> None:
+    def send(self, _message: bytes) -> None:
+        self.sent.append(self.t)
+
+    def answer(self) -> list[float] | None:
         self.answered.append(self.t)
         self.t += 1.0 + self._others_s
         self.spent += 1.0
+        return self.said

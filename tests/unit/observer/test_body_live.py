@@ -229,7 +229,7 @@ def parameters(h_of, inertia, order):
 class Lived:
     """Readings of a body on swinging palms, and a smoother that is led to the right start: a blind one takes long."""
 
-    END, SECONDS, STEP = 4.2, 4.9, 2e-3
+    FIRST, END, SECONDS, STEP = 4.4, 4.9, 5.6, 2e-3
 
     def __init__(self):
         rng = np.random.default_rng(SEED)
@@ -253,9 +253,9 @@ class Lived:
             led.setattr(growing, "anew", lambda task, record, _: self._right(task, record))
             led.setattr(growing, "raced", self._followed)
             smoother = self.smoother = GrowingBody(self.rig)
-            smoother.add([event for event in self.events if event.t_sample < 2.9])
+            smoother.add([event for event in self.events if event.t_sample < self.FIRST])
             self.first = smoother.answer()
-            smoother.add([event for event in self.events if 2.9 <= event.t_sample < self.END])
+            smoother.add([event for event in self.events if self.FIRST <= event.t_sample < self.END])
             self.answer = smoother.answer()
 
     def _settle(self, plant, rng):
@@ -326,7 +326,38 @@ def test_the_smoother_goes_on_with_what_it_has(lived):
     assert lived.first is not None
     assert lived.answer.claimed, lived.answer.reason
     assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
-    assert lived.answer.t > lived.first.t + 1.0
+    assert lived.answer.t > lived.first.t + 0.4
+
+
+def test_where_all_of_a_record_tells_nothing_it_is_tried_with_more_then_short_starts_then_anew(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    smoother, sought, numbers = GrowingBody(lived.rig), [], 2 * len(first.record.readings.t)
+    dear, strange = (replace(first, cost=share * numbers) for share in (1.4, 1.1))
+    told = [dear]
+    monkeypatch.setattr(growing, "anew", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told)
+    monkeypatch.setattr(growing, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(growing, "begun_in_ways", lambda _, found, **__: found)
+    monkeypatch.setattr(smoother, "_begin_anew", lambda _: sought.append("anew"))
+    assert not any(smoother._try(task) for _ in range(3))
+    whole = pytest.approx(task.end - task.start, abs=0.03)
+    assert sought == [whole, whole, growing.START_S, "anew"]
+    told = [strange]
+    assert not smoother._try(task)  # some more may lead elsewhere
+    assert smoother._try(task)
+    assert smoother._running == [strange]
+    monkeypatch.setattr(growing, "rivals", lambda *_: [first, dear, replace(first, cost=math.inf)])
+    assert smoother._try(task)  # of so short a record more is followed
+    assert smoother._running == [first, dear]
+
+
+def test_what_two_starts_of_all_of_a_record_have_met_in_is_found_twice_at_once(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    met = replace(first, confirmed=first.intervals)
+    monkeypatch.setattr(growing, "anew", lambda *_: [replace(first, confirmed=0)])
+    monkeypatch.setattr(growing, "found_again", lambda *_: [met, replace(first, confirmed=0)])
+    smoother = GrowingBody(lived.rig)
+    assert smoother._try(task)
+    assert [each.found_twice for each in smoother._running] == [True, False]
 
 
 def test_what_was_found_but_once_is_not_claimed(lived):
@@ -340,7 +371,7 @@ def test_what_was_found_but_once_is_not_claimed(lived):
 def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
     stub = Stub()
     observer = BodyObserver(lived.rig, stub)
-    said = lived.told(observer, stub, 4.7, lived.END + 0.05)
+    said = lived.told(observer, stub, lived.END + 0.5, lived.END + 0.05)
     before = [each for each in said if each.t < lived.END]
     assert not any(each.valid for each in before)
     assert before[-1].reason == "no motion is known yet that explains the readings"
@@ -354,8 +385,8 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
             true = lived.truth(each.t)[part]
             squares += [((each.values[n] - v) / each.sd[n]) ** 2 for n, v in zip(group, true, strict=True)]
     assert np.mean(squares) < 3.0
-    shape = observer.shape(4.7)
-    assert observer.shape(4.7) is None  # once
+    shape = observer.shape(lived.END + 0.5)
+    assert observer.shape(lived.END + 0.5) is None  # once
     fields = says.shape_fields(shape, 1, True)
     true = lived.h_of(icosphere()[0])
     error, sd, share = surface_error(fields, true, lived.gauge)
@@ -366,11 +397,11 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
 
 def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
     first = BodyObserver(lived.rig, stub := Stub())
-    said = [says.estimate_fields(each) for each in lived.told(first, stub, 4.5, lived.END + 0.05)]
+    said = [says.estimate_fields(each) for each in lived.told(first, stub, lived.END + 0.3, lived.END + 0.05)]
     recorded = says.answer_of(says.answer_fields(0.0, lived.answer))
     lived.answer, kept = recorded, lived.answer
     second = BodyObserver(lived.rig, stub := Stub())
-    again = [says.estimate_fields(each) for each in lived.told(second, stub, 4.5, lived.END + 0.05)]
+    again = [says.estimate_fields(each) for each in lived.told(second, stub, lived.END + 0.3, lived.END + 0.05)]
     lived.answer = kept
     assert msgpack.packb(said) == msgpack.packb(again)
 
@@ -386,53 +417,53 @@ def go_on(lived, observer, begin, end, without=None):
 
 def test_a_pad_that_is_silent_for_a_moment_interrupts_the_claim_and_nothing_else(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
-    assert lived.told(observer, stub, 4.6, lived.END + 0.05)[-1].valid
-    observer.feed(PadLift(4.605, 2))  # on a busy machine it says so of packets that come late
-    said = go_on(lived, observer, 4.6, 4.65, without=2)
+    assert lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)[-1].valid
+    observer.feed(PadLift(lived.END + 0.405, 2))  # on a busy machine it says so of packets that come late
+    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45, without=2)
     assert not said.valid
     assert said.reason == "nothing touches palm 2"
-    said = go_on(lived, observer, 4.65, 4.7)
+    said = go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
     assert said.valid, said.reason
 
 
 def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
-    lived.told(observer, stub, 4.6, lived.END + 0.05)
-    observer.feed(PadLift(4.605, 2))
-    said = go_on(lived, observer, 4.6, 4.6 + GAP_S + 0.02, without=2)
+    lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
+    observer.feed(PadLift(lived.END + 0.405, 2))
+    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.4 + GAP_S + 0.02, without=2)
     assert not said.valid
-    said = go_on(lived, observer, 4.6 + GAP_S + 0.02, 4.8)
+    said = go_on(lived, observer, lived.END + 0.4 + GAP_S + 0.02, lived.END + 0.6)
     assert not said.valid
     assert math.isnan(said.quaternion[0])
     stub.next = lived.answer  # about what was there before
-    observer.improve(4.81)
-    assert observer.estimate(4.81).hypotheses == 0
+    observer.improve(lived.END + 0.61)
+    assert observer.estimate(lived.END + 0.61).hypotheses == 0
 
 
 def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
     assert not observer.foresees
-    assert observer.outlook(4.0) is None
-    lived.told(observer, stub, 4.6, lived.END + 0.05)
+    assert observer.outlook(lived.END - 0.2) is None
+    lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
     assert observer.foresees
-    told = observer.outlook(4.6)
+    told = observer.outlook(lived.END + 0.4)
     R = lived.truth(told.t)[6:15].reshape(3, 3)
     assert (told.claimed, told.begun) == (True, lived.answer.begun)
     assert np.abs(told.R - R @ lived.gauge).max() < 0.02
     assert told.covariance.shape == lived.answer.covariance.shape
     assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
-    since = (4.6 - lived.answer.t) / live.SEEN_S
+    since = (lived.END + 0.4 - lived.answer.t) / live.SEEN_S
     assert len(told.since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
-    normal = palms_at(*swung(np.array([4.6]))).normal[0]
+    normal = palms_at(*swung(np.array([lived.END + 0.4]))).normal[0]
     assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
     observer._filter._body[12] = 1.1 * live.NIS_MOST  # what was claimed is contradicted a little
     assert observer.foresees
-    assert not observer.outlook(4.6).claimed
+    assert not observer.outlook(lived.END + 0.4).claimed
     stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
-    said = go_on(lived, observer, 4.6, 4.65)
-    assert (said.valid, observer.foresees, observer.outlook(4.65).claimed) == (False, True, False)
+    said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
+    assert (said.valid, observer.foresees, observer.outlook(lived.END + 0.45).claimed) == (False, True, False)
     stub.next = replace(lived.answer, hypotheses=0, claimed=False)
-    go_on(lived, observer, 4.65, 4.7)
+    go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
     assert not observer.foresees
 
 
@@ -447,8 +478,8 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
 
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     task, ended = lived.raced
-    costly = [replace(ended[0], cost=1.2 * ended[0].numbers)]
-    explained, unexplained = (lived.smoother._answer(task, each) for each in (ended, costly))
+    costing = ([replace(ended[0], cost=share * ended[0].numbers)] for share in (1.0, 1.2))
+    explained, unexplained = (lived.smoother._answer(task, each) for each in costing)
     variance = 0.2 * task.noise.reading**2
     np.testing.assert_allclose(unexplained.h_sd**2 - explained.h_sd**2, variance, rtol=1e-6)
     wider = np.diag(unexplained.covariance - explained.covariance)
@@ -492,7 +523,7 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     monkeypatch.setattr(growing, "STRANGE", -math.inf)
     monkeypatch.setattr(growing, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
     monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
-    monkeypatch.setattr(growing, "begun_in_ways", lambda *_: [])
+    monkeypatch.setattr(growing, "begun_in_ways", lambda *_, **__: [])
     monkeypatch.setattr(growing, "raced", lambda *_: found)
     smoother._looked = 0
     assert smoother._found_again(task, [first]) == [first]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from simulated import simulated
@@ -10,6 +12,7 @@ from palmd import observer
 from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.observer import Simulated
 from palmd.observer.riding import Riding
+from palmd.record.replay import replay
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.mechanism import PALMS
 
@@ -75,6 +78,28 @@ def test_a_disc_may_be_anything_that_has_an_arc_for_all_that_its_readings_tell()
     assert not told({1: RIDDEN, 2: ROLLING}, OPENINGS).disc
 
 
+def test_arcs_about_one_centre_are_as_a_disc_and_others_are_not_by_both_palms_together():
+    def about(over_other, radius):
+        return (over_other + radius * np.cos(OPENINGS)) / np.sin(OPENINGS)
+
+    assert Riding(EXACT).concentric
+    assert told({1: about(18e-3, 18e-3), 2: about(18e-3, 18e-3)}, OPENINGS).concentric
+    assert told({1: about(12e-3, 18e-3), 2: about(18e-3, 12e-3)}, OPENINGS).concentric
+    other = told({1: about(18e-3, 18e-3), 2: about(18e-3, 16e-3)}, OPENINGS)
+    assert other.disc
+    assert not other.concentric
+
+
+def test_what_is_told_sharply_and_is_no_disc_need_not_be_felt_to_roll():
+    """It hardly rolls: neither palm by itself contradicts a ride for 3.4 s."""
+    run = simulated("friction", 16302, 6.0)
+    watcher = observer.make("shape", run.rig, smoothing=Simulated(run.rig))
+    tick = next(islice(replay(run, watcher), 210, None))
+    assert watcher._session.track.riding.disc
+    assert not watcher._session.track.riding.concentric
+    assert tick.estimate.valid
+
+
 @pytest.mark.parametrize("off", ["zero", "scale", "turn", "lag", "force", "standoff"])
 def test_a_ride_is_not_excluded_by_what_a_rig_may_be_off_by(off):
     openings = 1.6 + 0.3 * np.sin(np.linspace(0.0, 40.0, 2000))
@@ -123,6 +148,7 @@ def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s
     """By both pads, or by one and a smoother that has weighed its answer against a ride."""
     monkeypatch.setattr(Riding, "excluded", excluded)
     monkeypatch.setattr(Riding, "disc", disc)
+    monkeypatch.setattr(Riding, "concentric", disc)
     monkeypatch.setattr(Riding, "_sharp", lambda *_: sharp)
     monkeypatch.setattr("palmd.observer.riding.TELLING_RAD", 0.0)
     valid = watched(simulated("nominal", 9500, 2.0), smoother_takes_s)

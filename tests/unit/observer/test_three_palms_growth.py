@@ -97,6 +97,13 @@ def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_
     assert not alone.found_twice  # nobody else has come there, and another is near
 
 
+def test_what_was_found_twice_in_a_long_record_needs_no_other_start_any_more(right):
+    long = replace(right, confirmed=300)  # of 6 s
+    nodes = np.zeros((round(20.0 / 0.02), 36))
+    assert replace(long, record=replace(right.record, middle_palms=nodes)).found_twice
+    assert not replace(long, confirmed=299, record=replace(right.record, middle_palms=nodes)).found_twice
+
+
 def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, right):
     (alone,) = growth.found_again(task, [replace(right, confirmed=0)], ())
     assert alone.found_twice

@@ -8,6 +8,8 @@ from scipy.interpolate import make_smoothing_spline
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.driven import ContactCurves, ball_of, smoothing_spline
 from palmd.observer.three_palms.kernels import palm_inputs
+from palmd.observer.three_palms.reconstruct import longest_stretch
+from palmd.observer.three_palms.search import Task, rivals
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
 from palmd.system.three_palms import palms_at
@@ -50,3 +52,17 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
     assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4
+
+
+def test_a_body_that_nothing_rubs_is_found_blindly():
+    run = simulate("drag", 1, 1.6, seed=9541)[0]
+    head, *lines = run.lines
+    rig = SYSTEM.rig(head["rig"])
+    events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
+    path, readings = laid_out(SYSTEM.log(rig, events, ()))
+    start, end = longest_stretch(path, readings)
+    first, *_ = rivals(Task(path, readings, ContactCurves.smoothed(readings), rig, start, end), 1.5)
+    nodes = np.searchsorted(run.truth["t"], first.record.t - 0.5 * SPACING)
+    off = np.sqrt(np.mean((first.fit.motion.omega - np.array(run.truth["omega_rad_s"])[nodes]) ** 2))
+    assert first.per_number < 1.05
+    assert off < 0.15  # rad/s

@@ -23,6 +23,7 @@ from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import (
     BEHIND,
+    SURE,
     Grown,
     anew,
     apart,
@@ -40,11 +41,12 @@ from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
 STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
-STARTS_S = (3.0, 1.8, 8.0)  # of a record, as far as there is so much, that it is begun with
-LEAST_S = 2.2  # of a record, before anything is tried
+WHOLE_S, WHOLE_WAYS = 5.0, 3  # of a record that it is begun with as a whole, and in how many ways
+START_S = 1.3  # of the same that it is begun with in many ways after that
+LEAST_S = 4.0  # of a record, before anything is tried
 NEWS_S = 0.4  # of readings, before another lap
 LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
-WORTH_S = 3.0  # of a record that was explained: another start would hardly go further
+WORTH_S = 6.0  # of a record that was explained: another start would hardly go further
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
 MOST_RIVALS = 2
 OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
@@ -102,8 +104,8 @@ class GrowingBody:
                 newest = max((row[0] for row in (*self._heard.readings[-1:], *self._heard.joints[-1:])), default=0.0)
                 self._heard.forget(newest - LONGEST_S)
             return None
-        begun = self._begun  # giving up forgets it
-        if not self._running and not self._try(task):
+        begun, begins = self._begun, not self._running  # giving up forgets it
+        if begins and not self._try(task):
             return _unknown(task, begun, "no motion is known yet that explains the readings")
         self._reached = task.end
         ended = raced(task, self._running, forks=FORKED_A_LAP)
@@ -114,8 +116,10 @@ class GrowingBody:
             return _unknown(task, begun, "what explained the readings does so no more")
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
-        grown, ended = first, self._found_again(task, ended)
-        first = ended[0]
+        grown = first
+        if not begins:  # else the answer would wait for it
+            ended = self._found_again(task, ended)
+            first = ended[0]
         if not (first.found_twice or first.same_as(grown)):
             self._believed_since = math.inf
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
@@ -185,12 +189,22 @@ class GrowingBody:
         return Task(path, readings, contacts, self._rig, self._start, end)
 
     def _try(self, task: Task) -> bool:
-        """Begin from nothing with one length of start; whether there is a rival."""
-        record = task.record(STARTS_S[self._attempt])
-        self._attempt = (self._attempt + 1) % len(STARTS_S)
-        found = [each for each in anew(task, record, beliefs.hypotheses()) if each.per_number < HOPELESS]
-        self._running = [replace(each, confirmed=0) for each in found[:MOST_RIVALS]]  # of a longer record it may be
-        self._looked = len(record.middle_palms)
+        """Begin from nothing in one manner, another one each time; whether there is a rival.
+
+        All at once, where the first way explains it; with what came since; short starts.
+        """
+        attempt, self._attempt = self._attempt, (self._attempt + 1) % 3
+        if attempt < 2:
+            record, ways = task.record(WHOLE_S), islice(beliefs.hypotheses(), WHOLE_WAYS)
+            found = anew(task, record, islice(ways, 1) if attempt == 0 else ways)
+            if attempt == 0:  # what is strange now may not be so with more
+                found = found_again(task, found, ways) if found[0].strange <= STRANGE else []
+            self._running = [each for each in found if each.per_number < SURE][:MOST_RIVALS]
+            self._looked = len(record.middle_palms)
+        else:
+            short = [each for each in rivals(task, START_S) if each.per_number < HOPELESS]
+            self._running = begun_in_ways(task, short, forks=0)[:MOST_RIVALS]
+            self._looked = 0
         if not self._running and self._attempt == 0:
             self._begin_anew(task.end - LEAST_S)
         return bool(self._running)
@@ -223,7 +237,7 @@ class GrowingBody:
         """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""
         first = ended[0]
         whole = replace(task, contacts=ContactCurves.smoothed(task.readings))
-        begun = begun_in_ways(whole, rivals(whole, REST_S + SHORT_S))
+        begun = begun_in_ways(whole, rivals(whole, REST_S + SHORT_S), forks=0)
         short = raced(whole, begun, first.cost + BEHIND, FORKED_A_LAP)
         together = [each for each in (*ended, *short) if each.intervals == first.intervals and not each.lost]
         return apart(sorted(together, key=lambda each: each.cost))

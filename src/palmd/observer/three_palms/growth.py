@@ -42,6 +42,8 @@ FIRST_START_S = 2.0
 STARTS_S = (1.3, 0.8, 2.0)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
+FOUND_S = 9.0
+"""Of a record, beyond which no other start is asked for any more where two thirds of it were found twice."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
@@ -121,13 +123,18 @@ class Grown:
 
     @property
     def found_twice(self) -> bool:
-        """Whether another start has come to the same, of no less than two thirds of it."""
-        return 3 * self.confirmed >= 2 * self.intervals
+        """Whether another start has come to the same, of no less than two thirds of it or of `FOUND_S`."""
+        return 3 * self.confirmed >= 2 * min(self.intervals, round(FOUND_S / SPACING_S))
 
     @property
     def surprise(self) -> float:
         """What the last window cost per number read."""
         return self.windows[-1][1] if self.windows else 0.0
+
+    @property
+    def turned(self) -> float:
+        """By how much the body has turned in all of the record, to and fro (rad)."""
+        return float(np.linalg.norm(self.motion.omega, axis=1).sum()) * SPACING_S
 
     @property
     def lost(self) -> bool:
@@ -184,15 +191,18 @@ def _starts(task: Task) -> Iterator[list[Grown]]:
         yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS])
 
 
-def begun_in_ways(task: Task, found: list[Rival]) -> list[Grown]:
-    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it."""
+def begun_in_ways(task: Task, found: list[Rival], forks: float = math.inf) -> list[Grown]:
+    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it.
+
+    None of these is forked again in more than so many windows.
+    """
     if not found:
         return []
     started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
     near = [each for each in started if each.cost < started[0].cost + BEHIND]
     until = near[0].intervals + round(FORK_S / SPACING_S)
     ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
-    further = [advanced(task, each, until) for each in (*ways, *near[FORKED_STARTS:])]
+    further = [advanced(task, each, until, forks=forks) for each in (*ways, *near[FORKED_STARTS:])]
     return apart(sorted(further, key=lambda each: each.cost))
 
 

@@ -30,6 +30,9 @@ NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 7e-5
+TUMBLED_RAD = 4.0 * math.pi
+"""By how much a body must have turned for a motion that explains it all to be the right one, truncation and all: what
+is wrong about a body does not foretell how it tumbles on."""
 MOST_LAMBDA = 0.5
 """Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
@@ -118,7 +121,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
-        converged=not (reason := doubt(task, ended, sd[touched])),
+        converged=not (reason := doubt(task, ended, sd[touched], proven=first.turned > TUMBLED_RAD)),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
         h=h, h_sd=sd, touched=touched, coefficients=p[:n],
         points=within(point_rows @ p[:n], directions, h),
@@ -193,7 +196,7 @@ def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.b
 def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = False) -> str:
     """Why the first of the rivals is not to be believed; empty if it is.
 
-    proven: it was believed before, and has foretold what came for long: what more it costs is truncation.
+    proven: it has foretold for long what came, or how the body tumbled: what more it costs is truncation.
     """
     first = ended[0]
     most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)

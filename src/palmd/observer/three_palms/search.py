@@ -22,8 +22,11 @@ from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
 SPACING_S = 0.02
+COARSE = ((2, 6e-4, 10.0, 1.0), (3, 4e-4, 10.0, 1.0), (4, 2.5e-4, 3.0, 0.3), (START_ORDER, 1.3e-4, 1.0, 0.1))
+"""Degrees of the outline that a start is smoothed with one after the other, what readings may miss it by (m), and the
+strengths of the noise of spin and by spin: what a coarse outline has wrong hides few minima, and forbids no motion."""
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
-"""Strengths of the noise that a start is smoothed with first: of spin, by spin, of turn."""
+"""Strengths of the noise that a motion is smoothed with first: of spin, by spin, of turn."""
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
@@ -31,7 +34,7 @@ LEAST_REST_S, LONGEST_REST_S = 0.12, 1.0
 LEAST_RADIUS_M = 3e-3  # of a ball: contacts that contradict each other may tell a smaller one, or none
 HOPELESS = 2.5  # cost per number read above which a start is not followed at all
 EXPLAINED = 1.35  # of the same, below which bodies that rub explain the record, and none that do not are tried
-STEPS = 12
+STEPS, COARSE_STEPS = 12, 8
 SAME_COST = 2.0
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped
 KEPT = 4
@@ -151,7 +154,14 @@ def loosely(
     """What a blind start leads to while much noise is allowed to the equations."""
     belief = hypothesis.belief(ball.radius, ball.centre, task.spin_sd, task.rest)
     driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
-    return loosened(task, record, prior, first_motion(record, driven, prior, ball.radius * (1.0 + hypothesis.larger)))
+    first = beliefs.prior(ball.radius, COARSE[0][0], task.spin_sd)
+    motion = first_motion(record, driven, first, ball.radius * (1.0 + hypothesis.larger))
+    for order, reading, spin, by_spin in COARSE:
+        coarse = beliefs.with_inertia(beliefs.prior(ball.radius, order, task.spin_sd), STIFF)
+        noise = Noise(reading, spin, by_spin, LOOSE[0][2])
+        smoother = BodySmoother(record, coarse, noise, task.rig.gravity)
+        motion = smoother.fit(replace(motion, p=beliefs.raised(motion.p, order)), COARSE_STEPS).motion
+    return task.fitted(record, beliefs.with_inertia(prior, STIFF), LOOSE[1], motion, STEPS)
 
 
 def loosened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
