@@ -352,6 +352,7 @@ _shtab_palmd_bench_things_options=(
   "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump corners of 3 mm corners of 1 mm dent of 4 mm dent of 10 mm dry lump all)"
   "--offline[reconstruct logs of the kinds that are told by their corners or dents, or that stick]"
   "--explored[the same of recordings\: each is explored in the emulated rig]"
+  "--plan[the same of recordings of a motion plan in the emulated rig]:FILE:_files"
   "--seed[the first run\'s (default\: 0)]:FIRST:"
   "--seconds[how long each lasts (default\: 15\; 20 where it is reconstructed)]:S:"
   "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"

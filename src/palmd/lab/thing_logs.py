@@ -1,8 +1,8 @@
 """Logs of bodies with corners, flat sides and dents, and of dry friction: how many `reconstruct` is right about.
 
-Simulated, each from its kind and seed, on rocking palms or explored in the emulated rig, and reconstructed blind, as
-`palmd reconstruct` does. What lies in a dent no palm feels: the truth of a dented body is its hull. `run` gives the
-same row in any process and in any order.
+Simulated, each from its kind and seed, on rocking palms or moved by a plan in the emulated rig, and reconstructed
+blind, as `palmd reconstruct` does. What lies in a dent no palm feels: the truth of a dented body is its hull. `run`
+gives the same row in any process and in any order.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.config import Drawn
+from palmd.config import Drawn, PlanSpec
 from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR, RIGHT_M
 from palmd.lab.simulated import written
 from palmd.lab.table import aligned
-from palmd.lab.thing_recordings import explored
+from palmd.lab.thing_recordings import ThingRecording, recorded
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import EventLog, read_log
+from palmd.record.eventlog import read_log
 from palmd.rig.dry_plant import DRY
 from palmd.rig.plant import PlantOptions
 from palmd.rig.real_things import Random, thing
 from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
-from palmd.rig.simulate import CALIBRATION, Line, simulate_log
+from palmd.rig.simulate import CALIBRATION, simulate_log
 from palmd.score import score_outline
 
 _STREAM = 31  # keeps the bodies' random numbers apart from those of the motion
@@ -74,13 +74,16 @@ _DRY = "dry"
 
 @dataclass(frozen=True, slots=True)
 class SharpTask:
-    """One log to make and to reconstruct: what lies on the palms, the seed, how long (s), whether explored."""
+    """One log to make and to reconstruct: what lies on the palms, the seed, how long (s).
+
+    plan: what the palms do in the emulated rig; None: they rock, and scenes in which a contact is lost are drawn again.
+    """
 
     kind: str
     seed: int
     seconds: float = 20.0
     imperfections: Drawn = "none"
-    explored: bool = False
+    plan: PlanSpec | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,7 @@ class SharpRow:
     """What came of it; NaN for what there is not.
 
     e_h, most, sd: RMS and largest error, and RMS of the one-sigma, over the touched normals (m). touched: their share.
+    shown: the share that a recording's object was really touched by.
     explained_s: how much of the log the answer explains; mass_z: by how many one-sigmas the mass is too large.
     seconds: of the processor. perfect: the rig is as described.
     """
@@ -102,6 +106,7 @@ class SharpRow:
     most_m: float = math.nan
     sd_m: float = math.nan
     touched: float = math.nan
+    shown: float = math.nan
     sides: int = 0
     explained_s: float = math.nan
     mass_z: float = math.nan
@@ -137,11 +142,11 @@ def failed(task: SharpTask, error: BaseException) -> SharpRow:
 @with_failures(failed)
 def run(task: SharpTask) -> SharpRow:
     """Simulate, reconstruct, compare; what raises becomes a row that says so."""
-    log, truth = simulated(task)
+    log, truth, shown = simulated(task)
     begun = time.process_time()
     answer = reconstruct(log.events, log.rig)
     seconds, perfect = time.process_time() - begun, task.imperfections == "none"
-    row = SharpRow(task.kind, task.seed, perfect=perfect, reason=answer.reason, seconds=seconds)
+    row = SharpRow(task.kind, task.seed, perfect=perfect, reason=answer.reason, seconds=seconds, shown=shown)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -159,17 +164,17 @@ def run(task: SharpTask) -> SharpRow:
     )
 
 
-def simulated(task: SharpTask) -> tuple[EventLog, Line]:
-    """The task's log, as it is read from a file, and its truth."""
+def simulated(task: SharpTask) -> ThingRecording:
+    """The task's log, as it is read from a file, or its recording, and the truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     dry = task.kind.startswith(_DRY)
     options, surface = PlantOptions(friction_law="coulomb" if dry else "dither"), DRY if dry else None
-    if task.explored:
-        return explored(body, task.seed, task.seconds, task.imperfections, options, surface)
+    if task.plan is not None:
+        return recorded(body, task.plan, task.seed, task.seconds, task.imperfections, options, surface)
     sds = CALIBRATION[task.imperfections]
     lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, surface=surface, calibration_sd=sds)
     with written(lines) as path:
-        return read_log(path), truth
+        return ThingRecording(read_log(path), truth, math.nan)
 
 
 _VERDICTS = ("right", "in its band", "wrong", "refused")
@@ -206,13 +211,14 @@ def remarks(rows: Sequence[SharpRow]) -> list[str]:
     """A line for each log: what came of it, and what it looks like."""
     said = []
     for row in rows:
+        shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
         if row.error or not row.claimed:
-            said.append(f"{row.kind} {row.seed}: {row.error or 'refused: ' + row.reason}")
+            said.append(f"{row.kind} {row.seed}: {row.error or 'refused: ' + row.reason}{shown}")
         else:
             verdict = "right" if row.right else "in its band" if row.rough else "WRONG"
             said.append(
                 f"{row.kind} {row.seed}: {verdict}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
-                f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched, {row.explained_s:.1f} s explained, sides:"
+                f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched{shown}, {row.explained_s:.1f} s explained, sides:"
                 f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.seconds:.0f} s; {row.looks_like}"
             )
     return said

@@ -145,7 +145,8 @@ def run(task: ThingTask) -> ThingRow:
 
 
 def _replayed(task: ThingTask) -> ThingRow:
-    log, truth = thing_logs.simulated(thing_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections))
+    logged = thing_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
+    log, truth, _ = thing_logs.simulated(logged)
     live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
     misses = np.abs(live.r_error)
     error = misses.max(axis=1)

@@ -13,6 +13,7 @@ from palmd.system.mechanism import PALMS
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
 ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
+SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 ARM = 0  # among the numbers of the pads
 LEAD_S = 0.5  # of the arm's reports before both pads feel the object
 STARVED_S, STARVED = 0.06, 3.0  # without a report of the arm, and that in usual intervals: it had to stand, and stepped

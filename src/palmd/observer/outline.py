@@ -42,6 +42,12 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
     return np.stack(normal_directions(palms[:, : len(JOINTS)].T, psi), axis=1)
 
 
+def wrapped(angles: FloatArray) -> FloatArray:
+    """The same angles (rad) within half a turn of 0."""
+    within: FloatArray = angles - math.tau * np.round(angles / math.tau)
+    return within
+
+
 def felt_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
     """The same at a record's nodes (n, 2), for an outline: on curved palms it tells where their tangents touch."""
     joints = record.palms[:, : len(JOINTS)].T

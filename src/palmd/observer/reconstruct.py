@@ -21,7 +21,7 @@ from palmd.observer.beginning import from_zero
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
-from palmd.observer.data_segment import DataSegment, data_segments
+from palmd.observer.data_segment import SUSPICIOUS_GAP_S, DataSegment, data_segments
 from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.factor import Prior, given
 from palmd.observer.likeness import UNTOLD, likeness, root_of
@@ -59,7 +59,6 @@ from palmd.system.description import RigDescription
 
 SPACING_S = 0.005  # of the nodes in the end
 LEAST_S = 1.0
-SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 AGAIN = Attempt(2.0, 3, work=6e4)  # half of these searches take less than 1e4
 LATER = tuple(AGAIN._replace(later_s=seconds) for seconds in (0.5, 4.0, 1.0, 2.0))
 BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an object may be is asked

@@ -20,7 +20,7 @@ from palmd.model.sharp import FOURIER, LENGTHS, NORMALS, WIDTH
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import normal_angles
+from palmd.observer.outline import normal_angles, wrapped
 from palmd.observer.record import Record
 from palmd.observer.rides import Ride
 from palmd.system.mechanism import OPENING, PALMS, normal_directions
@@ -153,7 +153,6 @@ def narrowed(guess: Guess, record: Record, palm: int, width: float) -> Guess:
     give = 1.0 - width / math.exp(guess.p[WIDTH])
     p = guess.p.copy()
     p[WIDTH] = math.log(width)
-    away = normal_angles(record.palms, guess.x[:, 0])[:, palm] - p[NORMALS]
-    away -= math.tau * np.round(away / math.tau)
+    away = wrapped(normal_angles(record.palms, guess.x[:, 0])[:, palm] - p[NORMALS])
     spin = turning(record, palm)[:, 1] - guess.x[:, 1]
     return Guess(guess.x + give * np.stack([away, spin], axis=1), p)

@@ -23,17 +23,23 @@ from palmd.events import FloatArray
 from palmd.model import sharp
 from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import NODE, C
+from palmd.observer.data_segment import SUSPICIOUS_GAP_S
 from palmd.observer.factor import Prior
 from palmd.observer.first_guess import blind_starts
 from palmd.observer.followed import followed
 from palmd.observer.joined import (
+    APART_M,
+    NEARLY_RAD,
     SAME_SIDE_RAD,
     Footing,
     bridged,
     footing,
+    led,
     ridden_at,
     seated,
+    side_between,
     sketched,
+    told_by,
     turns,
 )
 from palmd.observer.normal_equations import Guess, ProcessNoise
@@ -59,9 +65,10 @@ COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf),
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
-LEAST_PART_S, MOST_PARTS = 1.0, 6  # of rides on one side, to be joined to others; of such parts, the longest
+LEAST_PART_S, MOST_PARTS = 0.7, 20  # of rides on one side, to be joined to others; of such parts, the longest
 BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
 LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
+ALIKE_M = 3e-5  # of Y, that tells sides apart by itself
 PIECE_S, MOST_PIECES = 6.0, 3  # of a ride that is not explained all along
 BRIDGE_S = 3.0  # from a ride to one on another side, at most
 SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
@@ -81,6 +88,7 @@ RIVALS = 3
 OTHER_KIND = 150.0  # of twice the log-likelihood, that an outline with another number of sides may lack
 LEAST_S = 5.0  # of readings that are explained, before anything is told; until then the object may have ridden
 BIRTHS_S = 2.0  # from its beginning, within which a search looks for more sides
+JOINING = 2e6  # iterations times nodes, in which rides are joined
 PAUSE_S = 0.6  # from where nothing explains the readings to the next search's beginning
 WORK = 1e6  # of a segment: iterations times nodes, as bounds the time taken; some 20 µs each
 
@@ -146,9 +154,9 @@ class Part:
     footings: tuple[Footing, ...]
 
     @classmethod
-    def of(cls, candidate: Candidate, palm: int) -> Part:
-        """Of rides on one side on `palm` (0, 1)."""
-        return cls(candidate, (footing(candidate.record, candidate.fit.guess, palm),))
+    def of(cls, candidate: Candidate, rides: Sequence[Ride]) -> Part:
+        """Of these rides on one side."""
+        return cls(candidate, (footing(candidate.record, candidate.fit.guess, rides[0].palm, rides),))
 
 
 class SidedSmoother(Smoother):
@@ -173,6 +181,13 @@ class SidedSearch:
         self._records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
         self.record = joined(self._records)
         self._work = 0
+        self._from, self._to = search.segment.start, search.segment.end
+        for each in (*reversed(self._all), *self._all):  # nobody takes an object away in so short a time
+            segment = each.segment
+            if 0.0 < self._from - segment.end < SUSPICIOUS_GAP_S:
+                self._from = segment.start
+            if 0.0 < segment.start - self._to < SUSPICIOUS_GAP_S:
+                self._to = segment.end
 
     def ridden(self) -> Iterator[tuple[Candidate, ...]]:
         """What explains rides, wherever they last long enough: on several sides together, then on one at a time.
@@ -182,22 +197,23 @@ class SidedSearch:
         """
         by_length = sorted((ride for each in self._records for ride in rides_of(each)), key=lambda ride: -ride.lasts)
         groups = [rides for rides in same(by_length) if any(ride.rolls for ride in rides)]
-        told = {i: self._on_one_side(groups[i]) for i in sorted(_neighbours(groups))}
-        parts = ((found[0], groups[i][0].palm) for i, found in told.items() if math.isfinite(found[0].fit.cost))
-        whole = self._joined([Part.of(each, palm) for each, palm in parts])
+        apart = _told_apart(groups)
+        near = [apart[i] for i in sorted(_neighbours(apart))]
+        told = {_times(rides): self._on_one_side(rides) for rides in near}
+        fits = ((told[_times(rides)][0], rides) for rides in near)
+        whole = self._joined([Part.of(fit, rides) for fit, rides in fits if math.isfinite(fit.fit.cost)])
         if whole is not None and whole.lasts > LEAST_S and self._here(whole.record.spans):
             yield (whole,)
-        for i, rides in enumerate(groups):
+        for rides in groups:
             if lasting(trimmed(rides)) > LEAST_S and self._here(trimmed(rides)):
-                found = told[i] if i in told else self._on_one_side(rides)
+                found = told.get(_times(rides)) or self._on_one_side(rides)
                 yield found
                 if not found[0].explains:
                     yield from (self._on_one_side([piece]) for piece in _pieces(rides))
 
     def _here(self, spans: Sequence[tuple[float, float]]) -> bool:
-        """Whether any of these (s) is in the segment itself."""
-        segment = self._search.segment
-        return any(segment.start < end and start < segment.end for start, end in spans)
+        """Whether any of these (s) is in the segment itself, or in one that is parted from it by a moment's loss."""
+        return any(self._from < end and start < self._to for start, end in spans)
 
     def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
         found = _in_order(self._along(way, rides) for way in WAYS)
@@ -209,42 +225,74 @@ class SidedSearch:
 
     def _joined(self, parts: Sequence[Part]) -> Candidate | None:
         """What explains most of these, each ridden on one side, by one outline; None where no two are of one."""
-        left = sorted(parts, key=lambda part: -part.candidate.lasts)
+        most = self._work + JOINING
+        best: Part | None = None
+        left = _longest_first(self._lying_still(self._explained_parts(parts)))
         while left:
             first, *left = left
             whole, waiting = first, left
-            while waiting and self._work < WORK:
+            while waiting and self._work < most:
                 part, *waiting = waiting
                 both = self._together(whole, part)
                 if both is not None:
                     whole, left = both, [each for each in left if each is not part]
                     waiting = left  # more of the outline is known now
-            if whole is not first:
-                return whole.candidate
-        return None
+            if whole is not first and (best is None or whole.candidate.lasts > best.candidate.lasts):
+                best = whole
+        return None if best is None else best.candidate
+
+    def _explained_parts(self, parts: Iterable[Part]) -> Iterator[Part]:
+        """These, and of what is not explained each ride by itself: sides may be alike."""
+        for part in parts:
+            rides = part.footings[0].rides
+            if part.candidate.explains:
+                yield part
+            elif len(rides) > 1:
+                alone = (ride for ride in rides if lasting(trimmed([ride])) > LEAST_PART_S)
+                yield from self._explained_parts(Part.of(self._on_one_side([ride])[0], [ride]) for ride in alone)
+
+    def _lying_still(self, parts: Iterable[Part]) -> list[Part]:
+        """These, rides on one side with one corner after the other as one: of them no turn need be sought."""
+        told = list[Part]()
+        for part in sorted(parts, key=lambda part: part.candidate.record.spans[0][0]):
+            before = next((each for each in told if _stays(each, part)), None)
+            both = None if before is None else self._together(*_longest_first([before, part]))
+            if both is not None:
+                told = [each for each in told if each is not before]
+            told.append(both or part)
+        return told
 
     def _together(self, whole: Part, part: Part) -> Part | None:
         """Both as of one outline; None where none explains both and what lies between, or more than one."""
+        pairs = [(one, other) for one in whole.footings for other in part.footings]
+        for one, other in pairs:
+            turned = other.turned(one.normal - other.normal)
+            if one.stays(other) and abs(turned.corner - one.corner) > APART_M:
+                return self._turned_together(whole, part, one.normal - other.normal, side_between(one, turned))
         asked = list[float]()
-        for turn in (each for one in whole.footings for other in part.footings for each in turns(one, other)):
+        for turn in (each for one, other in pairs for each in turns(one, other)):
             if all(abs(math.remainder(turn - other, math.tau)) > SAME_TURN_RAD for other in asked):
                 asked.append(turn)
         found = [both for turn in asked if (both := self._turned_together(whole, part, turn)) is not None]
         return found[0] if len(found) == 1 else None
 
-    def _turned_together(self, whole: Part, part: Part, turn: float) -> Part | None:
-        """Both, normals of `part` turned by `turn` (rad), if that explains them and what lies between two rides."""
+    def _turned_together(self, whole: Part, part: Part, turn: float, passed: tuple[Footing, ...] = ()) -> Part | None:
+        """Both, normals of `part` turned by `turn` (rad), if that explains them and what lies between two rides.
+
+        passed: a side that the other palm went by in between.
+        """
         one, other = whole.candidate, part.candidate
         there = rotated(other.fit.guess, turn)
         normals = [each.normal for each in self._settled(one)]
         normal, before = float(there.p[NORMALS]), len(normals)
-        if all(abs(math.remainder(normal - each, math.tau)) > SAME_SIDE_RAD for each in normals):
-            normals.append(normal)
-        spans = sorted([*one.record.spans, *other.record.spans])
-        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(spans)):
+        for new in (normal, *(each.normal for each in passed[:1])):
+            if all(abs(math.remainder(new - each, math.tau)) > SAME_SIDE_RAD for each in normals):
+                normals.append(new)
+        together = sorted([*one.record.spans, *other.record.spans])
+        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(together)):
             return None
-        footings = [*whole.footings, *(each.turned(turn) for each in part.footings)]
-        record, p = self.record.within(spans), one.fit.guess.p.copy()
+        footings = [*whole.footings, *(each.turned(turn) for each in part.footings), *passed]
+        record, p = self.record.within(together), one.fit.guess.p.copy()
         p[NORMALS : NORMALS + len(normals)] = normals
         p[LENGTHS + before : LENGTHS + len(normals)] = SIDE_M
         p = sketched(p, footings, self._prior(tuple(map(FlatSide, normals))), len(normals))
@@ -254,14 +302,20 @@ class SidedSearch:
             x[nodes] = seated(each.record, guess.x, guess.p, p, on)
         shift = float(x[0, 0])
         torn, sides = rotated(Guess(x, p), shift), tuple(FlatSide(each + shift) for each in normals)
-        for gap, spans, x in self._bridges(record, torn, len(sides), one.record.spans):
+        ways = self._bridges(record, torn, len(sides), one.record.spans)
+        for gap, spans, x in [(None, record.spans, torn.x)] if passed else ways:
             both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
             explained = self._calm(both)
-            lasts = lasting(explained) > (1.0 - MOST_CUT) * both.lasts
-            if both.explains and lasts and self._explained_between(both, *gap):
-                both = self._cut(both, explained)
+            if lasting(explained) < (1.0 - MOST_CUT) * both.lasts:
+                continue
+            between_told = gap is None or (both.explains and self._explained_between(both, *gap))
+            both = self._cut(both, explained)
+            if not both.explains:  # what has been left out had bent it
+                both = self._loosened(both.record, both.sides, both.fit.guess)
+            if between_told and both.explains:
                 shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
-                return Part(both, tuple(each.turned(shift) for each in footings))
+                p = both.fit.guess.p
+                return Part(both, tuple(told_by(p, len(sides), each.turned(shift)) for each in footings))
         return None
 
     def _loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
@@ -274,10 +328,11 @@ class SidedSearch:
 
     def _bridges(
         self, record: Record, guess: Guess, sides: int, one: Sequence[tuple[float, float]]
-    ) -> Iterator[tuple[tuple[float, float], list[tuple[float, float]], FloatArray]]:
+    ) -> Iterator[tuple[tuple[float, float] | None, Sequence[tuple[float, float]], FloatArray]]:
         """A gap between a part of `record` that is in `one` and another (s), the parts without it, and the nodes.
 
-        The shortest gap comes first; those without a way over it are left out, and where a contact was lost.
+        The shortest gap comes first; those without a way over it are left out, and where a contact was lost for long.
+        Where it was lost for a moment, or the way hardly arrives, parts stay as they are, and there is no gap.
         """
         spans, x = record.spans, guess.x
         gaps = [
@@ -288,10 +343,12 @@ class SidedSearch:
         for _, k in sorted(gaps):
             i, j = int(record.torn[k]) - SETTLED_NODES, int(record.torn[k]) + 1 + SETTLED_NODES
             gap = self.record.within([(float(record.t[i]), float(record.t[j]))])
-            if len(gap.torn):
+            if len(gap.torn) and float(np.diff(gap.t).max()) > SUSPICIOUS_GAP_S:
                 continue
             before, after = (turning(gap, ridden_at(record, guess, node, sides))[:, 0] for node in (i, j))
-            psi = bridged(gap, guess.p, x[i, 0] + before, x[j, 0] + after - after[-1])
+            rides = x[i, 0] + before, x[j, 0] + after - after[-1]
+            psi = None if len(gap.torn) else bridged(gap, guess.p, *rides)
+            nearly = psi is not None or led(gap, guess.p, *rides, NEARLY_RAD) is not None
             if psi is not None:
                 between = np.stack([psi, np.gradient(psi, gap.t)], axis=1)
                 later = x[j + 1 :].copy()
@@ -299,6 +356,8 @@ class SidedSearch:
                 nodes = np.concatenate([x[:i], between, later])
                 without = [*spans[:k], (spans[k][0], spans[k + 1][1]), *spans[k + 2 :]]
                 yield (spans[k][1], spans[k + 1][0]), without, nodes
+            if nearly:
+                yield None, spans, x
 
     def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
         record, palm = self.record.within(trimmed(rides)), rides[0].palm
@@ -578,6 +637,28 @@ def _neighbours(groups: Sequence[Sequence[Ride]]) -> set[int]:
     rides = sorted((ride.start, ride.end, i) for i in enough for ride in groups[i])
     near = ((i, j) for (_, end, i), (start, _, j) in pairwise(rides) if i != j and start - end < BRIDGE_S)
     return {each for both in near for each in both}
+
+
+def _times(rides: Sequence[Ride]) -> tuple[tuple[int, float], ...]:
+    return tuple((ride.palm, ride.start) for ride in rides)
+
+
+def _told_apart(groups: Sequence[Sequence[Ride]]) -> list[list[Ride]]:
+    """The same, but for what is told so roughly that it may well be of sides that are alike: each ride by itself."""
+    apart = list[list[Ride]]()
+    for rides in groups:
+        rough = any(ride.covariance[0, 0] > ALIKE_M**2 for ride in rides)
+        apart += [[ride] for ride in rides] if rough else [list(rides)]
+    return sorted(apart, key=lambda rides: -sum(ride.lasts for ride in rides))
+
+
+def _stays(one: Part, other: Part) -> bool:
+    """Whether the object lay on between two of their rides."""
+    return any(each.stays(another) for each in one.footings for another in other.footings)
+
+
+def _longest_first(parts: Iterable[Part]) -> list[Part]:
+    return sorted(parts, key=lambda part: -part.candidate.lasts)
 
 
 def _smoother(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from palmd.cli import main
+from palmd.config import ExploreGoal
+from palmd.console.shipped import shipped
 from palmd.events import PadSample, PalmSample
 from palmd.lab import bench_things, thing_logs
+from palmd.lab.exploring_plans import plan
 from palmd.lab.thing_logs import KINDS, SharpRow, SharpTask, simulated, tasks_of
 from palmd.rig.dry_plant import DRY
+from palmd.rig.world import default_config
+from palmd.yamlfile import load_plan
 
 
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
-    (log, truth), (again, _), (other, _) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
+    (log, truth, _), (again, *_), (other, *_) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
     assert log.events == again.events
     assert log.events != other.events
     slopes = np.diff(np.array(truth["h_m"])) / np.diff(truth["theta_rad"])
@@ -58,17 +64,18 @@ def test_right_wrong_and_refused_are_counted_apart() -> None:
 
 def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "things", "--offline", "--kind", "coin"]) == 1
-    assert "--kind coin is without --offline and --explored" in capsys.readouterr().err
+    assert "--kind coin is without --offline, --explored and --plan" in capsys.readouterr().err
 
 
 def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> None:
     """Dry palms rub by what is dry, and the recording is what the daemon was fed, its rig as the configuration says."""
-    task = SharpTask("dry lump", 3, 0.4, "calibrated", explored=True)
-    log, truth = simulated(task)
+    exploring = plan("explore", default_config(), ExploreGoal(), seed=0)
+    task = SharpTask("dry lump", 3, 0.4, "calibrated", exploring)
+    log, truth, _ = simulated(task)
     pads = {event.pad for event in log.events if isinstance(event, PadSample)}
     assert pads == {1, 2}
     assert any(isinstance(event, PalmSample) for event in log.events)
-    assert truth["mass_kg"] == simulated(replace(task, seconds=0.1, explored=False))[1]["mass_kg"]
+    assert truth["mass_kg"] == simulated(replace(task, seconds=0.1, plan=None)).truth["mass_kg"]
     assert truth["mu"] == DRY.mu
     assert log.rig.pads[0].standoff_sd > 0.0
 
@@ -82,8 +89,24 @@ def test_explored_is_a_study_of_recordings(capsys: pytest.CaptureFixture[str], m
 
     monkeypatch.setattr(bench_things, "collected", collected)
     assert main(["bench", "things", "--explored", "--kind", "dry lump", "--runs", "2", "--jobs", "1"]) == 0
-    assert asked == [SharpTask("dry lump", seed, 20.0, "none", explored=True) for seed in (0, 1)]
+    exploring = plan("explore", default_config(), ExploreGoal(coverage=1.0, time_limit_s=20.0), seed=0)
+    assert asked == [SharpTask("dry lump", seed, 20.0, "none", exploring) for seed in (0, 1)]
     assert "seeds 0 to 1" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["bench", "things", "--explored", "--offline"])
     assert "not allowed with" in capsys.readouterr().err
+
+
+def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wide = tmp_path / "wide.yaml"
+    wide.write_text("name: wide\nsegments:\n  - {move: {phi1_deg: 12, phi2_deg: 170}, duration_s: 2}\n")
+    assert main(["bench", "things", "--plan", str(wide), "--kind", "die"]) == 1
+    assert f"{wide}:3" in capsys.readouterr().err
+
+
+def test_what_tips_shows_one_side_after_the_other() -> None:
+    """A nut, carried over on one palm and back on the other, shows more than half of its outline in 13 s."""
+    moved = simulated(SharpTask("nut", 1, 13.0, plan=load_plan(shipped("plans/tip.yaml"))))
+    assert moved.shown > 0.5

@@ -16,7 +16,18 @@ from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
 from palmd.model.smoothing import C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
-from palmd.observer.joined import Footing, bridged, footing, ridden_at, seated, sketched, slope_of, turns
+from palmd.observer.joined import (
+    Footing,
+    bridged,
+    footing,
+    ridden_at,
+    seated,
+    side_between,
+    sketched,
+    slope_of,
+    told_by,
+    turns,
+)
 from palmd.observer.normal_equations import Guess, Residuals
 from palmd.observer.outline import directions, normal_angles, touched_by, touched_within
 from palmd.observer.palm_path import smoothed_path
@@ -24,7 +35,7 @@ from palmd.observer.record import Record, lay_out
 from palmd.observer.ridden import rotated, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import Search
-from palmd.observer.sided import WAYS, Part, SidedSearch, _neighbours
+from palmd.observer.sided import WAYS, Part, SidedSearch, _neighbours, _told_apart
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
@@ -165,7 +176,7 @@ def parts(tipped) -> tuple[SidedSearch, Part, Part]:
     search = SidedSearch(tipped.search)
     groups = [rides for rides in same(rides_of(search.record)) if any(ride.rolls for ride in rides)]
     assert _neighbours(groups) == {0, 1}
-    one, other = (Part.of(search._along(WAYS[0], rides), rides[0].palm) for rides in groups[:2])
+    one, other = (Part.of(search._along(WAYS[0], rides), rides) for rides in groups[:2])
     return search, one, other
 
 
@@ -186,8 +197,18 @@ def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
 
 def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
     search, one, other = parts
-    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: None)
+    for each in ("bridged", "led"):
+        monkeypatch.setattr(f"palmd.observer.sided.{each}", lambda *_: None)
     assert search._joined([one, other]) is None
+
+
+def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
+    search, one, other = parts
+    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: None)
+    both = search._joined([one, other])
+    assert len(both.sides) == 2
+    assert len(both.record.torn) == 1
+    assert both.fit.chi2 < 1.15
 
 
 def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
@@ -229,6 +250,41 @@ def test_a_footing_is_read_off_an_outline(tipped):
     assert told.normal == pytest.approx(UPPER.normal)
     assert abs(told.corner - UPPER.corner) < 1e-4
     assert (told.high, told.radius) == pytest.approx((UPPER.high, UPPER.radius), abs=1e-4)
+
+
+def test_a_side_lies_between_two_corners_that_the_other_palm_comes_to_one_after_the_other():
+    """Corners of 3 mm about 16 mm from the middle, at ± 30° from the side between them."""
+    high = 16e-3 * math.cos(math.pi / 6) + 3e-3
+    ride = Ride(1, 0.0, 2.0, np.array([0.018, 0.003]), 1e-10 * np.eye(2), True)
+    corners = [
+        (2.0 - math.pi / 6, (1.2, 1.9), ride),
+        (2.0 + math.pi / 6, (2.1, 2.8), replace(ride, start=2.03, end=3.0)),
+    ]
+    first, last = (
+        Footing(1, -0.2, high, 0.0, cmath.rect(16e-3, at), 3e-3, felt, (mine,)) for at, felt, mine in corners
+    )
+    assert first.stays(last)
+    assert last.stays(first)
+    assert not first.stays(replace(last, palm=0))
+    assert not first.stays(replace(last, rides=(replace(ride, start=2.2, end=3.0),)))
+    for side, corner in zip(side_between(first, last), (first, last), strict=True):
+        assert (side.normal, side.high) == pytest.approx((2.0, high))
+        assert (side.palm, side.corner, side.rides) == (0, corner.corner, ())
+        assert corner.reaches(side)
+
+
+def test_a_footing_is_read_anew_off_what_explains_more(tipped):
+    told = told_by(tipped.p, 2, replace(UPPER, normal=UPPER.normal + 0.02, high=1e-2, corner=0j, radius=0.0))
+    assert told.normal == pytest.approx(UPPER.normal)
+    assert abs(told.corner - UPPER.corner) < 1e-4
+    assert (told.high, told.radius) == pytest.approx((UPPER.high, UPPER.radius), abs=1e-4)
+
+
+def test_what_is_told_roughly_may_be_of_sides_that_are_alike():
+    ride = Ride(0, 0.0, 1.0, np.array([0.032, 0.002]), 1e-8 * np.eye(2), True)
+    rough = [ride, replace(ride, start=9.0, end=10.0)]
+    sharply = [replace(each, covariance=1e-10 * np.eye(2)) for each in rough]
+    assert _told_apart([rough, sharply]) == [sharply, [rough[0]], [rough[1]]]
 
 
 def test_rides_on_one_corner_tell_of_it_by_what_each_knows():
