@@ -198,7 +198,7 @@ class GrowingBody:
             record, ways = task.record(WHOLE_S), islice(beliefs.hypotheses(), WHOLE_WAYS)
             found = anew(task, record, islice(ways, 1) if attempt == 0 else ways)
             if attempt == 0:  # what is strange now may not be so with more
-                found = found_again(task, found, ways) if found[0].strange <= STRANGE else []
+                found = found_again(task, found, ways) if found and found[0].strange <= STRANGE else []
             self._running = [each for each in found if each.per_number < SURE][:MOST_RIVALS]
             self._looked = len(record.middle_palms)
         else:

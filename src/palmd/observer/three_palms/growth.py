@@ -47,6 +47,7 @@ FOUND_S = 9.0
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
+HOPELESS_WHOLE = 1.7  # cost per number read after these, above which a start of a whole record leads nowhere
 DECISIVE, OTHER_RAD_S = 12.0, 0.05
 """By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
 SURE = 1.35  # cost per number read at the end, below which no other start is asked for: truncation costs so much
@@ -280,7 +281,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
         loose = loosely(task, record, coarse, contacts, ball, way)
         sought = task.fitted(record, coarse, None, loose.motion, TRIES[1]).motion
         fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
-        if fit.cost > most + TOO_FAR:
+        if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * 2 * len(record.readings.t)):
             continue
         fit = smoother.fit(fit.motion)
         most = min(most, fit.cost)

@@ -22,9 +22,9 @@ from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
 SPACING_S = 0.02
-COARSE = ((2, 6e-4, 10.0, 1.0), (3, 4e-4, 10.0, 1.0), (4, 2.5e-4, 3.0, 0.3), (START_ORDER, 1.3e-4, 1.0, 0.1))
+COARSE = ((2, 6e-4, 1.0), (3, 4e-4, 1.0), (4, 2.5e-4, 1.0), (START_ORDER, 1.3e-4, 0.3))
 """Degrees of the outline that a start is smoothed with one after the other, what readings may miss it by (m), and the
-strengths of the noise of spin and by spin: what a coarse outline has wrong hides few minima, and forbids no motion."""
+strength of the spin's noise: what a coarse outline has wrong hides few minima, and bends to nothing."""
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a motion is smoothed with first: of spin, by spin, of turn."""
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
@@ -156,9 +156,9 @@ def loosely(
     driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
     first = beliefs.prior(ball.radius, COARSE[0][0], task.spin_sd)
     motion = first_motion(record, driven, first, ball.radius * (1.0 + hypothesis.larger))
-    for order, reading, spin, by_spin in COARSE:
+    for order, reading, spin in COARSE:
         coarse = beliefs.with_inertia(beliefs.prior(ball.radius, order, task.spin_sd), STIFF)
-        noise = Noise(reading, spin, by_spin, LOOSE[0][2])
+        noise = Noise(reading, spin, *LOOSE[0][1:])
         smoother = BodySmoother(record, coarse, noise, task.rig.gravity)
         motion = smoother.fit(replace(motion, p=beliefs.raised(motion.p, order)), COARSE_STEPS).motion
     return task.fitted(record, beliefs.with_inertia(prior, STIFF), LOOSE[1], motion, STEPS)
