@@ -21,7 +21,8 @@ from palmd.observer.outline import directions, normal_angles, sd_of, touched_wit
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import joined
 from palmd.observer.search import Search, explained, minima, still
-from palmd.observer.sided import LEAST_S, Candidate, SidedSearch, in_order
+from palmd.observer.sided import SidedSearch, in_order
+from palmd.observer.sided_fits import LEAST_S, Candidate
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
@@ -119,7 +120,7 @@ def _told(
 ) -> Reconstruction | None:
     """None where `best` is no minimum, or tells too little; by how much `other` nodes tell otherwise is in the band."""
     try:
-        covariance = OVERCONFIDENCE**2 * sided.posterior(best).covariance
+        covariance = OVERCONFIDENCE**2 * sided.fits.posterior(best).covariance
     except np.linalg.LinAlgError:
         return None
     fit, record = best.fit, best.record

@@ -13,163 +13,52 @@ one more side, at the normal by which either palm feels the object there; the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from palmd.events import FloatArray
-from palmd.model import sharp
-from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
-from palmd.model.smoothing import NODE, C
+from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
+from palmd.model.smoothing import NODE
 from palmd.observer.data_segment import SUSPICIOUS_GAP_S
-from palmd.observer.factor import Prior
 from palmd.observer.first_guess import blind_starts
 from palmd.observer.followed import followed
-from palmd.observer.joined import (
-    APART_M,
-    NEARLY_RAD,
-    SAME_SIDE_RAD,
-    Footing,
-    bridged,
-    footing,
-    led,
-    ridden_at,
-    seated,
-    side_between,
-    sketched,
-    told_by,
-    turns,
-)
-from palmd.observer.normal_equations import Guess, ProcessNoise
+from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles
 from palmd.observer.record import Record, joined, lasting, lay_out
-from palmd.observer.ridden import NEAR_S, begun, calm, kept, narrowed, normal_at_first, rotated, trimmed, turning
-from palmd.observer.rides import Ride, corner_of, rides_of, same
-from palmd.observer.search import MOST_STRAIN, UNLIKELY, Search, astray
-from palmd.observer.smoother import Fit, Posterior, Smoother
+from palmd.observer.ridden import NEAR_S, normal_at_first, trimmed, turning
+from palmd.observer.rides import Ride, rides_of, same
+from palmd.observer.search import Search, astray
+from palmd.observer.sided_fits import (
+    FINE,
+    FIXED,
+    LAST_ITERATIONS,
+    LEAST_S,
+    NOISE,
+    SIDE_M,
+    Candidate,
+    FlatSide,
+    SidedFits,
+    Stage,
+    smoother_of,
+)
+from palmd.observer.sides_joined import BRIDGE_S, LEAST_PART_S, MOST_PARTS, Part, SidesJoined
 
-NOISE = ProcessNoise(1e-10, 1e-5, gate=4.0)
 SPACING_S = 0.005  # of the nodes, while looking
 BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads, and how many of it are started from
 FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
-SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is felt
-BORN_SD_RAD = 0.05
-Stage = tuple[
-    float, float, float
-]  # the width w of a side (rad), ln w's one-sigma, and from where on a defect is a blow
-FIXED = 1e-3
 CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
-FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
-Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
-WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
-LEAST_PART_S, MOST_PARTS = 0.7, 20  # of rides on one side, to be joined to others; of such parts, the longest
-BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
-LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
 ALIKE_M = 3e-5  # of Y, that tells sides apart by itself
 PIECE_S, MOST_PIECES = 6.0, 3  # of a ride that is not explained all along
-BRIDGE_S = 3.0  # from a ride to one on another side, at most
-SETTLED_NODES = 10  # of a ride, after which its beginning or before which its end is told
-SAME_TURN_RAD = 0.02  # between two frames
 LAST_S = 0.0025  # spacing of the nodes (s) in the end
-SHAPE_SD = 2.0  # times that of a smooth lump
-LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
-MOST_CUT = 0.2  # of the rides, that may be left out as nothing explains it
 HOPELESS = 5.0  # cost for each reading of a ride, on a wide side, that narrower ones will not bring down
-PRICE = 12.0  # of a side more: twice the log-likelihood that it must gain
-ITERATIONS, LAST_ITERATIONS = 25, 60
-MOST_SCATTER, MOST_OUTLIERS = 1.25, 0.10  # of the readings, while looking
-MOST_ASTRAY = 20  # readings in a row that are missed: more is no rocking after a jump
-MOST_PER_READING, SURPRISE = 1.25, 60.0  # that the deviance may rise by while the window grows
-SCATTER = 0.455  # median of x², x standard normal
 RIVALS = 3
 OTHER_KIND = 150.0  # of twice the log-likelihood, that an outline with another number of sides may lack
-LEAST_S = 5.0  # of readings that are explained, before anything is told; until then the object may have ridden
 BIRTHS_S = 2.0  # from its beginning, within which a search looks for more sides
-JOINING = 2e6  # iterations times nodes, in which rides are joined
 PAUSE_S = 0.6  # from where nothing explains the readings to the next search's beginning
 WORK = 1e6  # of a segment: iterations times nodes, as bounds the time taken; some 20 µs each
-
-
-@dataclass(frozen=True, slots=True)
-class FlatSide:
-    """What is believed of a side before the readings speak: its normal (rad, in the object's frame)."""
-
-    normal: float
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A fit of a record by an outline with so many sides."""
-
-    sides: tuple[FlatSide, ...]
-    prior: Prior
-    record: Record
-    fit: Fit
-    scatter: float
-
-    @property
-    def deviance(self) -> float:
-        """Twice the negative log-likelihood up to a constant, with the price of its sides."""
-        return self.fit.cost + PRICE * len(self.sides)
-
-    @property
-    def lasts(self) -> float:
-        """How long its record is (s)."""
-        return lasting(self.record.spans)
-
-    @property
-    def explains(self) -> bool:
-        """Whether the readings are explained to their noise but for some while a contact jumps."""
-        fit = self.fit
-        n = len(self.record.contact_value)
-        return (
-            math.isfinite(fit.cost)
-            and self.scatter < MOST_SCATTER + 4.0 / math.sqrt(n)
-            and fit.outliers < MOST_OUTLIERS
-            and fit.slack < 0.5 * n
-            and fit.strain < MOST_STRAIN
-            and fit.astray < MOST_ASTRAY
-        )
-
-    def goes_on(self, before: Candidate) -> bool:
-        """Whether it explains what has come since `before`, the best on a shorter window, and all the rest as well."""
-        more = self.record.readings - before.record.readings
-        return self.explains and self.deviance < before.deviance + MOST_PER_READING * more + SURPRISE
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether it may be a lesser minimum: the readings are explained less well than by most that are right."""
-        few = math.sqrt(2.0 / len(self.record.contact_value))
-        return not self.explains or self.fit.chi2 > 1.0 + few or self.fit.strain > UNLIKELY
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What explains rides, and what these tell of sides and corners, in its frame."""
-
-    candidate: Candidate
-    footings: tuple[Footing, ...]
-
-    @classmethod
-    def of(cls, candidate: Candidate, rides: Sequence[Ride]) -> Part:
-        """Of these rides on one side."""
-        return cls(candidate, (footing(candidate.record, candidate.fit.guess, rides[0].palm, rides),))
-
-
-class SidedSmoother(Smoother):
-    """The smoother of an outline with sides."""
-
-    def sane(self, guess: Guess) -> bool:
-        """As `Smoother.sane`, and no side is longer than 0.1 m."""
-        p = guess.p
-        return (
-            super().sane(guess)
-            and bool(abs(p[C.LN_RHO] - math.log(p[C.SHAPE]) + 0.4) < 1.0)
-            and bool((p[LENGTHS:WIDTH] > -1e-3).all() and (p[LENGTHS:WIDTH] < 0.1).all())
-        )
 
 
 class SidedSearch:
@@ -180,7 +69,7 @@ class SidedSearch:
         self._all = in_order(search, others)
         self._records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
         self.record = joined(self._records)
-        self._work = 0
+        self.fits = SidedFits(self.record, search.prior)
         self._from, self._to = search.segment.start, search.segment.end
         for each in (*reversed(self._all), *self._all):  # nobody takes an object away in so short a time
             segment = each.segment
@@ -199,198 +88,23 @@ class SidedSearch:
         groups = [rides for rides in same(by_length) if any(ride.rolls for ride in rides)]
         apart = _told_apart(groups)
         near = [apart[i] for i in sorted(_neighbours(apart))]
-        told = {_times(rides): self._on_one_side(rides) for rides in near}
+        told = {_times(rides): self.fits.on_one_side(rides) for rides in near}
         fits = ((told[_times(rides)][0], rides) for rides in near)
-        whole = self._joined([Part.of(fit, rides) for fit, rides in fits if math.isfinite(fit.fit.cost)])
+        whole = SidesJoined(self.fits).joined(
+            [Part.of(fit, rides) for fit, rides in fits if math.isfinite(fit.fit.cost)]
+        )
         if whole is not None and whole.lasts > LEAST_S and self._here(whole.record.spans):
             yield (whole,)
         for rides in groups:
             if lasting(trimmed(rides)) > LEAST_S and self._here(trimmed(rides)):
-                found = told.get(_times(rides)) or self._on_one_side(rides)
+                found = told.get(_times(rides)) or self.fits.on_one_side(rides)
                 yield found
                 if not found[0].explains:
-                    yield from (self._on_one_side([piece]) for piece in _pieces(rides))
+                    yield from (self.fits.on_one_side([piece]) for piece in _pieces(rides))
 
     def _here(self, spans: Sequence[tuple[float, float]]) -> bool:
         """Whether any of these (s) is in the segment itself, or in one that is parted from it by a moment's loss."""
         return any(self._from < end and start < self._to for start, end in spans)
-
-    def _on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
-        found = _in_order(self._along(way, rides) for way in WAYS)
-        spans = self._calm(found[0])
-        least = LEAST_S if found[0].lasts > LEAST_S else 0.0
-        if lasting(spans) > max(least, (1.0 - MOST_CUT) * found[0].lasts):
-            found = _in_order(self._cut(each, spans) for each in found)
-        return found
-
-    def _joined(self, parts: Sequence[Part]) -> Candidate | None:
-        """What explains most of these, each ridden on one side, by one outline; None where no two are of one."""
-        most = self._work + JOINING
-        best: Part | None = None
-        left = _longest_first(self._lying_still(self._explained_parts(parts)))
-        while left:
-            first, *left = left
-            whole, waiting = first, left
-            while waiting and self._work < most:
-                part, *waiting = waiting
-                both = self._together(whole, part)
-                if both is not None:
-                    whole, left = both, [each for each in left if each is not part]
-                    waiting = left  # more of the outline is known now
-            if whole is not first and (best is None or whole.candidate.lasts > best.candidate.lasts):
-                best = whole
-        return None if best is None else best.candidate
-
-    def _explained_parts(self, parts: Iterable[Part]) -> Iterator[Part]:
-        """These, and of what is not explained each ride by itself: sides may be alike."""
-        for part in parts:
-            rides = part.footings[0].rides
-            if part.candidate.explains:
-                yield part
-            elif len(rides) > 1:
-                alone = (ride for ride in rides if lasting(trimmed([ride])) > LEAST_PART_S)
-                yield from self._explained_parts(Part.of(self._on_one_side([ride])[0], [ride]) for ride in alone)
-
-    def _lying_still(self, parts: Iterable[Part]) -> list[Part]:
-        """These, rides on one side with one corner after the other as one: of them no turn need be sought."""
-        told = list[Part]()
-        for part in sorted(parts, key=lambda part: part.candidate.record.spans[0][0]):
-            before = next((each for each in told if _stays(each, part)), None)
-            both = None if before is None else self._together(*_longest_first([before, part]))
-            if both is not None:
-                told = [each for each in told if each is not before]
-            told.append(both or part)
-        return told
-
-    def _together(self, whole: Part, part: Part) -> Part | None:
-        """Both as of one outline; None where none explains both and what lies between, or more than one."""
-        pairs = [(one, other) for one in whole.footings for other in part.footings]
-        for one, other in pairs:
-            turned = other.turned(one.normal - other.normal)
-            if one.stays(other) and abs(turned.corner - one.corner) > APART_M:
-                return self._turned_together(whole, part, one.normal - other.normal, side_between(one, turned))
-        asked = list[float]()
-        for turn in (each for one, other in pairs for each in turns(one, other)):
-            if all(abs(math.remainder(turn - other, math.tau)) > SAME_TURN_RAD for other in asked):
-                asked.append(turn)
-        found = [both for turn in asked if (both := self._turned_together(whole, part, turn)) is not None]
-        return found[0] if len(found) == 1 else None
-
-    def _turned_together(self, whole: Part, part: Part, turn: float, passed: tuple[Footing, ...] = ()) -> Part | None:
-        """Both, normals of `part` turned by `turn` (rad), if that explains them and what lies between two rides.
-
-        passed: a side that the other palm went by in between.
-        """
-        one, other = whole.candidate, part.candidate
-        there = rotated(other.fit.guess, turn)
-        normals = [each.normal for each in self._settled(one)]
-        normal, before = float(there.p[NORMALS]), len(normals)
-        for new in (normal, *(each.normal for each in passed[:1])):
-            if all(abs(math.remainder(new - each, math.tau)) > SAME_SIDE_RAD for each in normals):
-                normals.append(new)
-        together = sorted([*one.record.spans, *other.record.spans])
-        if len(normals) > SIDES or any(end > start for (_, end), (start, _) in pairwise(together)):
-            return None
-        footings = [*whole.footings, *(each.turned(turn) for each in part.footings), *passed]
-        record, p = self.record.within(together), one.fit.guess.p.copy()
-        p[NORMALS : NORMALS + len(normals)] = normals
-        p[LENGTHS + before : LENGTHS + len(normals)] = SIDE_M
-        p = sketched(p, footings, self._prior(tuple(map(FlatSide, normals))), len(normals))
-        x = np.empty((len(record.t), NODE))
-        for each, guess, on in ((one, one.fit.guess, normals[:before]), (other, there, [normal])):
-            nodes = np.searchsorted(record.t, each.record.t - NEAR_S)
-            x[nodes] = seated(each.record, guess.x, guess.p, p, on)
-        shift = float(x[0, 0])
-        torn, sides = rotated(Guess(x, p), shift), tuple(FlatSide(each + shift) for each in normals)
-        ways = self._bridges(record, torn, len(sides), one.record.spans)
-        for gap, spans, x in [(None, record.spans, torn.x)] if passed else ways:
-            both = self._loosened(self.record.within(spans), sides, Guess(x, torn.p))
-            explained = self._calm(both)
-            if lasting(explained) < (1.0 - MOST_CUT) * both.lasts:
-                continue
-            between_told = gap is None or (both.explains and self._explained_between(both, *gap))
-            both = self._cut(both, explained)
-            if not both.explains:  # what has been left out had bent it
-                both = self._loosened(both.record, both.sides, both.fit.guess)
-            if between_told and both.explains:
-                shift = float(both.fit.guess.p[NORMALS] - one.fit.guess.p[NORMALS])
-                p = both.fit.guess.p
-                return Part(both, tuple(told_by(p, len(sides), each.turned(shift)) for each in footings))
-        return None
-
-    def _loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
-        """As `_fitted`, of a motion that is noisier at first, and sides that are as wide as they are."""
-        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
-        for noisier in LOOSENED:
-            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
-            guess = self._fitted(record, sides, guess, (held,), noise=noise).fit.guess
-        return self._fitted(record, sides, guess, FINE, LAST_ITERATIONS)
-
-    def _bridges(
-        self, record: Record, guess: Guess, sides: int, one: Sequence[tuple[float, float]]
-    ) -> Iterator[tuple[tuple[float, float] | None, Sequence[tuple[float, float]], FloatArray]]:
-        """A gap between a part of `record` that is in `one` and another (s), the parts without it, and the nodes.
-
-        The shortest gap comes first; those without a way over it are left out, and where a contact was lost for long.
-        Where it was lost for a moment, or the way hardly arrives, parts stay as they are, and there is no gap.
-        """
-        spans, x = record.spans, guess.x
-        gaps = [
-            (start - end, k)
-            for k, ((_, end), (start, _)) in enumerate(pairwise(spans))
-            if start - end < BRIDGE_S and (spans[k] in one) != (spans[k + 1] in one)
-        ]
-        for _, k in sorted(gaps):
-            i, j = int(record.torn[k]) - SETTLED_NODES, int(record.torn[k]) + 1 + SETTLED_NODES
-            gap = self.record.within([(float(record.t[i]), float(record.t[j]))])
-            if len(gap.torn) and float(np.diff(gap.t).max()) > SUSPICIOUS_GAP_S:
-                continue
-            before, after = (turning(gap, ridden_at(record, guess, node, sides))[:, 0] for node in (i, j))
-            rides = x[i, 0] + before, x[j, 0] + after - after[-1]
-            psi = None if len(gap.torn) else bridged(gap, guess.p, *rides)
-            nearly = psi is not None or led(gap, guess.p, *rides, NEARLY_RAD) is not None
-            if psi is not None:
-                between = np.stack([psi, np.gradient(psi, gap.t)], axis=1)
-                later = x[j + 1 :].copy()
-                later[:, 0] += math.tau * round((psi[-1] - x[j, 0]) / math.tau)
-                nodes = np.concatenate([x[:i], between, later])
-                without = [*spans[:k], (spans[k][0], spans[k + 1][1]), *spans[k + 2 :]]
-                yield (spans[k][1], spans[k + 1][0]), without, nodes
-            if nearly:
-                yield None, spans, x
-
-    def _along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
-        record, palm = self.record.within(trimmed(rides)), rides[0].palm
-        sides = (FlatSide(normal_at_first(record, palm)),)
-        p = self._start(sides)
-        p[WIDTH] = math.log(way[0][0])
-        guess = begun(record, palm, corner_of(rides), p, self._prior(sides))
-        for width, noisier in way:
-            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
-            guess = narrowed(guess, record, palm, width)
-            guess = self._fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=noise).fit.guess
-        return self._fitted(record, sides, guess)
-
-    @staticmethod
-    def _calm(found: Candidate) -> list[tuple[float, float]]:
-        """The parts (s) of its record that `found` explains all along."""
-        return calm(found.record, _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess))
-
-    @staticmethod
-    def _explained_between(found: Candidate, start: float, end: float) -> bool:
-        """Whether it explains its contact readings from `start` to `end` (s), but for a few."""
-        missed = _smoother(found.sides, found.record, found.prior).residuals(found.fit.guess)
-        there = missed[(found.record.contact_t > start) & (found.record.contact_t < end)]
-        return len(there) > 0 and bool(np.mean(np.abs(there) > BEYOND) < MOST_OUTLIERS)
-
-    def _cut(self, found: Candidate, spans: list[tuple[float, float]]) -> Candidate:
-        """The same, of these parts (s) alone."""
-        record = self.record.within(spans)
-        if len(record.t) == len(found.record.t):
-            return found
-        guess = kept(found.fit.guess, found.record.t, record.t)
-        turn = float(guess.p[NORMALS] - found.fit.guess.p[NORMALS])
-        return self._fitted(record, tuple(FlatSide(side.normal + turn) for side in found.sides), guess)
 
     def stretches(self, log: Callable[[Candidate], None] | None = None) -> list[tuple[Candidate, ...]]:
         """The parts of the segment that are explained, longest first: outlines and motions of each, best first.
@@ -400,7 +114,7 @@ class SidedSearch:
         """
         whole, found = self._records[self._all.index(self._search)], list[tuple[Candidate, ...]]()
         begin, longest = 0, LEAST_S
-        while begin < len(whole.dt) and whole.t[-1] - whole.t[begin] > longest and self._work < WORK:
+        while begin < len(whole.dt) and whole.t[-1] - whole.t[begin] > longest and self.fits.work < WORK:
             explained = self._explained(whole.between(begin, len(whole.dt)), log)
             lasted = explained[0].lasts if explained else FIRST_S
             if lasted > longest:
@@ -412,7 +126,7 @@ class SidedSearch:
     def _explained(self, whole: Record, log: Callable[[Candidate], None] | None) -> tuple[Candidate, ...]:
         """What explains the readings from the beginning as far as anything does, best first; none if nothing does."""
         first = whole.until(whole.t[0] + FIRST_S)
-        candidates = [self._fitted(first, sides, guess, CALM) for sides, guess in self._starts(first)]
+        candidates = [self.fits.fitted(first, sides, guess, CALM) for sides, guess in self._starts(first)]
         best = self._kept(candidates)
         if not best[0].explains:
             best = self._kept([*candidates, *self._with_births(candidates, first.t[0])])
@@ -424,7 +138,7 @@ class SidedSearch:
             if not best[0].explains:
                 return tuple(explained)
             explained = [each for each in best if each.explains]
-            if best[0].record.t[-1] >= whole.t[-1] - 1e-9 or self._work > WORK:
+            if best[0].record.t[-1] >= whole.t[-1] - 1e-9 or self.fits.work > WORK:
                 return tuple(explained)
             grown = self._grown(best, whole)
             if not grown:
@@ -446,7 +160,7 @@ class SidedSearch:
 
     def _starts(self, record: Record) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
         yield from self._rides(record)
-        still = self._start(())
+        still = self.fits.start(())
         yield (), Guess(np.zeros((len(record.t), NODE)), still)
         search, begin = self._search, float(record.t[0])
         events = [event for event in search.segment.events() if event.t_sample >= begin]
@@ -460,15 +174,7 @@ class SidedSearch:
         """The object lies on one side on a palm, and turns with it."""
         for palm in (0, 1):
             sides = (FlatSide(normal_at_first(record, palm)),)
-            yield sides, Guess(turning(record, palm), self._start(sides))
-
-    def _start(self, sides: tuple[FlatSide, ...]) -> FloatArray:
-        """The constants most likely before anything is felt."""
-        p = self._prior(sides).mean.copy()
-        dither = math.exp(p[C.SATURATION])
-        p[C.LN_RHO] += math.log(p[C.SHAPE])
-        p[C.DRAG], p[C.SATURATION] = p[C.DRAG] / dither, dither**-2.0
-        return p
+            yield sides, Guess(turning(record, palm), self.fits.start(sides))
 
     def _grown(self, rivals: Sequence[Candidate], whole: Record) -> list[Candidate]:
         """The rivals on a longer window, as far as one of them goes on explaining it; none where none does."""
@@ -476,10 +182,10 @@ class SidedSearch:
         far, near = float(self._longer(rivals, whole).t[-1]), self._foretold(rivals, whole)
         for until in dict.fromkeys((far, near) if now - begin < BIRTHS_S else (near, far)):
             longer = whole.until(until)
-            grown = [self._fitted(longer, each.sides, each.fit.guess) for each in rivals]
+            grown = [self.fits.fitted(longer, each.sides, each.fit.guess) for each in rivals]
             if not _best(grown).goes_on(rivals[0]):
                 led = [self._by_readings(longer, each.fit.guess) for each in rivals]
-                grown += [self._fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
+                grown += [self.fits.fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
             if _best(grown).doubtful and until - begin < LEAST_S:
                 grown += [self._ridden(longer, sides, guess) for sides, guess in self._rides(longer)]
             if _best(grown).goes_on(rivals[0]):
@@ -498,7 +204,7 @@ class SidedSearch:
         now, longer = float(rivals[0].record.t[-1]), self._longer(rivals, whole)
         furthest = now + LEAST_GROWTH_S
         for each in rivals:
-            smoother = _smoother(each.sides, longer, each.prior)
+            smoother = smoother_of(each.sides, longer, each.prior)
             gone = astray(smoother.residuals(smoother.completed(each.fit.guess)))
             furthest = max(
                 furthest, longer.t[longer.contact_step[int(np.argmax(gone))]] if gone.any() else longer.t[-1]
@@ -511,8 +217,8 @@ class SidedSearch:
                 nodes = int(np.searchsorted(each.record.t, now)) + 1
                 if 1 < nodes < len(guess.x):
                     led = self._by_readings(each.record, Guess(guess.x[:nodes], guess.p))
-                    yield self._fitted(each.record, sides, led, COARSE)
-                yield self._fitted(each.record, sides, guess, COARSE)
+                    yield self.fits.fitted(each.record, sides, led, COARSE)
+                yield self.fits.fitted(each.record, sides, guess, COARSE)
 
     def _births(self, candidate: Candidate, now: float) -> Iterator[tuple[tuple[FlatSide, ...], Guess]]:
         if len(candidate.sides) == SIDES:
@@ -526,7 +232,7 @@ class SidedSearch:
                 if any(abs(math.remainder(normal - other, math.tau)) < 0.1 for other in taken):
                     continue
                 taken.append(normal)
-                sides = (*self._settled(candidate), FlatSide(normal))
+                sides = (*candidate.settled, FlatSide(normal))
                 p = guess.p.copy()
                 p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
                 yield sides, Guess(guess.x, p)
@@ -546,14 +252,8 @@ class SidedSearch:
         guess = candidate.fit.guess
         held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
         there = guess.on(candidate.record.t, record.t)
-        yield self._fitted(record, candidate.sides, there, (held,), LAST_ITERATIONS)
-        yield self._fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
-
-    def posterior(self, candidate: Candidate) -> Posterior:
-        """How sure it is of itself, the width open though it was held; raises LinAlgError where it is no minimum."""
-        ((width, width_sd, _),) = FINE
-        prior = self._prior(candidate.sides, width, width_sd)
-        return _smoother(candidate.sides, candidate.record, prior).posterior(candidate.fit)
+        yield self.fits.fitted(record, candidate.sides, there, (held,), LAST_ITERATIONS)
+        yield self.fits.fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
 
     def _by_readings(self, record: Record, guess: Guess) -> Guess:
         """The guess carried on to the record's end by the readings alone, the outline taken as it is."""
@@ -567,51 +267,12 @@ class SidedSearch:
         x[known:, 1] = np.gradient(psi, record.t[known - 1 :])[1:]
         return Guess(x, guess.p)
 
-    @staticmethod
-    def _settled(candidate: Candidate) -> tuple[FlatSide, ...]:
-        return tuple(FlatSide(float(candidate.fit.guess.p[NORMALS + j])) for j in range(len(candidate.sides)))
-
-    def _fitted(
-        self,
-        record: Record,
-        sides: tuple[FlatSide, ...],
-        guess: Guess,
-        stages: Sequence[Stage] = FINE,
-        iterations: int = ITERATIONS,
-        noise: ProcessNoise = NOISE,
-    ) -> Candidate:
-        for width, width_sd, gate in stages:
-            prior = self._prior(sides, width, width_sd)
-            p = guess.p.copy()
-            if width_sd == FIXED:
-                p[WIDTH] = math.log(width)
-            smoother = _smoother(sides, record, prior)
-            fit = smoother.fit(Guess(guess.x, p), replace(noise, gate=gate), iterations)
-            guess = fit.guess
-            self._work += fit.iterations * len(record.t)
-        residual = smoother.residuals(guess)
-        return Candidate(sides, prior, record, fit, float(np.median(residual**2)) / SCATTER)
-
     def _ridden(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
-        """As `_fitted`, on ever narrower sides; given up where on a wide one already nothing is explained."""
-        wide = self._fitted(record, sides, guess, CALM[:1])
+        """As `SidedFits.fitted`, on ever narrower sides; given up where on a wide one already nothing is explained."""
+        wide = self.fits.fitted(record, sides, guess, CALM[:1])
         if wide.fit.cost > HOPELESS * record.readings:
             return wide
-        return self._fitted(record, sides, wide.fit.guess, CALM[1:])
-
-    def _prior(self, sides: tuple[FlatSide, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
-        base = self._search.prior
-        mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
-        mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
-        mean[C.LN_RHO], sd[C.LN_RHO] = LN_GYRATION, LN_GYRATION_SD
-        sd[C.SHAPE : NORMALS] *= SHAPE_SD
-        mean[NORMALS:LENGTHS], sd[NORMALS:LENGTHS] = np.arange(SIDES), 0.01
-        sd[LENGTHS:WIDTH] = 1e-8
-        for j, side in enumerate(sides):
-            mean[NORMALS + j], sd[NORMALS + j] = side.normal, BORN_SD_RAD
-            mean[LENGTHS + j], sd[LENGTHS + j] = SIDE_M, SIDE_SD_M
-        mean[WIDTH], sd[WIDTH] = math.log(width), width_sd
-        return Prior(mean, sd, base.omega0_sd)
+        return self.fits.fitted(record, sides, wide.fit.guess, CALM[1:])
 
 
 def in_order(search: Search, others: Sequence[Search]) -> list[Search]:
@@ -650,23 +311,6 @@ def _told_apart(groups: Sequence[Sequence[Ride]]) -> list[list[Ride]]:
         rough = any(ride.covariance[0, 0] > ALIKE_M**2 for ride in rides)
         apart += [[ride] for ride in rides] if rough else [list(rides)]
     return sorted(apart, key=lambda rides: -sum(ride.lasts for ride in rides))
-
-
-def _stays(one: Part, other: Part) -> bool:
-    """Whether the object lay on between two of their rides."""
-    return any(each.stays(another) for each in one.footings for another in other.footings)
-
-
-def _longest_first(parts: Iterable[Part]) -> list[Part]:
-    return sorted(parts, key=lambda part: -part.candidate.lasts)
-
-
-def _smoother(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
-    return SidedSmoother(sharp.library_for(len(sides)), record, prior)
-
-
-def _in_order(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
-    return tuple(sorted(candidates, key=lambda each: each.deviance))
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:

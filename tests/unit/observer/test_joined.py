@@ -35,7 +35,9 @@ from palmd.observer.record import Record, lay_out
 from palmd.observer.ridden import rotated, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import Search
-from palmd.observer.sided import WAYS, Part, SidedSearch, _neighbours, _told_apart
+from palmd.observer.sided import SidedSearch, _neighbours, _told_apart
+from palmd.observer.sided_fits import WAYS
+from palmd.observer.sides_joined import Part, SidesJoined
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
@@ -172,17 +174,17 @@ def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
 
 
 @pytest.fixture(scope="module")
-def parts(tipped) -> tuple[SidedSearch, Part, Part]:
+def parts(tipped) -> tuple[SidesJoined, Part, Part]:
     search = SidedSearch(tipped.search)
     groups = [rides for rides in same(rides_of(search.record)) if any(ride.rolls for ride in rides)]
     assert _neighbours(groups) == {0, 1}
-    one, other = (Part.of(search._along(WAYS[0], rides), rides) for rides in groups[:2])
-    return search, one, other
+    one, other = (Part.of(search.fits.along(WAYS[0], rides), rides) for rides in groups[:2])
+    return SidesJoined(search.fits), one, other
 
 
 def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
-    search, one, other = parts
-    both = search._joined([other, one])
+    sides, one, other = parts
+    both = sides.joined([other, one])
     assert both is not None
     assert len(both.sides) == 2
     record, guess = both.record, both.fit.guess
@@ -196,16 +198,16 @@ def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
 
 
 def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
-    search, one, other = parts
+    sides, one, other = parts
     for each in ("bridged", "led"):
-        monkeypatch.setattr(f"palmd.observer.sided.{each}", lambda *_: None)
-    assert search._joined([one, other]) is None
+        monkeypatch.setattr(f"palmd.observer.sides_joined.{each}", lambda *_: None)
+    assert sides.joined([one, other]) is None
 
 
 def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
-    search, one, other = parts
-    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: None)
-    both = search._joined([one, other])
+    sides, one, other = parts
+    monkeypatch.setattr("palmd.observer.sides_joined.bridged", lambda *_: None)
+    both = sides.joined([one, other])
     assert len(both.sides) == 2
     assert len(both.record.torn) == 1
     assert both.fit.chi2 < 1.15
@@ -213,23 +215,23 @@ def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
 
 def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
     segment, tried = tipped.search.segment, list[int]()
-    monkeypatch.setattr("palmd.observer.sided.bridged", lambda *_: tried.append(1))
+    monkeypatch.setattr("palmd.observer.sides_joined.bridged", lambda *_: tried.append(1))
     first, second = (Search(each, RIG) for each in (segment.until(3.0), segment.since(3.3)))
     for search, ways in ((SidedSearch(tipped.search), 1), (SidedSearch(first, 0, [second]), 0)):
         record = search.record.within([(0.5, 2.4), (4.6, 6.0)])
         guess = Guess(np.zeros((len(record.t), 2)), tipped.p)
-        assert list(search._bridges(record, guess, 2, record.spans[:1])) == []
+        assert list(SidesJoined(search.fits).bridges(record, guess, 2, record.spans[:1])) == []
         assert len(tried) == ways
         tried.clear()
 
 
 @pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
 def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
-    search = SidedSearch(tipped.search)
+    sides = SidesJoined(SidedSearch(tipped.search).fits)
     whole = Part(None, (LOWER,))  # type: ignore[arg-type]
-    monkeypatch.setattr("palmd.observer.sided.turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
-    monkeypatch.setattr(search, "_turned_together", lambda one, _, turn: one if turn < 0.4 * explaining else None)
-    assert (search._together(whole, whole) is whole) is joined
+    monkeypatch.setattr("palmd.observer.sides_joined.turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
+    monkeypatch.setattr(sides, "turned_together", lambda one, _, turn: one if turn < 0.4 * explaining else None)
+    assert (sides.together(whole, whole) is whole) is joined
 
 
 def test_of_parts_only_what_they_touch_is_touched(tipped):
@@ -300,6 +302,8 @@ def test_a_ride_that_is_not_explained_all_along_is_asked_for_in_pieces(tipped, m
     search, asked = SidedSearch(tipped.search), list[tuple[float, float]]()
     found = SimpleNamespace(explains=explains)
     monkeypatch.setattr("palmd.observer.sided.rides_of", lambda _: [ride])
-    monkeypatch.setattr(search, "_on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found])
+    monkeypatch.setattr(
+        search.fits, "on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found]
+    )
     assert len(list(search.ridden())) == len(asked)
     assert asked == [(1.0, 14.5), *([] if explains else [(1.0, 7.0), (7.0, 13.0)])]

@@ -24,7 +24,8 @@ from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first,
 from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, FINE, WAYS, Candidate, SidedSearch, Stage
+from palmd.observer.sided import CALM, SidedSearch
+from palmd.observer.sided_fits import FINE, WAYS, Candidate, SidedFits, Stage
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -109,39 +110,39 @@ def test_the_search_ends_when_its_work_is_done(monkeypatch):
     assert max(float(each.record.t[-1]) for each in seen) < 1.0
 
 
-class Stub(SidedSearch):
+class Stub(SidedFits):
     """Candidates of a given cost per reading in the place of fits."""
 
-    def __init__(self, search: Search, cost: float = 1.0, foretold: float = 0.2):
-        super().__init__(search)
-        self.cost, self.foretold, self.windows, self.stages = cost, foretold, list[float](), list[tuple[Stage, ...]]()
+    def __init__(self, fits: SidedFits, cost: float = 1.0):
+        super().__init__(fits.record, fits._base)
+        self.cost, self.windows, self.stages = cost, list[float](), list[tuple[Stage, ...]]()
 
-    def _fitted(self, record, sides, guess, stages=FINE, _iterations=0):
+    def fitted(self, record, sides, guess, stages=FINE, _iterations=0):
         self.windows.append(float(record.t[-1]))
         self.stages.append(tuple(stages))
         fit = a_fit(cost=self.cost * record.readings, guess=Guess(np.zeros((len(record.t), NODE)), guess.p))
         return Candidate(sides, Prior(guess.p, guess.p + 1.0, 1.0), record, fit, 1.0)
 
-    def _foretold(self, rivals, _whole):
-        return float(rivals[0].record.t[-1]) + self.foretold
-
 
 @pytest.mark.parametrize(("now", "until"), [(1.0, 1.6), (3.0, 3.2)])
-def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, until):
+def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, until, monkeypatch):
     run = simulated("friction", 3, SECONDS)
-    search = Stub(Search(longest_segment(run.events), run.rig))
-    before = search._fitted(search.record.until(now), (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
-    search.windows.clear()
+    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search.fits = fits = Stub(search.fits)
+    monkeypatch.setattr(search, "_foretold", lambda rivals, _: float(rivals[0].record.t[-1]) + 0.2)
+    before = fits.fitted(search.record.until(now), (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
+    fits.windows.clear()
     assert search._grown([before], search.record)
-    assert search.windows == [pytest.approx(until, abs=0.02)]
+    assert fits.windows == [pytest.approx(until, abs=0.02)]
 
 
 @pytest.mark.parametrize(("cost", "stages"), [(1.0, [CALM[:1], CALM[1:]]), (6.0, [CALM[:1]])])
 def test_a_ride_that_explains_nothing_on_a_wide_side_is_given_up(cost, stages):
     run = simulated("friction", 3, 3.0)
-    search = Stub(Search(longest_segment(run.events), run.rig), cost)
+    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search.fits = fits = Stub(search.fits, cost)
     search._ridden(search.record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
-    assert search.stages == stages
+    assert fits.stages == stages
 
 
 def test_sides_that_there_are_not_may_be_left_out_of_the_kernels():
@@ -179,7 +180,7 @@ def test_rides_are_told_together_and_a_narrower_side_gives_less():
     run = hexagon()
     search = SidedSearch(Search(longest_segment(run.events), run.rig))
     ride = same(rides_of(search.record))[0][0]
-    told = search._along(WAYS[0], [replace(ride, end=2.7), replace(ride, start=2.9)])
+    told = search.fits.along(WAYS[0], [replace(ride, end=2.7), replace(ride, start=2.9)])
     record, guess = told.record, told.fit.guess
     assert len(record.torn) == 1
     assert told.fit.chi2 < 1.1
@@ -197,7 +198,7 @@ def test_what_other_nodes_tell_otherwise_is_in_the_band():
     search = Search(longest_segment(run.events), run.rig)
     sided = SidedSearch(search)
     ride = same(rides_of(sided.record))[0][0]
-    best = sided._along(WAYS[0], [replace(ride, end=3.0)])
+    best = sided.fits.along(WAYS[0], [replace(ride, end=3.0)])
     larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 5e-5
     other_way_round[C.SHAPE : sharp.NORMALS] = turned(-4e-3, ORDER) @ larger[C.SHAPE : sharp.NORMALS]
@@ -287,5 +288,5 @@ def test_what_rides_in_another_segment_alone_is_not_told(monkeypatch, start, tim
     search = SidedSearch(main, 0, others)
     ride = Ride(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
     monkeypatch.setattr("palmd.observer.sided.rides_of", lambda record: [ride] if record.t[0] < 1.0 else [])
-    monkeypatch.setattr(search, "_on_one_side", lambda _: [SimpleNamespace(explains=True)])
+    monkeypatch.setattr(search.fits, "on_one_side", lambda _: [SimpleNamespace(explains=True)])
     assert len(list(search.ridden())) == times
