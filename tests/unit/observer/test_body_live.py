@@ -14,7 +14,7 @@ from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing, growth, live
+from palmd.observer.three_palms import beliefs, growing, growth, live, reconstruct
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
@@ -502,6 +502,26 @@ def test_what_was_believed_and_has_foretold_for_long_may_cost_what_truncation_do
     assert smoother._answer(task, costly).claimed
     worse = [replace(ended[0], cost=1.4 * 2 * len(ended[0].record.readings.t))]
     assert smoother._answer(task, worse).reason == "no motion by the equations explains the readings"
+
+
+def test_what_has_tumbled_may_cost_what_truncation_does(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    asked = []
+    monkeypatch.setattr(reconstruct, "doubt", lambda *_, proven: asked.append(proven) or "")
+    for spin in (0.1, 9.0):
+        tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, spin / math.sqrt(3)))
+        told = replace(first, motion=tumbled)
+        assert told.turned == pytest.approx(spin * (first.record.t[-1] - first.record.t[0]), rel=0.02)
+        reconstruct.answer(task, [told], 0.0)
+    assert asked == [False, True]
+
+
+def test_a_start_of_a_whole_record_that_leads_nowhere_is_given_up(lived, monkeypatch):
+    task, _ = lived.raced
+    record, (way, *_) = task.record(1.5), beliefs.hypotheses()
+    assert growth.anew(task, record, [way])
+    monkeypatch.setattr(growth, "HOPELESS_WHOLE", 0.1)
+    assert growth.anew(task, record, [way]) == []
 
 
 def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
