@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 
 from palmd.events import FloatArray
 from palmd.lab.camera_signals import Signals
+from palmd.observer.outline import wrapped
 
 DRIFT_FROM_S = 20.0  # overlap from which on a drift is looked for
 ANGLE_SD_RAD, PLACE_SD_M = math.radians(0.3), 2e-4  # of the camera, to begin with
@@ -166,10 +167,6 @@ def _turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-
-
-def wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray(angle - math.tau * np.round(angle / math.tau))
 
 
 def rms(values: FloatArray) -> float:

@@ -13,8 +13,9 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.lab.camera_clock import GroundTruthError, scanned
-from palmd.lab.camera_frame import CameraClock, CameraFit, CameraFrame, rms, wrapped
+from palmd.lab.camera_frame import CameraClock, CameraFit, CameraFrame, rms
 from palmd.lab.camera_signals import KnownMotion, Signals
+from palmd.observer.outline import wrapped
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import LEAST_ROWS, CameraTrack

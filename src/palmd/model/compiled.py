@@ -118,6 +118,12 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
         raise ValueError(f"{what}: needs {size} contiguous float64, got {array.size} {array.dtype}")
 
 
+def load_written(name: str, source: Path) -> ctypes.CDLL | None:
+    """A file of C alone as a library called `name`, as `load` has it; None where there is no compiler."""
+    path = load(name, list, written=[str(source)]).path
+    return None if path is None else ctypes.CDLL(str(path))
+
+
 def load(
     name: str,
     kernels: Callable[[], Iterable[Kernel]],

@@ -20,6 +20,7 @@ from palmd.events import FloatArray
 from palmd.model.symbolic import SX, ca
 
 Y00 = 1.0 / math.sqrt(4.0 * math.pi)
+BEND_RAD = 1e-4  # of the difference that second derivatives are taken by
 
 Number = TypeVar("Number", SX, FloatArray)
 
@@ -89,6 +90,20 @@ def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray
         return S, np.stack([S @ slope + u[:, i, None] * level for i, slope in enumerate(slopes)], axis=1)
 
     return rows
+
+
+def bends(order: int, u: FloatArray) -> FloatArray:
+    """(T, 2, 2, n) rows of ∇²H along two axes across each unit normal u (T, 3), by differences; symmetric to those."""
+    rows = evaluator(order)
+    one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
+    one /= np.linalg.norm(one, axis=1)[:, None]
+    axes = np.stack([one, np.cross(u, one)])
+    slopes = []
+    for axis in axes:
+        ahead, behind = (u + sign * BEND_RAD * axis for sign in (1.0, -1.0))
+        ends = [each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind)]
+        slopes.append((rows(ends[0])[1] - rows(ends[1])[1]) / (2.0 * BEND_RAD))
+    return np.stack([np.stack([np.einsum("di,din->dn", axis, slope) for slope in slopes], 1) for axis in axes], 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,9 @@ class Contacts:
 
     def __init__(self) -> None:
         self._last: dict[int, PadSample] = {}
-        self._seen = dict.fromkeys(PALMS, -math.inf)
         self._lifted: set[int] = set()
         self.resumed = -math.inf  # when a pad was last read again after a silence (s)
-        self.quietest = (
-            -math.inf
-        )  # when the pad that has been silent for longer was read last (s), -inf before both were
+        self.quietest = -math.inf  # when the pad that is silent for longer was read last (s), -inf before both were
 
     def read(self, sample: PadSample) -> None:
         """Take a reading; one that is older than the pad's last changes nothing."""
@@ -30,8 +27,8 @@ class Contacts:
             return
         if sample.t_sample - before > SILENCE_S:
             self.resumed = sample.t_sample
-        self._last[sample.pad], self._seen[sample.pad] = sample, sample.t_sample
-        self.quietest = min(self._seen.values())
+        self._last[sample.pad] = sample
+        self.quietest = min(map(self.last_seen, PALMS))
         self._lifted.discard(sample.pad)
 
     def lift(self, pad: int) -> None:
@@ -41,7 +38,6 @@ class Contacts:
     def clear(self) -> None:
         """The object has left: nothing read until now counts any more."""
         self._last.clear()
-        self._seen = dict.fromkeys(PALMS, -math.inf)
         self.quietest = -math.inf
 
     def last(self, pad: int) -> PadSample | None:
@@ -50,7 +46,8 @@ class Contacts:
 
     def last_seen(self, pad: int) -> float:
         """When that was (s), -inf before the first."""
-        return self._seen[pad]
+        sample = self._last.get(pad)
+        return -math.inf if sample is None else sample.t_sample
 
     def all(self) -> list[PadSample]:
         """The latest reading of each pad that has been read, in the order of the palms."""
@@ -66,7 +63,7 @@ class Contacts:
 
         What has flown for `SILENCE_S` lies there in no pose that a filter could foresee, however soon it is back.
         """
-        lifted = len(self._lifted) == len(PALMS) and t - max(self._seen.values()) > SILENCE_S
+        lifted = len(self._lifted) == len(PALMS) and t - max(map(self.last_seen, PALMS)) > SILENCE_S
         return lifted or t - self.quietest > GONE_S
 
     def read_lately(self, t: float) -> bool:

@@ -19,7 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
+from palmd.model.sharp import LENGTHS, NORMALS, SIDES
 from palmd.model.smoothing import NODE
 from palmd.observer.data_segment import SUSPICIOUS_GAP_S
 from palmd.observer.first_guess import blind_starts
@@ -41,6 +41,7 @@ from palmd.observer.sided_fits import (
     FlatSide,
     SidedFits,
     Stage,
+    held,
     smoother_of,
 )
 from palmd.observer.sides_joined import BRIDGE_S, LEAST_PART_S, MOST_PARTS, Part, SidesJoined
@@ -250,9 +251,8 @@ class SidedSearch:
                 finer.append(_laid_out(search, mine[0][0], mine[-1][1], LAST_S))
         record = joined(finer).within(candidate.record.spans)
         guess = candidate.fit.guess
-        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
         there = guess.on(candidate.record.t, record.t)
-        yield self.fits.fitted(record, candidate.sides, there, (held,), LAST_ITERATIONS)
+        yield self.fits.fitted(record, candidate.sides, there, (held(guess),), LAST_ITERATIONS)
         yield self.fits.fitted(candidate.record, candidate.sides, guess, FINE, LAST_ITERATIONS)
 
     def _by_readings(self, record: Record, guess: Guess) -> Guess:

@@ -94,6 +94,10 @@ class Candidate:
         """Its sides where the readings have them."""
         return tuple(FlatSide(float(self.fit.guess.p[NORMALS + j])) for j in range(len(self.sides)))
 
+    def residuals(self) -> FloatArray:
+        """Of the contact readings, in one-sigmas."""
+        return smoother_of(self.sides, self.record, self.prior).residuals(self.fit.guess)
+
     @property
     def doubtful(self) -> bool:
         """Whether it may be a lesser minimum: the readings are explained less well than by most that are right."""
@@ -131,6 +135,7 @@ class SidedFits:
         iterations: int = ITERATIONS,
         noise: ProcessNoise = NOISE,
     ) -> Candidate:
+        """Iterated from the guess, stage by stage, so many times at most in each."""
         for width, width_sd, gate in stages:
             prior = self.prior(sides, width, width_sd)
             p = guess.p.copy()
@@ -145,25 +150,24 @@ class SidedFits:
 
     def loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
         """As `fitted`, of a motion that is noisier at first, and sides that are as wide as they are."""
-        held: Stage = (math.exp(guess.p[WIDTH]), FIXED, NOISE.gate)
-        for noisier in LOOSENED:
-            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
-            guess = self.fitted(record, sides, guess, (held,), noise=noise).fit.guess
+        for times in LOOSENED:
+            guess = self.fitted(record, sides, guess, (held(guess),), noise=_noisier(times)).fit.guess
         return self.fitted(record, sides, guess, FINE, LAST_ITERATIONS)
 
     def along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
+        """What explains rides on one side with one corner opposite, on ever narrower sides."""
         record, palm = self.record.within(trimmed(rides)), rides[0].palm
         sides = (FlatSide(normal_at_first(record, palm)),)
         p = self.start(sides)
         p[WIDTH] = math.log(way[0][0])
         guess = begun(record, palm, corner_of(rides), p, self.prior(sides))
-        for width, noisier in way:
-            noise = ProcessNoise(noisier * NOISE.psi, noisier * NOISE.omega0)
+        for width, times in way:
             guess = narrowed(guess, record, palm, width)
-            guess = self.fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=noise).fit.guess
+            guess = self.fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=_noisier(times)).fit.guess
         return self.fitted(record, sides, guess)
 
     def on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
+        """The same in all `WAYS`, best first, without what the best does not explain if that is little."""
         found = best_first(self.along(way, rides) for way in WAYS)
         spans = self.calm(found[0])
         least = LEAST_S if found[0].lasts > LEAST_S else 0.0
@@ -183,7 +187,7 @@ class SidedFits:
     @staticmethod
     def calm(found: Candidate) -> list[tuple[float, float]]:
         """The parts (s) of its record that `found` explains all along."""
-        return calm(found.record, smoother_of(found.sides, found.record, found.prior).residuals(found.fit.guess))
+        return calm(found.record, found.residuals())
 
     def start(self, sides: tuple[FlatSide, ...]) -> FloatArray:
         """The constants most likely before anything is felt."""
@@ -200,6 +204,7 @@ class SidedFits:
         return smoother_of(candidate.sides, candidate.record, prior).posterior(candidate.fit)
 
     def prior(self, sides: tuple[FlatSide, ...], width: float = FINE[0][0], width_sd: float = FIXED) -> Prior:
+        """Of an outline with these sides, each passed within `width` (rad), whose logarithm is known to `width_sd`."""
         base = self._base
         mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
         mean[:NORMALS], sd[:NORMALS] = base.mean, base.sd
@@ -214,9 +219,20 @@ class SidedFits:
         return Prior(mean, sd, base.omega0_sd)
 
 
+def held(guess: Guess) -> Stage:
+    """The sides' width kept as the guess has it."""
+    return math.exp(guess.p[WIDTH]), FIXED, NOISE.gate
+
+
+def _noisier(times: float) -> ProcessNoise:
+    return ProcessNoise(times * NOISE.psi, times * NOISE.omega0)
+
+
 def smoother_of(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
+    """With the kernels of so many sides."""
     return SidedSmoother(sharp.library_for(len(sides)), record, prior)
 
 
 def best_first(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """The likeliest first, each side at its price."""
     return tuple(sorted(candidates, key=lambda each: each.deviance))

@@ -32,7 +32,7 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.record import Record, lasting
 from palmd.observer.ridden import NEAR_S, rotated, trimmed, turning
 from palmd.observer.rides import Ride
-from palmd.observer.sided_fits import MOST_CUT, MOST_OUTLIERS, SIDE_M, Candidate, FlatSide, SidedFits, smoother_of
+from palmd.observer.sided_fits import MOST_CUT, MOST_OUTLIERS, SIDE_M, Candidate, FlatSide, SidedFits
 
 LEAST_PART_S, MOST_PARTS = 0.7, 20  # of rides on one side, to be joined to others; of such parts, the longest
 BEYOND = 4.0  # sigmas, of readings between two rides that are not explained
@@ -192,8 +192,7 @@ class SidesJoined:
 
 def _explained_between(found: Candidate, start: float, end: float) -> bool:
     """Whether it explains its contact readings from `start` to `end` (s), but for a few."""
-    missed = smoother_of(found.sides, found.record, found.prior).residuals(found.fit.guess)
-    there = missed[(found.record.contact_t > start) & (found.record.contact_t < end)]
+    there = found.residuals()[(found.record.contact_t > start) & (found.record.contact_t < end)]
     return len(there) > 0 and bool(np.mean(np.abs(there) > BEYOND) < MOST_OUTLIERS)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.jsonvalues import or_none
-from palmd.model.compiled import load
+from palmd.model.compiled import load_written
 
 PLACE = "\x01"  # of a number: JSON has this character in no other place
 LONGEST = 25  # of a number's text: -1.2345678901234567e-308
@@ -69,10 +69,9 @@ def _form(names: tuple[str, ...], kinds: tuple[type, ...]) -> str:
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    path = load("jsontext", list, written=[str(Path(__file__).with_name("jsontext.c"))]).path
-    if path is None:
+    library = load_written("jsontext", Path(__file__).with_name("jsontext.c"))
+    if library is None:
         return None
-    library = ctypes.CDLL(str(path))
     pointer, number = ctypes.c_void_p, ctypes.c_long
     library.jsontext_fill.argtypes = (pointer, ctypes.c_char_p, number, pointer, ctypes.c_char_p)
     library.jsontext_fill.restype = number

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import load
+from palmd.model.compiled import load_written
 from palmd.rig.shapes import Support, SupportFunction
 from palmd.system.mechanism import JOINTS
 
@@ -147,10 +147,9 @@ def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep 
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    path = load("plant", list, written=[str(Path(__file__).with_name("plant.c"))]).path
-    if path is None:
+    library = load_written("plant", Path(__file__).with_name("plant.c"))
+    if library is None:
         return None
-    library = ctypes.CDLL(str(path))
     pointer = ctypes.c_void_p
     library.plant_advance.argtypes, library.plant_advance.restype = (pointer, pointer), None
     library.plant_rock.argtypes = (*[pointer] * 5, ctypes.c_long)

@@ -480,7 +480,7 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
 
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     task, ended = lived.raced
-    costing = ([replace(ended[0], cost=share * ended[0].numbers)] for share in (1.0, 1.2))
+    costing = ([replace(ended[0], cost=share * ended[0].record.numbers)] for share in (1.0, 1.2))
     explained, unexplained = (lived.smoother._answer(task, each) for each in costing)
     variance = 0.2 * task.noise.reading**2
     np.testing.assert_allclose(unexplained.h_sd**2 - explained.h_sd**2, variance, rtol=1e-6)

@@ -214,11 +214,11 @@ def test_contacts_that_are_off_mislead_the_centre_of_mass_by_as_much():
 
 def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
     now = started(task)
-    costly = replace(now, cost=1.2 * now.numbers)
+    costly = replace(now, cost=1.2 * now.record.numbers)
     assert costly.unexplained == pytest.approx(0.2)
     assert now.unexplained == max(now.per_number - 1.0, 0.0)
     kept = growth.folded(task, costly, now.intervals // 2)
-    assert kept.folded[0] + kept.numbers == now.numbers
+    assert kept.folded[0] + kept.record.numbers == now.record.numbers
     assert kept.unexplained == pytest.approx(0.2)
     assert kept.per_number < 1.1  # of what is left
     again = growth.folded(task, kept, kept.intervals // 2)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.spherical import Y00, evaluator
+from palmd.model.spherical import Y00, bends, evaluator
 from palmd.model.three_palms import MOMENT
 
 ORDER = 12
@@ -35,15 +35,5 @@ def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
 
 def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
     """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
-    order = math.isqrt(len(c)) - 1
-    one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
-    one /= np.linalg.norm(one, axis=1)[:, None]
-    axes = np.stack([one, np.cross(u, one)], axis=1)
-    step = 1e-4
-    bend = np.empty((len(u), 2, 2))
-    for k in range(2):
-        ahead, behind = (u + sign * step * axes[:, k] for sign in (1.0, -1.0))
-        ahead, behind = (each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind))
-        slope = (evaluator(order)(ahead)[1] @ c - evaluator(order)(behind)[1] @ c) / (2 * step)
-        bend[:, k] = np.einsum("tki,ti->tk", axes, slope)
+    bend = bends(math.isqrt(len(c)) - 1, u) @ c
     return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))

@@ -92,11 +92,6 @@ class Grown:
     folded: tuple[int, float] = (0, 0.0)
 
     @property
-    def numbers(self) -> int:
-        """How many were read, two by each reading."""
-        return 2 * len(self.record.readings.t)
-
-    @property
     def intervals(self) -> int:
         """How far it has come."""
         return len(self.record.middle_palms)
@@ -104,18 +99,18 @@ class Grown:
     @property
     def per_number(self) -> float:
         """Cost per number read."""
-        return self.cost / self.numbers
+        return self.cost / self.record.numbers
 
     @property
     def unexplained(self) -> float:
         """What it cost more than 1 for each number that was ever read; 0 where all is explained."""
         numbers, cost = self.folded
-        return max((cost + self.cost) / (numbers + self.numbers) - 1.0, 0.0)
+        return max((cost + self.cost) / (numbers + self.record.numbers) - 1.0, 0.0)
 
     @property
     def strange(self) -> float:
         """By how many of its one-sigmas the cost is more than it should be."""
-        return (self.per_number - 1.0) * math.sqrt(self.numbers / 2)
+        return (self.per_number - 1.0) * math.sqrt(self.record.numbers / 2)
 
     @property
     def since_whole(self) -> float:
@@ -281,7 +276,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
         loose = loosely(task, record, coarse, contacts, ball, way)
         sought = task.fitted(record, coarse, None, loose.motion, TRIES[1]).motion
         fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
-        if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * 2 * len(record.readings.t)):
+        if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * record.numbers):
             continue
         fit = smoother.fit(fit.motion)
         most = min(most, fit.cost)
@@ -340,7 +335,7 @@ def folded(task: Task, now: Grown, intervals: int) -> Grown:
     lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
     kept = smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
     numbers, cost = now.folded
-    return replace(kept, folded=(numbers + now.numbers - kept.numbers, cost + now.cost - kept.cost))
+    return replace(kept, folded=(numbers + now.record.numbers - kept.record.numbers, cost + now.cost - kept.cost))
 
 
 def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: float = math.inf) -> Grown:
@@ -411,7 +406,7 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
         np.concatenate([now.motion.omega[:-1], fit.motion.omega]),
         fit.motion.p,
     )
-    numbers = max(2 * len(record.readings.t), 1)
+    numbers = max(record.numbers, 1)
     return replace(
         now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),

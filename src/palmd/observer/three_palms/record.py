@@ -53,6 +53,11 @@ class BodyRecord:
         return np.asarray(self.start + self.spacing * np.arange(len(self.node_palms)), dtype=np.float64)
 
     @property
+    def numbers(self) -> int:
+        """How many were read, two by each reading."""
+        return 2 * len(self.readings.t)
+
+    @property
     def slots(self) -> int:
         """The most readings that an interval has."""
         return int(self.slot.max()) + 1 if len(self.slot) else 0

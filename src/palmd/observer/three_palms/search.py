@@ -115,7 +115,7 @@ class Rival:
     @property
     def per_number(self) -> float:
         """Cost per number read."""
-        return self.fit.cost / (2 * len(self.record.readings.t))
+        return self.fit.cost / self.record.numbers
 
 
 def rivals(task: Task, seconds: float) -> list[Rival]:

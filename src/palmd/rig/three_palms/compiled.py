@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import load
+from palmd.model.compiled import load_written
 from palmd.rig.three_palms.bodies import Bodies
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations, step
 from palmd.system.three_palms import PalmPlanes
@@ -84,10 +84,10 @@ class BodyOnPalms:
 
 @cache
 def _step() -> Stepper | None:
-    path = load("three_palms_plant", list, written=[str(Path(__file__).with_name("plant.c"))]).path
-    if path is None:
+    library = load_written("three_palms_plant", Path(__file__).with_name("plant.c"))
+    if library is None:
         return None
-    function = ctypes.CDLL(str(path)).three_palms_step
+    function = library.three_palms_step
     pointer = ctypes.c_void_p
     function.argtypes, function.restype = (pointer, pointer, ctypes.c_double, pointer, pointer), None
     return function
