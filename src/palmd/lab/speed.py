@@ -283,4 +283,5 @@ def _rolling(compiled: bool) -> Work:
 
 def _importing(modules: str) -> Work:
     command = [sys.executable, "-c", f"import {modules}"]
-    return lambda: subprocess.run(command, check=True, env=os.environ)
+    keeping = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return lambda: subprocess.run(command, check=True, env=keeping)
