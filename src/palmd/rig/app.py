@@ -285,6 +285,8 @@ class RigProcess:
             if heard:
                 world.receive(port, heard, late_s)
         for port, said in world.advance(t).items():
+            if not said:
+                continue
             self._listeners[port].take(self._lines[port].write(said), t)
 
     def _move_plug(self, line: Line) -> None:
