@@ -23,7 +23,7 @@ class FieldsPacker:
     def __call__(self, fields: Mapping[str, Any]) -> bytes:
         """A message's payload; a value may be a vector (N,) of float64, which takes a sixth of a list's time."""
         try:
-            return self._packer.pack(fields)
+            payload: bytes = self._packer.pack(fields)
         except TypeError:  # it has vectors, or what is no message at all
             parts = [self._packer.pack_map_header(len(fields))]
             for name, value in fields.items():
@@ -33,6 +33,7 @@ class FieldsPacker:
                 else:
                     parts.append(self._packer.pack(value))
             return b"".join(parts)
+        return payload
 
 
 def _told(numbers: FloatArray) -> memoryview:
