@@ -37,13 +37,10 @@ class TiltArm(DrivenTool):
 
     def joints(self, t: float) -> JointMotion:
         """Where they are and how they move at t (s), no earlier than the last step."""
-        beta, gamma2, gamma3 = self._servos
-        (a0, v0, w0), (a1, v1, w1), (a2, v2, w2) = beta.at(t), gamma2.at(t), gamma3.at(t)
-        return (
-            (a0 / _PER_RAD, a1 / _PER_RAD, a2),
-            (v0 / _PER_RAD, v1 / _PER_RAD, v2),
-            (w0 / _PER_RAD, w1 / _PER_RAD, w2),
-        )
+        first, second, last = self._servos
+        along = zip(first.at(t), second.at(t), last.at(t), strict=True)
+        angles, rates, accelerations = [(x / _PER_RAD, y / _PER_RAD, turned) for x, y, turned in along]
+        return angles, rates, accelerations
 
     def _actual_pose(self, t: float) -> Pose:
         told = super()._actual_pose(t)
