@@ -84,11 +84,11 @@ _PLAIN = {
 
 
 def answer_fields(t_tick: float, answer: BodyAnswer) -> Fields:
-    """`palm3/answer`, heard in the tick at `t_tick` (s)."""
+    """`palm3/answer`, heard in the tick at `t_tick` (s); lists of numbers are vectors, which are packed sooner."""
     return (
         {"t_tick_s": t_tick}
         | {name: getattr(answer, attribute) for name, attribute in _PLAIN.items()}
-        | {name: getattr(answer, attribute).ravel().tolist() for name, attribute in _ARRAYS.items()}
+        | {name: getattr(answer, attribute).ravel() for name, attribute in _ARRAYS.items()}
     )
 
 

@@ -1,10 +1,12 @@
 import math
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 
 from palmd import three_palms_messages as says
+from palmd.daemon.packing import FieldsPacker
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.messages import PadView, contact_fields, stamp, validate
 from palmd.system.three_palms import NAMING, BodyAnswer, BodyEstimate
@@ -39,7 +41,7 @@ def test_an_answer_comes_back_bit_for_bit():
         1.5, 0.2, True, "", 2, rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=90),
         rng.normal(size=(96, 96)), rng.random(9), rng.random(9), np.ones(9), rng.random(9), 0.06, 0.001,
     )  # fmt: skip
-    fields = says.answer_fields(2.0, told)
+    fields = msgpack.unpackb(FieldsPacker()(says.answer_fields(2.0, told)))
     back = says.answer_of(fields)
     for name in BodyAnswer.__slots__:
         assert np.array_equal(getattr(back, name), getattr(told, name)), name

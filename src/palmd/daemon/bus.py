@@ -15,6 +15,7 @@ import msgpack
 import zmq
 
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
+from palmd.daemon.packing import FieldsPacker
 from palmd.daemon.zap_auth import ZapAuthenticator
 from palmd.keys import Member, ServerKeys
 from palmd.messages import Fields, stamp
@@ -75,7 +76,7 @@ class Bus:
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
-        self._pack = msgpack.Packer().pack  # one for all: each has a megabyte of its own
+        self._pack = FieldsPacker()
         self._early: list[Request] = []  # what came before the loop
         self._waiting: deque[Request] = deque()
         self._dropping = False  # the rest of a message that is far too long

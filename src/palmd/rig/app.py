@@ -285,6 +285,8 @@ class RigProcess:
             if heard:
                 world.receive(port, heard, late_s)
         for port, said in world.advance(t).items():
+            if not said:
+                continue
             self._listeners[port].take(self._lines[port].write(said), t)
 
     def _move_plug(self, line: Line) -> None:
@@ -293,7 +295,7 @@ class RigProcess:
             line.unplug()
         else:
             line.plug()
-            self._waiter.watch(line.fileno)
+            self._waiter.watch(line.fileno, terminal=not isinstance(line, SocketLine))
 
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1

@@ -156,18 +156,22 @@ class SocketLine:
     socket has no baud and no break. One host at a time, others wait for it to go. Bytes without a host are lost.
     """
 
-    fileno = -1  # to be read each time: that nothing has come is told at once
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
         self._door: socket.socket | None = None
         self._host: socket.socket | None = None
+        self._ready: select.epoll | None = None  # is the host, or the door where there is none
 
     @property
     def plugged(self) -> bool:
         """Whether the port exists at the moment."""
         return self._door is not None
+
+    @property
+    def fileno(self) -> int:
+        """The descriptor to poll, −1 while the port does not exist."""
+        return -1 if self._ready is None else self._ready.fileno()
 
     def plug(self) -> None:
         """Makes the port appear; does nothing if it is there. Raises OSError where the path is too long for one."""
@@ -183,21 +187,27 @@ class SocketLine:
             door.close()
             raise
         door.setblocking(False)
-        self._door = door
+        self._door, self._ready = door, select.epoll()
+        self._ready.register(door, select.EPOLLIN)
 
     def unplug(self) -> None:
         """Makes the port vanish under the host's hands; does nothing if it is gone."""
-        if self._door is None:
+        if self._door is None or self._ready is None:
             return
+        self._ready.close()
         self._door.close()
-        self._door = None
+        self._door = self._ready = None
         self.path.unlink(missing_ok=True)
-        self._hang_up()
+        if self._host is not None:
+            self._host.close()
+            self._host = None
 
-    def read(self, events: int) -> tuple[bytes, bool]:  # noqa: ARG002
-        """What the host has written, and whether it has opened the port."""
+    def read(self, events: int) -> tuple[bytes, bool]:
+        """What the host has written, and whether it has opened the port, given poll()'s events."""
+        if not events or self._door is None or self._ready is None:
+            return b"", False
         if self._host is None:
-            return b"", self._take_host()
+            return b"", self._take_host(self._door, self._ready)
         try:
             out = self._host.recv(READ_BYTES)
         except BlockingIOError:
@@ -205,7 +215,9 @@ class SocketLine:
         except OSError:
             out = b""
         if not out:
-            self._hang_up()
+            self._host.close()
+            self._host = None
+            self._ready.register(self._door, select.EPOLLIN)
         self.bytes_heard += len(out)
         return out, False
 
@@ -219,20 +231,16 @@ class SocketLine:
         self.bytes_lost += len(data) - written
         return data[:written]
 
-    def _take_host(self) -> bool:
-        assert self._door is not None
+    def _take_host(self, door: socket.socket, ready: select.epoll) -> bool:
         try:
-            host, _ = self._door.accept()
+            host, _ = door.accept()
         except OSError:  # nobody at the door
             return False
         host.setblocking(False)
+        ready.unregister(door)  # who comes next has to wait
+        ready.register(host, select.EPOLLIN)
         self._host = host
         return True
-
-    def _hang_up(self) -> None:
-        if self._host is not None:
-            self._host.close()
-            self._host = None
 
 
 class LineWaiter:
@@ -246,12 +254,13 @@ class LineWaiter:
         self._edges = select.epoll()
         self._unopened: set[int] = set()
 
-    def watch(self, fd: int) -> None:
-        """Take a descriptor in; of −1 there is nothing to wait for."""
+    def watch(self, fd: int, *, terminal: bool = True) -> None:
+        """Take a descriptor in, of a pseudo-`terminal` or of what has no edges; of −1 there is nothing to wait for."""
         if fd < 0:
             return
-        self._edges.register(fd, _EVENTS | select.EPOLLET)
-        self._unopened.add(fd)
+        self._edges.register(fd, _EVENTS | (select.EPOLLET if terminal else 0))
+        if terminal:
+            self._unopened.add(fd)
 
     def forget(self, fd: int) -> None:
         """Leave one out, before it is closed."""

@@ -102,13 +102,13 @@ class DrivenTool:
         """A set-point has come."""
 
     def _true_pose(self, t: float) -> Pose:
-        x, y, angle = (servo.at(t)[0] for servo in self._servos)
-        return Pose(x, y, turn(angle))
+        along_x, along_y, tool = self._servos
+        return Pose(along_x.at(t)[0], along_y.at(t)[0], turn(tool.at(t)[0]))
 
     def _actual_pose(self, t: float) -> Pose:
         """As the encoders tell it."""
-        true, noise = self._true_pose(t), self._rng.normal(0.0, _ENCODER_NOISE_M, 2)
-        return Pose(true.x_m + float(noise[0]), true.y_m + float(noise[1]), true.t_rad)
+        true, (off_x, off_y) = self._true_pose(t), self._rng.normal(0.0, _ENCODER_NOISE_M, 2).tolist()
+        return Pose(true.x_m + off_x, true.y_m + off_y, true.t_rad)
 
 
 def limits_round(poses: Sequence[Pose], *, v_max: float, a_max: float) -> ArmLimits:

@@ -124,6 +124,19 @@ def test_nodes_alone_are_fitted_by_the_same_equations(task):
     np.testing.assert_array_equal(alone.arrow.nodes_step(1e-6), whole.arrow.nodes_step(1e-6))
 
 
+def test_nothing_is_left_of_what_was_evaluated_before(task):
+    now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
+    one, other = (BodySmoother(now.record, now.prior, task.noise, task.rig.gravity) for _ in range(2))
+    moved = now.motion.moved(np.full((len(now.motion.R), 6), 0.01), np.full(len(now.motion.p), 1e-5))
+    for alone in (True, False):
+        one.evaluate(now.motion, nodes_alone=alone)
+    for alone in (True, False):
+        again, fresh = (each.evaluate(moved, nodes_alone=alone) for each in (one, other))
+        assert again.cost == fresh.cost
+        for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
+            assert np.array_equal(getattr(again.arrow, name), getattr(fresh.arrow, name)), name
+
+
 def test_a_fit_ends_where_no_step_promises_anything(task):
     fit = started(task).whole
     nodes, step = fit.arrow.solve(1e-9)

@@ -156,21 +156,21 @@ def host(socket_line):
 def test_over_a_socket_bytes_go_both_ways_at_once(socket_line, host):
     assert socket_line.write(b"lost") == b""
     assert host.poll_open(0.0), host.error
-    assert socket_line.read(0) == (b"", True)
+    assert look(socket_line) == (b"", True)
     everything = bytes(range(256))
     assert socket_line.write(everything) == everything
     assert PortWaiter([host]).wait(time.monotonic() + 5.0) == [host]
     assert host.read() == everything
     assert host.read() == b""
     host.write(everything)
-    assert socket_line.read(0) == (everything, False)
-    assert socket_line.read(0) == (b"", False)
+    assert look(socket_line) == (everything, False)
+    assert look(socket_line) == (b"", False)
     assert (socket_line.bytes_sent, socket_line.bytes_lost, socket_line.bytes_heard) == (256, 4, 256)
 
 
 def test_a_socket_that_is_unplugged_hangs_up_and_serves_again(socket_line, host):
     assert host.poll_open(0.0)
-    socket_line.read(0)
+    look(socket_line)
     socket_line.unplug()
     assert host.read() == b""
     assert not host.is_open
@@ -179,23 +179,49 @@ def test_a_socket_that_is_unplugged_hangs_up_and_serves_again(socket_line, host)
     assert "no such port" in host.error
     socket_line.plug()
     assert host.poll_open(2.0), host.error
-    assert socket_line.read(0) == (b"", True)
+    assert look(socket_line) == (b"", True)
     socket_line.write(b"back")
     assert host.read() == b"back"
 
 
 def test_the_next_host_of_a_socket_waits_until_the_first_has_gone(socket_line, host):
     assert host.poll_open(0.0)
-    socket_line.read(0)
+    look(socket_line)
     second = Port("pad1", str(socket_line.path), 9600)
     assert second.poll_open(0.0)
     socket_line.write(b"to the first")
     assert second.read() == b""
     host.close()
-    assert socket_line.read(0) == (b"", False)
-    assert socket_line.read(0) == (b"", True)
+    assert look(socket_line) == (b"", False)
+    assert look(socket_line) == (b"", True)
     socket_line.write(b"to the second")
     assert second.read() == b"to the second"
+    second.close()
+
+
+def test_waiting_tells_of_a_socket_what_has_come_until_it_is_read(socket_line, host):
+    waiter = LineWaiter()
+    waiter.watch(socket_line.fileno, terminal=False)
+    assert waiter.ready() == {}
+    assert host.poll_open(0.0)
+    host.write(b"before it was let in")
+    second = Port("pad1", str(socket_line.path), 9600)
+    assert second.poll_open(0.0)
+    assert socket_line.read(waiter.ready()[socket_line.fileno]) == (b"", True)
+    for _ in range(2):
+        assert waiter.ready()[socket_line.fileno]
+    assert heard_by(waiter, socket_line) == b"before it was let in"
+    assert waiter.ready() == {}  # though the second waits
+    host.write(b"more")
+    host.close()
+    assert heard_by(waiter, socket_line) == b"more"
+    assert socket_line.read(waiter.ready()[socket_line.fileno]) == (b"", False)
+    assert socket_line.read(waiter.ready()[socket_line.fileno]) == (b"", True)
+    second.write(b"now")
+    assert heard_by(waiter, socket_line) == b"now"
+    waiter.forget(socket_line.fileno)
+    socket_line.unplug()
+    assert socket_line.fileno == -1
     second.close()
 
 

@@ -12,11 +12,11 @@ from palmd.devices.pad import make_pad
 from palmd.events import PadSample
 from palmd.messages import stamp, validate
 from palmd.rig.three_palms.bodies import random_bodies
-from palmd.rig.three_palms.compiled import BodyOnPalms, backend
+from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms, backend, palm_rows
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import random_rotation
 from palmd.rig.three_palms.world import ThreePalmsWorld
-from palmd.system.three_palms import PALMS, palms_at
+from palmd.system.three_palms import PALMS, palms_at, readings_of
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 from palmd.yamlfile import load_any_config
 
@@ -49,6 +49,45 @@ def test_the_compiled_plant_does_what_its_twin_does():
     assert np.abs(compiled.state - twin.state).max() < 1e-13
     assert np.abs(compiled.force - twin.force).max() < 1e-11
     assert np.abs(compiled.point - twin.point).max() < 1e-14
+
+
+@pytest.mark.skipif(backend() != "c", reason="no C compiler")
+def test_the_compiled_palms_turn_and_read_as_their_twin_does():
+    rng = np.random.default_rng(6)
+    at = [tuple(map(tuple, rng.normal(size=(3, 3)))) for _ in range(8)]
+    compiled, twin = (TurningPalms(at[0], compiled=each) for each in (True, False))
+    points = rng.normal(0.0, 0.03, (3, 3))
+    for joints in at:
+        for each in (compiled, twin):
+            each.turn(joints)
+        assert np.abs(compiled.rows - twin.rows).max() < 2e-14
+        planes = palms_at(*np.array(joints)[:, None])
+        assert np.abs(compiled.readings(points) - readings_of(planes, points[None])[0]).max() < 1e-16
+    assert np.abs(compiled.rows[0] - palm_rows(palms_at(*np.array(at[-3])[:, None]))[0]).max() < 2e-14
+
+
+def test_the_plant_goes_on_under_the_palms_as_the_arm_moves_them():
+    """Step by step: what the world hands to the plant is what its joints say, in their order."""
+    world = ThreePalmsWorld(CONFIG, 3)
+    beta, gamma2, gamma3 = world._arm._servos
+    for servo, rate in ((beta, 3e-4), (gamma2, -2e-4), (gamma3, 0.2)):
+        servo.follow(world.t, rate)
+    told, advance = [], world._body.advance
+
+    def advanced(palms, dt):
+        told.append((palms.copy(), dt))
+        advance(palms, dt)
+
+    world._body.advance = advanced
+    for k in range(1, 9):
+        world.advance(1e-3 * k)
+        joints = tuple(map(np.array, world._arm.joints(world.t)))
+        if k % 2 == 0:
+            assert told[-1][1] == 2e-3
+            assert np.abs(told[-1][0][2] - palm_rows(palms_at(*(each[None] for each in joints)))[0]).max() < 1e-14
+    assert len(told) == 4
+    assert np.array_equal(told[2][0][2], told[3][0][0])
+    assert not np.array_equal(told[3][0][0], told[3][0][1])
 
 
 @pytest.fixture(scope="module")

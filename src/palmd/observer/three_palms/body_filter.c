@@ -15,6 +15,12 @@
 #define SEEN 10 /* numbers: two of each of three contacts, and of the centre of mass in two rows */
 #define MOST 256 /* states and parameters */
 #define LEAST_S 1e-9 /* shorter spans are none */
+#ifdef __AVX512F__
+#define WIDE 8 /* numbers in a register */
+#else
+#define WIDE 4
+#endif
+#define BLOCK (2 * WIDE) /* columns whose sums stay in registers */
 
 enum { ANGLE = 0, RATE = 3, ACCELERATION = 6, JOINTS = 9 };                /* of a report, or of the joints at a time */
 enum { NORMAL = 0, NORMAL_RATE = 9, NORMAL_ACCELERATION = 18, SPIN = 27 }; /* of the palms, three vectors each */
@@ -159,6 +165,28 @@ static void add(double *to, double share, const double *row, long n) {
   for (long j = 0; j < n; j++) to[j] += share * row[j];
 }
 
+typedef double wide __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
+
+/* to[i][j] <- sum over `rows` k, in their order, of shares[count * k + i] * P[k][j]; at least BLOCK columns n */
+static inline __attribute__((always_inline)) void gathered(double (*to)[MOST], const int count, const double *shares,
+                                                           const double *P, long rows, long n) {
+  for (long from = 0; from < n; from += BLOCK) {
+    const long j = from < n - BLOCK ? from : n - BLOCK;
+    wide left[3] = {{0}}, right[3] = {{0}};
+    for (long k = 0; k < rows; k++) {
+      const wide *row = (const wide *)(P + k * n + j);
+      for (int i = 0; i < count; i++) {
+        left[i] += shares[count * k + i] * row[0];
+        right[i] += shares[count * k + i] * row[1];
+      }
+    }
+    for (int i = 0; i < count; i++) {
+      wide *sums = (wide *)(to[i] + j);
+      sums[0] = left[i], sums[1] = right[i];
+    }
+  }
+}
+
 /* `palms`: PALM_INPUTS, in the middle of the step of h (s) */
 static void step(const Model *model, Body *body, double *P, double h, const double *palms) {
   const long m = model->parameters, n = STATES + m;
@@ -189,9 +217,8 @@ static void step(const Model *model, Body *body, double *P, double h, const doub
   turn(body->R, rate);
   for (int i = 0; i < 3; i++) body->omega[i] += rate[3 + i];
 
-  double by[3][MOST] = {{0}}, T[STATES][MOST] = {{0}};
-  for (long k = 0; k < m; k++)
-    for (int i = 0; i < 3; i++) add(by[i], by_p[3 * k + i], P + (STATES + k) * n, n);
+  double by[3][MOST], T[STATES][MOST] = {{0}};
+  gathered(by, 3, by_p, P + STATES * n, m, n);
   for (int i = 0; i < STATES; i++) {
     for (int k = 0; k < STATES; k++) add(T[i], onward[i][k], P + k * n, n);
     for (int k = 0; k < 3; k++) add(T[i], h * M[i][3 + k], by[k], n);
@@ -212,9 +239,9 @@ static void step(const Model *model, Body *body, double *P, double h, const doub
   }
 }
 
-/* y (2), H by columns (those of the turn and of the harmonics) and HP (2, n) of what one geometry reads */
+/* y (2), H by columns (up to those of the harmonics; there is none of the spin) and HP (2, n) of what one geometry reads */
 typedef struct {
-  double y[2], by_turn[6], by_c[2 * MOST], HP[2][MOST];
+  double y[2], H[2 * MOST], HP[2][MOST];
 } Sight;
 
 static void looked(const Model *model, const Body *body, const double *P, const double *geometry, Sight *at) {
@@ -222,20 +249,16 @@ static void looked(const Model *model, const Body *body, const double *P, const 
   double R[9];
   by_columns(body->R, R);
   const double *in[] = {R, geometry, body->p};
-  double *out[] = {at->y, at->by_turn, at->by_c};
+  double *out[] = {at->y, at->H, at->H + 2 * STATES};
   model->reading(in, out, 1);
-  for (int i = 0; i < 2; i++) {
-    memset(at->HP[i], 0, n * sizeof *P);
-    for (int k = 0; k < 3; k++) add(at->HP[i], at->by_turn[2 * k + i], P + k * n, n);
-    for (long k = 0; k < model->harmonics; k++) add(at->HP[i], at->by_c[2 * k + i], P + (STATES + k) * n, n);
-  }
+  memset(at->H + STATES, 0, STATES * sizeof *P);
+  gathered(at->HP, 2, at->H, P, STATES + model->harmonics, n);
 }
 
 /* row . H's row i */
 static double across(const Model *model, const double *row, const Sight *at, int i) {
   double sum = 0.0;
-  for (int k = 0; k < 3; k++) sum += row[k] * at->by_turn[2 * k + i];
-  for (long k = 0; k < model->harmonics; k++) sum += row[STATES + k] * at->by_c[2 * k + i];
+  for (long k = 0; k < STATES + model->harmonics; k++) sum += row[k] * at->H[2 * k + i];
   return sum;
 }
 

@@ -10,14 +10,17 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import three_palms
-from palmd.model.compiled import Library
+from palmd.model.compiled import LANES, Library
 from palmd.model.spherical import count
-from palmd.model.three_palms import BLOCK, BODY, PALM_INPUTS
+from palmd.model.three_palms import BODY, PALM_INPUTS
 from palmd.system.three_palms import PalmPlanes
+
+CHUNK = 8 * LANES
+"""Instants that are computed at once: what comes of them stays in the processor's cache."""
 
 
 class BlockKernel:
-    """One block kernel: `BLOCK` instants a call, looped over as many as there are.
+    """One block kernel: up to `CHUNK` instants a call, looped over as many as there are.
 
     each: sizes of the inputs that each instant has its own of; shared: of those that all have alike; shapes: of the
     outputs, (rows, columns) or (rows,). Matrices go in as CasADi stores them, by columns.
@@ -26,9 +29,9 @@ class BlockKernel:
     def __init__(
         self, library: Library, name: str, each: Sequence[int], shared: Sequence[int], shapes: Sequence[tuple[int, ...]]
     ) -> None:
-        self._inputs: list[FloatArray] = [np.zeros((BLOCK, size)) for size in each]
+        self._inputs: list[FloatArray] = [np.zeros((CHUNK, size)) for size in each]
         self._shared: list[FloatArray] = [np.zeros(size) for size in shared]
-        self._outputs: list[FloatArray] = [np.zeros((BLOCK, *shape[::-1])) for shape in shapes]
+        self._outputs: list[FloatArray] = [np.zeros((CHUNK, *shape[::-1])) for shape in shapes]
         self._call = library.bind(name, [*self._inputs, *self._shared], self._outputs)
 
     def __call__(self, each: Sequence[FloatArray], shared: Sequence[FloatArray | float]) -> list[FloatArray]:
@@ -37,11 +40,11 @@ class BlockKernel:
         for common, given in zip(self._shared, shared, strict=True):
             common[:] = given
         results: list[FloatArray] = [np.empty((total, *buffer.shape[1:])) for buffer in self._outputs]
-        for begin in range(0, total, BLOCK):
-            end = min(begin + BLOCK, total)
+        for begin in range(0, total, CHUNK):
+            end = min(begin + CHUNK, total)
             for buffer, value in zip(self._inputs, each, strict=True):
                 buffer[: end - begin] = value[begin:end]
-            self._call()
+            self._call(-(-(end - begin) // LANES) * LANES)
             for result, buffer in zip(results, self._outputs, strict=True):
                 result[begin:end] = buffer[: end - begin]
         return [np.swapaxes(result, 1, -1) if result.ndim == 3 else result for result in results]

@@ -79,7 +79,8 @@ class BodyObserver:
         return kernels.backend(ORDER)
 
     def warm_up(self) -> None:
-        """Load the kernels."""
+        """Load the kernels, and the directions of a surface."""
+        icosphere()
         if body_filter.steps(ORDER, self._rig) is None:
             kernels.acceleration(ORDER)
             kernels.reading(ORDER)

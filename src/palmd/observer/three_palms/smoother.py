@@ -124,6 +124,19 @@ class BodySmoother:
         order = order_of(len(prior.mean))
         self._shape = slice(0, count(order))
         self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
+        self._of_width: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
+
+    def _rows(self, m: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Residuals of each interval, their Jacobians in both nodes and in m parameters.
+
+        Each evaluation fills the same places; others are 0 and stay so.
+        """
+        if m not in self._of_width:
+            K, rows = len(self._record.middle_palms), 6 + 2 * self._record.slots
+            shapes = ((K, rows), (K, rows, STATES), (K, rows, STATES), (K, rows, m))
+            r, left, right, by = map(np.zeros, shapes)
+            self._of_width[m] = r, left, right, by
+        return self._of_width[m]
 
     def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
         """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, at half the time."""
@@ -141,9 +154,7 @@ class BodySmoother:
         fm, fm_turn, fm_omega, fm_p = mid[0], mid[2], mid[3], mid[4][..., :m]
         f_p = f_p[..., :m]
 
-        rows = 6 + 2 * record.slots
-        r, by = np.zeros((K, rows)), np.zeros((K, rows, m))
-        left, right = np.zeros((K, rows, 6)), np.zeros((K, rows, 6))
+        r, left, right, by = self._rows(m)
         spin_weight = ((noise.spin + noise.by_spin * (w_mid**2).sum(1)) * h) ** -0.5
         turn_weight = (noise.turn * h) ** -0.5
 

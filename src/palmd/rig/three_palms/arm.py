@@ -6,12 +6,11 @@ The line's x and y carry β and γ2 in 1/1000 degree where an arm has µm, and t
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from palmd.devices.actuator import Pose
-from palmd.events import FloatArray
+from palmd.rig.three_palms.compiled import JointMotion
 from palmd.rig.tool import DrivenTool, limits_round
 from palmd.three_palms_config import ThreePalmsConfig
 
@@ -36,15 +35,16 @@ class TiltArm(DrivenTool):
         )
         super().__init__(config.arm.baud, allowed, _pose(home), rng, step_s=step_s)
 
-    def joints(self, t: float) -> FloatArray:
-        """(3 derivatives, 3 joints): angles, rates, accelerations at t (s), no earlier than the last step."""
-        along = np.array([servo.at(t) for servo in self._servos]).T
-        along[:, :2] /= _PER_RAD
-        return np.asarray(along, np.float64)
+    def joints(self, t: float) -> JointMotion:
+        """Where they are and how they move at t (s), no earlier than the last step."""
+        first, second, last = self._servos
+        along = zip(first.at(t), second.at(t), last.at(t), strict=True)
+        angles, rates, accelerations = [(x / _PER_RAD, y / _PER_RAD, turned) for x, y, turned in along]
+        return angles, rates, accelerations
 
     def _actual_pose(self, t: float) -> Pose:
         told = super()._actual_pose(t)
-        return replace(told, t_rad=told.t_rad + float(self._rng.normal(0.0, ENCODER_NOISE_RAD)))
+        return Pose(told.x_m, told.y_m, told.t_rad + float(self._rng.normal(0.0, ENCODER_NOISE_RAD)))
 
 
 def _pose(joints: tuple[float, ...]) -> Pose:

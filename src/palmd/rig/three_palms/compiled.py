@@ -1,4 +1,7 @@
-"""One body on three palms, stepped by `plant.c`, or where there is no compiler by its twin `rig.three_palms.plant`."""
+"""One body on three palms, stepped by `plant.c`, or where there is no compiler by its twin `rig.three_palms.plant`.
+
+So are the palms that turn under it; their twin is `system.three_palms.palms_at`.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,55 @@ from palmd.events import FloatArray
 from palmd.model.compiled import load_written
 from palmd.rig.three_palms.bodies import Bodies
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations, step
-from palmd.system.three_palms import PalmPlanes
+from palmd.system.three_palms import PalmPlanes, palms_at
 
 Stepper = Callable[[int, int, float, int, int], None]
+Turner = Callable[[int, int, int], None]
+JointMotion = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+"""Angles (rad), rates and accelerations of the three joints."""
 
 
 def backend() -> str:
     """What steps the plant: compiled C, or Python."""
-    return "python" if _step() is None else "c"
+    return "python" if _library() is None else "c"
 
 
 def palm_rows(palms: PalmPlanes) -> FloatArray:
     """(T, 36) of the palms at T instants, as the plant takes them."""
     kinds = (palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
     return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
+
+
+class TurningPalms:
+    """The palms at the beginning of a step of the plant, midway, and at its end, which is now.
+
+    rows: (3, 36), as `palm_rows` has each; axes: (3 palms, 2, 3) along which their pads read a and b now.
+    """
+
+    def __init__(self, joints: JointMotion, *, compiled: bool = True) -> None:
+        """As if they had been there all along."""
+        self.rows: FloatArray = np.zeros((3, 36))
+        self.axes: FloatArray = np.zeros((3, 2, 3))
+        self._joints: FloatArray = np.zeros((3, 3))
+        self._at = tuple(each.ctypes.data for each in (self.rows, self.axes, self._joints))
+        self._turn = _turn() if compiled else None
+        for _ in self.rows:
+            self.turn(joints)
+
+    def turn(self, joints: JointMotion) -> None:
+        """Half a step on, to where the joints are now."""
+        self._joints[:] = joints
+        if self._turn is not None:
+            self._turn(*self._at)
+            return
+        planes = palms_at(*self._joints[:, None])
+        self.rows[:2], self.rows[2] = self.rows[1:], palm_rows(planes)
+        self.axes[:, 0], self.axes[:, 1] = planes.axis_a[0], planes.axis_b[0]
+
+    def readings(self, points: FloatArray) -> FloatArray:
+        """(3 palms, 2) what the pads read now of contacts (3 palms, 3) (m, world)."""
+        read: FloatArray = np.matmul(self.axes, points[..., None])[..., 0]
+        return read
 
 
 class BodyOnPalms:
@@ -44,6 +82,8 @@ class BodyOnPalms:
         self.state: FloatArray = np.zeros(18)
         self._touch: FloatArray = np.zeros(12)
         self._step = _step() if compiled else None
+        arrays = self._scene, self._palms, self.state, self._touch
+        self._scene_at, self._palms_at, self._state_at, self._touch_at = (each.ctypes.data for each in arrays)
 
     @property
     def point(self) -> FloatArray:
@@ -69,9 +109,7 @@ class BodyOnPalms:
         """One step; palms (3, 36) at its beginning, midway and at its end, as `observer` and kernels have them."""
         self._palms[:] = palms
         if self._step is not None:
-            arrays = self._scene, self._palms, self.state, self._touch
-            scene, at, state, touch = (each.ctypes.data for each in arrays)
-            self._step(scene, at, dt, state, touch)
+            self._step(self._scene_at, self._palms_at, dt, self._state_at, self._touch_at)
             return
         each = [PalmState(*(kind.reshape(1, 3, 3) for kind in row.reshape(4, 9))) for row in palms]
         states, _ = step(
@@ -83,11 +121,26 @@ class BodyOnPalms:
 
 
 @cache
+def _library() -> ctypes.CDLL | None:
+    return load_written("three_palms_plant", Path(__file__).with_name("plant.c"))
+
+
+@cache
 def _step() -> Stepper | None:
-    library = load_written("three_palms_plant", Path(__file__).with_name("plant.c"))
+    library = _library()
     if library is None:
         return None
-    function = library.three_palms_step
     pointer = ctypes.c_void_p
+    function = library.three_palms_step
     function.argtypes, function.restype = (pointer, pointer, ctypes.c_double, pointer, pointer), None
+    return function
+
+
+@cache
+def _turn() -> Turner | None:
+    library = _library()
+    if library is None:
+        return None
+    function = library.three_palms_turn
+    function.argtypes, function.restype = (ctypes.c_void_p,) * 3, None
     return function

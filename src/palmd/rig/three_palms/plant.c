@@ -1,4 +1,5 @@
-/* One step of one body on three palms: as `rig.three_palms.plant`, which says what is computed, and why. */
+/* One step of one body on three palms: as `rig.three_palms.plant`, which says what is computed, and why. The palms of
+   joints: as `system.three_palms.palms_at`. */
 
 #include <math.h>
 
@@ -193,4 +194,33 @@ void three_palms_step(const Scene *scene, const Palms *palms, double dt, State *
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) state->R[i][j] = R[i][j];
   rates(scene, &palms[2], state, &mean, touch);
+}
+
+/* One instant later: palms[2] and its pads' axes (a, b) of angles, rates and accelerations of beta, gamma2, gamma3. */
+void three_palms_turn(Palms *palms, double axes[3][2][3], const double joints[3][3]) {
+  const double *angle = joints[0], *rate = joints[1], *acceleration = joints[2];
+  double c[3], s[3];
+  for (int i = 0; i < 3; i++) c[i] = cos(angle[i]), s[i] = sin(angle[i]);
+  const double edge[3] = {1.0, 0.0, 0.0}, up[3] = {0.0, c[0], s[0]}, n1[3] = {0.0, -s[0], c[0]};
+  const double across[3] = {0.0, c[1], -c[2]}, along[3] = {0.0, s[1], s[2]}; /* normals 2 and 3 of edge and up */
+  const double turn[3] = {0.0, rate[1], -rate[2]}, turning[3] = {0.0, acceleration[1], -acceleration[2]};
+  palms[0] = palms[1];
+  palms[1] = palms[2];
+  Palms *now = &palms[2];
+  for (int n = 0; n < 3; n++) {
+    double side = n == 2 ? 1.0 : -1.0, carried[3], spin_rate[3], bent[3];
+    for (int i = 0; i < 3; i++) {
+      now->normal[n][i] = n ? across[n] * edge[i] + along[n] * up[i] : n1[i];
+      axes[n][0][i] = n ? side * along[n] * edge[i] - side * across[n] * up[i] : edge[i];
+      axes[n][1][i] = n ? n1[i] : up[i];
+      now->spin[n][i] = rate[0] * edge[i] + turn[n] * n1[i];
+    }
+    cross(edge, n1, carried);
+    for (int i = 0; i < 3; i++)
+      spin_rate[i] = acceleration[0] * edge[i] + turning[n] * n1[i] + turn[n] * rate[0] * carried[i];
+    cross(now->spin[n], now->normal[n], now->rate[n]);
+    cross(spin_rate, now->normal[n], now->acceleration[n]);
+    cross(now->spin[n], now->rate[n], bent);
+    for (int i = 0; i < 3; i++) now->acceleration[n][i] += bent[i];
+  }
 }

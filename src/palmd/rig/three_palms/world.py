@@ -20,19 +20,22 @@ from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies
-from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
+from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms
 from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
-from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, PalmPlanes, palms_at, readings_of, room_on_pads
+from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
 from palmd.three_palms_config import ThreePalmsConfig
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
 HALF_STEP = 2
 """Base steps in half a step of the plant."""
+PLANT_STEP_S = 2 * HALF_STEP * STEP_S
 AWAY_S = 2.0
 MASS_KG = (0.04, 0.12)
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
+_STILL = (0.0,) * len(JOINTS)
+_NOTHING = [[math.nan, math.nan]] * len(PALMS)  # is what pads read
 
 
 class ThreePalmsWorld(EmulatedRig[TiltArm]):
@@ -61,9 +64,9 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         self._middles = {f"pad{n}": (p.across_zero_mm * 1e-3) for n, p in zip(PALMS, config.pads.planes, strict=True)}
         self._side = config.pads.palm1.length_mm * 1e-3
         self._joints = arm.joints(t)
-        self._palms: FloatArray = np.tile(_palms(self._joints), (3, 1))
-        self._read: FloatArray = np.full((3, 2), math.nan)  # a and b of each pad, at `_read_at`
-        self._moving, self._read_at = self._read, t
+        self._palms = TurningPalms(self._joints)
+        self._read = self._before = _NOTHING  # a and b of each pad, at `_read_at`, and a step before
+        self._read_at = t
         self._back_at = -math.inf
         self._lifted = False
         self._touching = True
@@ -89,10 +92,10 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
             "quat_xyzw": list(quaternion(R)),
             **dict(zip((f"omega_{axis}_rad_s" for axis in "xyz"), body.state[15:].tolist(), strict=True)),
             **dict(zip((f"com_{axis}_m" for axis in "xyz"), body.state[:3].tolist(), strict=True)),
-            **dict(zip((f"{joint}_rad" for joint in JOINTS), self._joints[0].tolist(), strict=True)),
-            **dict(zip((f"{joint}_rate_rad_s" for joint in JOINTS), self._joints[1].tolist(), strict=True)),
-            **{f"a{palm}_m": float(self._read[i, 0]) for i, palm in enumerate(PALMS)},
-            **{f"b{palm}_m": float(self._read[i, 1]) for i, palm in enumerate(PALMS)},
+            **dict(zip((f"{joint}_rad" for joint in JOINTS), self._joints[0], strict=True)),
+            **dict(zip((f"{joint}_rate_rad_s" for joint in JOINTS), self._joints[1], strict=True)),
+            **{f"a{palm}_m": self._read[i][0] for i, palm in enumerate(PALMS)},
+            **{f"b{palm}_m": self._read[i][1] for i, palm in enumerate(PALMS)},
             **{f"f{palm}_n": float(force[i]) for i, palm in enumerate(PALMS)},
             **{f"touch{palm}": touching for palm in PALMS},
             "object": self.objects,
@@ -128,35 +131,32 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         if self._steps % HALF_STEP:
             return
         self._joints = self._arm.joints(t)
-        planes = palms_at(*(row[None] for row in self._joints))
-        self._palms[:2], self._palms[2] = self._palms[1:], palm_rows(planes)
+        self._palms.turn(self._joints)
         if self._steps % (2 * HALF_STEP) == 0:
-            self._live(t, planes)
+            self._live(t)
 
-    def _live(self, t: float, planes: PalmPlanes) -> None:
-        """A step of the plant, which ends now, with the palms at `planes`."""
+    def _live(self, t: float) -> None:
+        """A step of the plant, which ends now."""
         if not self._touching:
             if not self._lifted and t >= self._back_at:
                 self._settle()
             return
         body = self._body
-        body.advance(self._palms, 2 * HALF_STEP * self.step_s)
-        read = readings_of(planes, body.point[None])[0]
-        self._moving = (read - self._read) / (2 * HALF_STEP * self.step_s)
-        self._read, self._read_at = read, t
-        if not (body.force > 0.0).all() or not (room_on_pads(read, self._side) > 0.0).all():
+        body.advance(self._palms.rows, PLANT_STEP_S)
+        read = self._palms.readings(body.point)
+        self._before, self._read, self._read_at = self._read, read.tolist(), t
+        if not (body.force.min() > 0.0 and room_on_pads(read, self._side).min() > 0.0):
             self.contact_losses += 1
             self._leave(t)
 
     def _leave(self, t: float) -> None:
         self._touching, self._back_at = False, t + AWAY_S
-        self._read = np.full((3, 2), math.nan)
+        self._read = _NOTHING
 
     def _settle(self) -> None:
         """The body is put on the palms as they stand, some way round, where it comes to rest."""
         body, rng = self._body, self._rng
-        at = np.array([[1.0], [0.0], [0.0]]) * self._joints  # the palms at rest
-        palms = np.tile(_palms(at), (3, 1))
+        palms = TurningPalms((self._joints[0], _STILL, _STILL)).rows
         slow = Rubbing(0 * body.rubbing.mu, body.rubbing.dither, np.full(1, SETTLING_DRAG))
         trial = BodyOnPalms(body.body, slow, self.config.rig.gravity_m_s2)
         R = random_rotation(rng, 1)
@@ -165,18 +165,22 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         centre: FloatArray = np.asarray(np.linalg.solve(normal, h[0]), np.float64)
         still = np.zeros((1, 3))
         trial.begin(BodyStates(centre[None], still, R, still))
-        for _ in range(round(SETTLING_S / (2 * HALF_STEP * self.step_s))):
-            trial.advance(palms, 2 * HALF_STEP * self.step_s)
+        for _ in range(round(SETTLING_S / PLANT_STEP_S)):
+            trial.advance(palms, PLANT_STEP_S)
         body.state[:] = trial.state
         body.state[3:6] = body.state[15:] = 0.0
         self._touching = True
 
     def _felt(self, pad: PortName) -> list[Press]:
         number = list(self._middles).index(pad)
-        a, b = self._read[number] + (self.t - self._read_at) * self._moving[number]
+        since = self.t - self._read_at
+        a, b = (
+            now + since * ((now - before) / PLANT_STEP_S)
+            for now, before in zip(self._read[number], self._before[number], strict=True)
+        )
         if not (self._touching and math.isfinite(a)):
             return []
-        return [Press(float(b), float(self._mass * self._body.force[number]), float(a) - self._middles[pad])]
+        return [Press(b, self._mass * float(self._body.force[number]), a - self._middles[pad])]
 
     def _draw_body(self) -> None:
         rng = self._rng
@@ -194,9 +198,3 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
             self._lifted = begins
             if begins and self._touching:
                 self._leave(self.t)
-
-
-def _palms(joints: FloatArray) -> FloatArray:
-    """(36,) of joints (3 derivatives, 3), as the plant takes the palms."""
-    rows: FloatArray = palm_rows(palms_at(*(row[None] for row in joints)))
-    return rows.ravel()
