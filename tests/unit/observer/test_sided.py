@@ -164,7 +164,9 @@ def grown_from_three_seconds(monkeypatch, by: float, **reluctant: float) -> tupl
 @pytest.mark.parametrize(("until", "found"), [(math.inf, 4.6), (4.0, 3.8), (3.5, 3.4), (3.3, None)])
 def test_where_nothing_explains_a_window_less_of_it_may_be(until, found, monkeypatch):
     _, grown = grown_from_three_seconds(monkeypatch, 1.6, until=until)
-    assert [float(each.record.t[-1]) for each in grown[:1]] == ([] if found is None else [pytest.approx(found, abs=0.02)])
+    assert [float(each.record.t[-1]) for each in grown[:1]] == (
+        [] if found is None else [pytest.approx(found, abs=0.02)]
+    )
 
 
 def test_a_tumble_is_not_approached_in_small_steps(monkeypatch):
