@@ -41,6 +41,7 @@ from palmd.observer.sided_fits import (
     FlatSide,
     SidedFits,
     Stage,
+    best_first,
     held,
     smoother_of,
 )
@@ -249,6 +250,14 @@ class SidedSearch:
                 p = guess.p.copy()
                 p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
                 yield sides, Guess(guess.x, p)
+
+    def halved(self, rivals: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
+        """The rivals on the first half of their stretch, best first, if that lasts: it may be told where all is not."""
+        record = rivals[0].record
+        half = record.until(record.t[0] + 0.5 * rivals[0].lasts)
+        if lasting(half.spans) > LEAST_S:
+            starts = ((each.sides, Guess(each.fit.guess.x[: len(half.t)], each.fit.guess.p)) for each in rivals)
+            yield best_first(self.fits.fitted(half, *start) for start in starts)
 
     def refined(self, candidate: Candidate) -> Iterator[Candidate]:
         """The same iterated to the end: on finer nodes, and as it is where they lead astray.

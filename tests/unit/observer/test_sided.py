@@ -181,6 +181,29 @@ def test_what_would_explain_a_window_is_iterated_to_its_end(monkeypatch):
     assert fits.windows == pytest.approx([4.6] * len(fits.windows), abs=0.02)
 
 
+@pytest.mark.parametrize(("lasts", "tried"), [(12.0, [12.0, 6.0]), (8.0, [8.0])])
+def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monkeypatch):
+    run = simulated("friction", 3, 12.5)
+    search = Search(longest_segment(run.events), run.rig)
+    sided = SidedSearch(search)
+    fits, record = Stub(sided.fits), sided.record.until(sided.record.t[0] + lasts)
+    whole = fits.fitted(record, (), Guess(np.zeros((len(record.t), NODE)), np.zeros(sharp.CONSTANTS)))
+    seen: list[float] = []
+
+    def doubtful(best, found):
+        seen.append(best.lasts)
+        assert found == (best,)
+        return True
+
+    monkeypatch.setattr(SidedSearch, "ridden", lambda _: iter(()))
+    monkeypatch.setattr(SidedSearch, "stretches", lambda *_: [(whole,)])
+    monkeypatch.setattr(SidedSearch, "refined", lambda _, found: iter((found,)))
+    monkeypatch.setattr(SidedFits, "fitted", lambda _, *but: fits.fitted(*but))
+    monkeypatch.setattr("palmd.observer.sharp_reconstruct._doubtful", doubtful)
+    assert sharp_reconstruction(search, 0, time.perf_counter()) is None
+    assert seen == pytest.approx(tried, abs=0.02)
+
+
 @pytest.mark.parametrize(("cost", "stages"), [(1.0, [CALM[:1], CALM[1:]]), (6.0, [CALM[:1]])])
 def test_a_ride_that_explains_nothing_on_a_wide_side_is_given_up(cost, stages):
     run = simulated("friction", 3, 3.0)
