@@ -62,7 +62,9 @@ def sharp_reconstruction(
 
     def longest() -> Iterator[tuple[Candidate, ...]]:
         yield from sided.ridden()
-        yield from sided.stretches(followed)[:MOST_STRETCHES]
+        for stretch in sided.stretches(followed)[:MOST_STRETCHES]:
+            yield stretch
+            yield from sided.halved(stretch)
 
     for found in longest():
         other: Candidate | None = found[0]  # on nodes farther apart than those of what comes first

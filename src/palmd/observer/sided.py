@@ -41,6 +41,7 @@ from palmd.observer.sided_fits import (
     FlatSide,
     SidedFits,
     Stage,
+    best_first,
     held,
     smoother_of,
 )
@@ -49,6 +50,7 @@ from palmd.observer.sides_joined import BRIDGE_S, LEAST_PART_S, MOST_PARTS, Part
 SPACING_S = 0.005  # of the nodes, while looking
 BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads, and how many of it are started from
 FIRST_S, GROWTH, LEAST_GROWTH_S = 0.4, 1.6, 0.1
+SHARES = (0.5, 0.25)  # of a window's growth, where nothing explains all of it
 CALM: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, math.inf))
 COARSE: tuple[Stage, ...] = ((0.012, FIXED, math.inf), (0.004, FIXED, math.inf), (0.0015, FIXED, NOISE.gate))
 ALIKE_M = 3e-5  # of Y, that tells sides apart by itself
@@ -180,8 +182,7 @@ class SidedSearch:
     def _grown(self, rivals: Sequence[Candidate], whole: Record) -> list[Candidate]:
         """The rivals on a longer window, as far as one of them goes on explaining it; none where none does."""
         begin, now = whole.t[0], rivals[0].record.t[-1]
-        far, near = float(self._longer(rivals, whole).t[-1]), self._foretold(rivals, whole)
-        for until in dict.fromkeys((far, near) if now - begin < BIRTHS_S else (near, far)):
+        for until in dict.fromkeys(self._windows(rivals, whole)):
             longer = whole.until(until)
             grown = [self.fits.fitted(longer, each.sides, each.fit.guess) for each in rivals]
             if not _best(grown).goes_on(rivals[0]):
@@ -189,11 +190,23 @@ class SidedSearch:
                 grown += [self.fits.fitted(longer, each.sides, guess) for each, guess in zip(rivals, led, strict=True)]
             if _best(grown).doubtful and until - begin < LEAST_S:
                 grown += [self._ridden(longer, sides, guess) for sides, guess in self._rides(longer)]
+            best = _best(grown)
+            if best.explains and not best.fit.settled and not best.goes_on(rivals[0]):
+                grown.append(self.fits.fitted(longer, best.sides, best.fit.guess, FINE, LAST_ITERATIONS))
             if _best(grown).goes_on(rivals[0]):
                 return grown
         if now - begin < BIRTHS_S:
             grown += self._with_births(self._kept(grown, 4000.0), now)
         return grown if _best(grown).goes_on(rivals[0]) else []
+
+    def _windows(self, rivals: Sequence[Candidate], whole: Record) -> list[float]:
+        """Until when (s) the window may end, in the order in which that is tried."""
+        begin, now = whole.t[0], float(rivals[0].record.t[-1])
+        far, near = float(self._longer(rivals, whole).t[-1]), self._foretold(rivals, whole)
+        if now - begin < BIRTHS_S:
+            return [far, near]
+        nearer = [share * (near - now) for share in SHARES]
+        return [near, far, *(now + growth for growth in nearer if growth > LEAST_GROWTH_S)]
 
     @staticmethod
     def _longer(rivals: Sequence[Candidate], whole: Record) -> Record:
@@ -237,6 +250,14 @@ class SidedSearch:
                 p = guess.p.copy()
                 p[NORMALS + len(candidate.sides)], p[LENGTHS + len(candidate.sides)] = normal, SIDE_M
                 yield sides, Guess(guess.x, p)
+
+    def halved(self, rivals: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
+        """The rivals on the first half of their stretch, best first, if that lasts: it may be told where all is not."""
+        record = rivals[0].record
+        half = record.until(record.t[0] + 0.5 * rivals[0].lasts)
+        if lasting(half.spans) > LEAST_S:
+            starts = ((each.sides, Guess(each.fit.guess.x[: len(half.t)], each.fit.guess.p)) for each in rivals)
+            yield best_first(self.fits.fitted(half, *start) for start in starts)
 
     def refined(self, candidate: Candidate) -> Iterator[Candidate]:
         """The same iterated to the end: on finer nodes, and as it is where they lead astray.

@@ -24,8 +24,8 @@ from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first,
 from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, SidedSearch
-from palmd.observer.sided_fits import FINE, WAYS, Candidate, SidedFits, Stage
+from palmd.observer.sided import CALM, LEAST_GROWTH_S, SidedSearch
+from palmd.observer.sided_fits import FINE, LAST_ITERATIONS, WAYS, Candidate, SidedFits, Stage
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -134,6 +134,74 @@ def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, u
     fits.windows.clear()
     assert search._grown([before], search.record)
     assert fits.windows == [pytest.approx(until, abs=0.02)]
+
+
+class Reluctant(Stub):
+    """Explains nothing beyond `until` (s), and nothing in fewer than `least` iterations."""
+
+    def __init__(self, fits: SidedFits, until: float = math.inf, least: int = 0):
+        super().__init__(fits)
+        self.until, self.least = until, least
+
+    def fitted(self, record, sides, guess, stages=FINE, iterations=0):
+        self.cost = 1.0 if record.t[-1] < self.until and iterations >= self.least else 1.6
+        found = super().fitted(record, sides, guess, stages)
+        return replace(found, fit=replace(found.fit, settled=iterations >= self.least))
+
+
+def grown_from_three_seconds(monkeypatch, by: float, **reluctant: float) -> tuple[Reluctant, list[Candidate]]:
+    run = simulated("friction", 3, SECONDS)
+    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search.fits = fits = Reluctant(search.fits, **reluctant)
+    monkeypatch.setattr(search, "_foretold", lambda rivals, _: float(rivals[0].record.t[-1]) + by)
+    monkeypatch.setattr(search, "_by_readings", lambda _, guess: guess)
+    record = search.record.until(search.record.t[0] + 3.0)
+    before = Stub.fitted(fits, record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
+    fits.windows.clear()
+    return fits, search._grown([before], search.record)
+
+
+@pytest.mark.parametrize(("until", "found"), [(math.inf, 4.6), (4.0, 3.8), (3.5, 3.4), (3.3, None)])
+def test_where_nothing_explains_a_window_less_of_it_may_be(until, found, monkeypatch):
+    _, grown = grown_from_three_seconds(monkeypatch, 1.6, until=until)
+    assert [float(each.record.t[-1]) for each in grown[:1]] == (
+        [] if found is None else [pytest.approx(found, abs=0.02)]
+    )
+
+
+def test_a_tumble_is_not_approached_in_small_steps(monkeypatch):
+    fits, grown = grown_from_three_seconds(monkeypatch, LEAST_GROWTH_S, until=3.05)
+    assert not grown
+    assert min(fits.windows) == pytest.approx(3.0 + LEAST_GROWTH_S, abs=0.02)
+
+
+def test_what_would_explain_a_window_is_iterated_to_its_end(monkeypatch):
+    fits, grown = grown_from_three_seconds(monkeypatch, 1.6, least=LAST_ITERATIONS)
+    assert grown[-1].fit.settled
+    assert fits.windows == pytest.approx([4.6] * len(fits.windows), abs=0.02)
+
+
+@pytest.mark.parametrize(("lasts", "tried"), [(12.0, [12.0, 6.0]), (8.0, [8.0])])
+def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monkeypatch):
+    run = simulated("friction", 3, 12.5)
+    search = Search(longest_segment(run.events), run.rig)
+    sided = SidedSearch(search)
+    fits, record = Stub(sided.fits), sided.record.until(sided.record.t[0] + lasts)
+    whole = fits.fitted(record, (), Guess(np.zeros((len(record.t), NODE)), np.zeros(sharp.CONSTANTS)))
+    seen: list[float] = []
+
+    def doubtful(best, found):
+        seen.append(best.lasts)
+        assert found == (best,)
+        return True
+
+    monkeypatch.setattr(SidedSearch, "ridden", lambda _: iter(()))
+    monkeypatch.setattr(SidedSearch, "stretches", lambda *_: [(whole,)])
+    monkeypatch.setattr(SidedSearch, "refined", lambda _, found: iter((found,)))
+    monkeypatch.setattr(SidedFits, "fitted", lambda _, *but: fits.fitted(*but))
+    monkeypatch.setattr("palmd.observer.sharp_reconstruct._doubtful", doubtful)
+    assert sharp_reconstruction(search, 0, time.perf_counter()) is None
+    assert seen == pytest.approx(tried, abs=0.02)
 
 
 @pytest.mark.parametrize(("cost", "stages"), [(1.0, [CALM[:1], CALM[1:]]), (6.0, [CALM[:1]])])
