@@ -105,6 +105,7 @@ class BodyExplorer:
     def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
         self._foresight, self._limits, self._directions = foresight, limits, directions
+        self._rough = BodyForesight(foresight.known, foresight.gravity, foresight.pad_side, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
@@ -127,6 +128,7 @@ class BodyExplorer:
         """
         self._least_force, self._most_rad_s = least_force, most_rad_s
         self._been.append(now.R[0])
+        self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         tree = [root, *self._followed(root)]
         for number in range(ROUNDS):
@@ -233,7 +235,7 @@ class BodyExplorer:
     ) -> list[_MoveSequence | None]:
         """Each sequence with one move more, to these ends; None where that is not safe."""
         begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
-        foreseen = self._foresight.of(begin, ends, durations)
+        foreseen = self._rough.of(begin, ends, durations)
         turned = _chords(foreseen.after.R, begin.R)
         safe = self._safe(foreseen) & (turned < self._most_rad_s * (durations + DECISION_S))
         found: list[_MoveSequence | None] = [None] * len(parents)
