@@ -52,7 +52,10 @@ class BodyDecider:
         task, under_way = question.task, question.under_way
         foresight, explorer = self._of(question, outlook)
         felt = icosphere()[0][outlook.touched]
-        touched = explorer.covered(felt, TOUCHED_RAD) | explorer.covered(outlook.since)
+        since = explorer.covered(outlook.since)
+        if outlook.claimed:
+            self._shown |= since
+        touched = explorer.covered(felt, TOUCHED_RAD) | since | self._shown
         coverage = float(touched.mean())
         if coverage >= task.goal.coverage and outlook.claimed:
             return Decision("done", None, f"{coverage:.0%} of all directions have been touched", coverage, 1.0)
@@ -87,6 +90,8 @@ class BodyDecider:
         p = convex(outlook.p, outlook.covariance[6:, 6:], slice(0, len(outlook.p) - BODY))
         if self._explorer is None or known != self._known:
             self._known, self._was_claimed = known, outlook.claimed
+            # What has been touched while it was claimed: answers tell it by less, in steps of their directions.
+            self._shown = np.zeros(len(self._directions), np.bool_)
             self._foresight = BodyForesight(p, self._rig.gravity, self._rig.pad.side)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(p)

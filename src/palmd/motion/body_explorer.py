@@ -22,6 +22,7 @@ from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, Forese
 from palmd.motion.convex_bodies import convex
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
+from palmd.system.three_palms import palms_at
 
 ROUNDS = 8  # of `COLUMNS` moves each, that a decision's tree grows by
 HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
@@ -131,8 +132,9 @@ class BodyExplorer:
         self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         tree = [root, *self._followed(root)]
+        untouched = self._directions[~touched] if not touched.all() else self._directions
         for number in range(ROUNDS):
-            tree += self._grown(self._parents(tree) if number else [root] * COLUMNS, root)
+            tree += self._grown(self._parents(tree, untouched) if number else [root] * COLUMNS, root)
         found = tree[1:]
         if any(each.gain > LITTLE for each in found):
             found.sort(key=lambda each: -each.gained)
@@ -205,16 +207,22 @@ class BodyExplorer:
             reached |= {plan: each for plan, each in carried if each is not None}
         return list(reached.values())[1:]
 
-    def _parents(self, tree: list[_MoveSequence]) -> list[_MoveSequence]:
-        """Which sequences are gone on with: half of them by what they show, half the farthest some way round."""
+    def _parents(self, tree: list[_MoveSequence], untouched: FloatArray) -> list[_MoveSequence]:
+        """Which sequences are gone on with: half of them by what they show, the others by where they have led.
+
+        A quarter the farthest some way round, a quarter to where a palm is nearest to one of the untouched directions.
+        """
         short = [each for each in tree if each.seconds < HORIZON_S]
         best = sorted(short, key=lambda each: -each.gained)[:LIKELY]
-        rotations, ways = (
-            np.stack([each.bearings.R[0].ravel() for each in short]),
-            self._random.normal(size=(9, COLUMNS)),
-        )
-        farthest = (rotations @ ways).argmax(axis=0)
-        return [short[k] if i % 2 else best[i // 2 % len(best)] for i, k in enumerate(farthest.tolist())]
+        R = np.concatenate([each.bearings.R for each in short])
+        farthest = (R.reshape(-1, 9) @ self._random.normal(size=(9, COLUMNS // 4))).argmax(axis=0)
+        joints = np.concatenate([each.bearings.joints for each in short])
+        still = np.zeros_like(joints)
+        facing = -palms_at(joints, still, still).normal @ R  # rows: outward in the body
+        sought = untouched[self._random.integers(len(untouched), size=COLUMNS // 4)]
+        nearest = (facing @ sought.T).max(axis=1).argmax(axis=0)
+        others = np.concatenate([farthest, nearest]).tolist()
+        return [best[i % len(best)] for i in range(COLUMNS // 2)] + [short[k] for k in others]
 
     def _grown(self, parents: list[_MoveSequence], root: _MoveSequence) -> list[_MoveSequence]:
         """Those of one move more that are safe."""

@@ -84,6 +84,18 @@ def test_what_was_felt_since_the_answer_counts_too(outlook):
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
 
 
+def test_what_was_felt_while_it_was_claimed_counts_on(outlook):
+    felt = dataclasses.replace(outlook, since=np.tile(np.eye(3), (5, 1, 1)))
+
+    def shares(*outlooks):
+        decider = BodyDecider(RIG)
+        return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks]
+
+    share, on, elsewhere = shares(felt, outlook, dataclasses.replace(outlook, begun=3.0))
+    assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
+    assert shares(dataclasses.replace(felt, claimed=False), outlook) == [share, 0.0]
+
+
 def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
     asked = []
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))

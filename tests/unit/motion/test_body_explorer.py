@@ -137,24 +137,32 @@ def test_the_rest_of_the_best_sequences_is_gone_on_with():
     for each in again:  # each goes on from where its own beginning leads
         parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
         assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
-        after = who._foresight.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
+        after = who._rough.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
         np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
     elsewhere = dataclasses.replace(root, bearings=bearings(1))
     assert who._followed(elsewhere) == []
 
 
-def test_what_goes_on_is_what_shows_most_and_what_is_farthest_round():
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    root = rooted(who, none)
+def test_what_goes_on_is_what_shows_most_what_is_farthest_round_and_what_faces_the_untouched():
+    who, directions = explorer(), icosphere(2)[0]
+    root = rooted(who, np.zeros(len(directions), np.bool_))
     grown = who._grown([root] * COLUMNS, root)
-    parents = who._parents([root, *grown])
+    sought = who._foresight.of(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[0, 0, 1]
+    parents = who._parents([root, *grown], sought[None])
+    half, quarter = COLUMNS // 2, COLUMNS // 4
     ranked = sorted([root, *grown], key=lambda each: -each.gained)[: body_explorer.LIKELY]
-    assert set(map(id, parents[::2])) == set(map(id, ranked))
-    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[1::2]]
+    assert set(map(id, parents[:half])) == set(map(id, ranked))
+    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[half : half + quarter]]
     all_of_them = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in grown]
     assert np.mean(far) > 1.2 * np.mean(all_of_them)
+
+    def faces(each):
+        still = np.zeros((1, 3))
+        return (-palms_at(each.bearings.joints, still, still).normal[0] @ each.bearings.R[0] @ sought).max()
+
+    assert {faces(each) for each in parents[half + quarter :]} == {max(map(faces, [root, *grown]))}
     old = [dataclasses.replace(each, seconds=body_explorer.HORIZON_S) for each in grown]
-    assert set(map(id, who._parents([root, *old]))) == {id(root)}
+    assert set(map(id, who._parents([root, *old], sought[None]))) == {id(root)}
 
 
 def test_where_every_move_might_lose_the_body_there_is_none():
