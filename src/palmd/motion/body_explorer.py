@@ -24,7 +24,7 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at
 
-ROUNDS = 8  # of `COLUMNS` moves each, that a decision's tree grows by
+ROUNDS = 12  # of `COLUMNS` moves each, that a decision's tree grows by
 HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
 LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
 AGAIN = 6  # of the last decision's sequences, that are gone on with
@@ -234,7 +234,7 @@ class BodyExplorer:
         )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         if math.isfinite(self._most_rad_s):
-            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 2
+            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 4
         durations = np.maximum(least * longer, SHORTEST_S)
         return [each for each in self._carried(parents, ends, durations, root) if each is not None]
 
