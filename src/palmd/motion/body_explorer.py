@@ -214,11 +214,11 @@ class BodyExplorer:
         """
         short = [each for each in tree if each.seconds < HORIZON_S]
         best = sorted(short, key=lambda each: -each.gained)[:LIKELY]
-        R = np.concatenate([each.bearings.R for each in short])
-        farthest = (R.reshape(-1, 9) @ self._random.normal(size=(9, COLUMNS // 4))).argmax(axis=0)
+        rotations = np.concatenate([each.bearings.R for each in short])
+        farthest = (rotations.reshape(-1, 9) @ self._random.normal(size=(9, COLUMNS // 4))).argmax(axis=0)
         joints = np.concatenate([each.bearings.joints for each in short])
         still = np.zeros_like(joints)
-        facing = -palms_at(joints, still, still).normal @ R  # rows: outward in the body
+        facing = -palms_at(joints, still, still).normal @ rotations  # rows: outward in the body
         sought = untouched[self._random.integers(len(untouched), size=COLUMNS // 4)]
         nearest = (facing @ sought.T).max(axis=1).argmax(axis=0)
         others = np.concatenate([farthest, nearest]).tolist()

@@ -96,6 +96,26 @@ def test_what_was_felt_while_it_was_claimed_counts_on(outlook):
     assert shares(dataclasses.replace(felt, claimed=False), outlook) == [share, 0.0]
 
 
+def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(outlook, monkeypatch):
+    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *_, **__: None)
+    believed, late = dataclasses.replace(outlook, claimed=False), 10.1 + body_decider.STOOD_S
+    decider = BodyDecider(RIG)
+    assert decider.answer(question(believed)).decision.kind == "wait"
+    swing = decider.answer(question(believed, t=late)).decision
+    assert (swing.kind, swing.blind, swing.move.start) == ("move", True, REST)
+    # What is believed to lose the body does not stop the swing, nor keep the next one waiting.
+    leaving = dataclasses.replace(believed, omega=np.array([60.0, 40.0, 0.0]))
+    after = decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late + 0.1)).decision
+    assert (after.kind, after.move.start) == ("move", swing.move.end)
+    assert (
+        decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late)).decision.kind == "unsafe"
+    )  # the one before
+    claimed = BodyDecider(RIG)
+    assert [claimed.answer(question(outlook, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
+    decider.answer(question(believed, t=late, run=2))  # a new exploration waits anew
+    assert decider.answer(question(believed, t=late + 0.1, run=2)).decision.kind == "wait"
+
+
 def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
     asked = []
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))
