@@ -64,10 +64,11 @@ class BodyDraws:
     def of(cls, p: FloatArray, covariance: FloatArray, random: np.random.Generator) -> BodyDraws:
         """`BODIES` of a belief about turn, spin and parameters (6 + m, 6 + m) whose mean has these parameters (m,).
 
-        None is hollow, as far as the belief allows.
+        The first is the mean itself. None is hollow, as far as the belief allows.
         """
         variance, axes = np.linalg.eigh(covariance)
         x = random.normal(size=(BODIES, len(variance))) * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+        x[0] = 0.0
         x[:, 6:] += p
         x = np.array([convex(each, covariance, slice(6, len(variance) - BODY)) for each in x])
         return cls(x[:, :3], x[:, 3:6], x[:, 6:])
@@ -168,11 +169,14 @@ class BodyExplorer:
     def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
         """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
 
-        Palms stand for a while after each.
+        Palms stand for a while after each. The first of the bodies is the known one, which the rough tree has not
+        tried: it has to be as safe as a move is to be, the others half so.
         """
         sure, going = [0] * len(ways), list(range(len(ways)))
         n = BODIES * len(ways)
+        known = np.arange(n) % BODIES == 0
         off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        off[known], spun[known] = 0.0, 0.0
         turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
         turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
         there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
@@ -183,6 +187,7 @@ class BodyExplorer:
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
             safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
             safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
             held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
