@@ -24,6 +24,7 @@ CAREFUL = 2.0  # times the force, while a body is not claimed
 # That strides turn a body by: which is claimed, which has been in the same frame, and which has not.
 STRIDE_RAD_S, SLOWER_RAD_S, SHORT_RAD_S = 2.0, 1.2, 0.35
 STOOD_S = 1.0  # without a safe move, after which a body that is not claimed is swung: it stays, whatever is believed
+SHORTEST_S = 0.7  # of a move: the next one is asked for while it is under way, and is answered no sooner
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -84,7 +85,7 @@ class BodyDecider:
         self._was_claimed |= outlook.claimed
         most = SLOWER_RAD_S if self._was_claimed else SHORT_RAD_S
         least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, most)
-        move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most)
+        move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most, shortest_s=SHORTEST_S)
         if move is None:
             return self._waits(question, outlook, "no safe motion found yet", coverage)
         self._stood = math.inf

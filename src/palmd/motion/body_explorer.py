@@ -112,7 +112,7 @@ class BodyExplorer:
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self._low, self._high = np.array(limits.angles).T
-        self._least_force, self._most_rad_s = LEAST_FORCE, math.inf
+        self._least_force, self._most_rad_s, self._shortest_s = LEAST_FORCE, math.inf, SHORTEST_S
 
     def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
@@ -121,14 +121,15 @@ class BodyExplorer:
 
     def decide(
         self, now: Bearings, touched: Bools, least_force: float = LEAST_FORCE, drawn: BodyDraws | None = None,
-        *, most_rad_s: float = math.inf,
+        *, most_rad_s: float = math.inf, shortest_s: float = SHORTEST_S,
     ) -> Move | None:  # fmt: skip
         """The next move from `now` (of one); None where every one that was tried might lose the body.
 
         least_force: that every palm is to bear on the way (m/s²). drawn: all of these bodies are to be held.
-        most_rad_s: that strides turn the body by in the mean, the time of a decision counted.
+        most_rad_s: that strides turn the body by in the mean, the time of a decision counted. shortest_s: that a move
+        takes.
         """
-        self._least_force, self._most_rad_s = least_force, most_rad_s
+        self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
         self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
@@ -240,7 +241,7 @@ class BodyExplorer:
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         if math.isfinite(self._most_rad_s):
             longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 4
-        durations = np.maximum(least * longer, SHORTEST_S)
+        durations = np.maximum(least * longer, self._shortest_s)
         return [each for each in self._carried(parents, ends, durations, root) if each is not None]
 
     def _carried(

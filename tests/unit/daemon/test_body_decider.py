@@ -12,6 +12,7 @@ from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import count
+from palmd.motion import body_explorer
 from palmd.motion.body_explorer import LEAST_FORCE
 from palmd.motion.convex_bodies import least_radii
 from palmd.motion.decisions import UnderWay
@@ -131,7 +132,7 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outloo
 def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(outlook, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        body_decider.BodyExplorer, "decide", lambda *args, most_rad_s: asked.append((most_rad_s, args[4]))
+        body_decider.BodyExplorer, "decide", lambda *args, most_rad_s, **_: asked.append((most_rad_s, args[4]))
     )
     decider = BodyDecider(RIG)
     for claimed in (False, True, False):
@@ -140,6 +141,13 @@ def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(o
     short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
     assert [most for most, _ in asked] == [short, stride, slower, short]
     assert all(np.abs(drawn.p - outlook.p).max() < 1e-6 for _, drawn in asked)
+
+
+def test_no_move_is_over_before_the_next_can_be_decided(outlook, monkeypatch):
+    made, grown = [], body_explorer.BodyExplorer._grown
+    monkeypatch.setattr(body_explorer.BodyExplorer, "_grown", lambda *args: made.extend(grown(*args)) or made[-48:])
+    assert BodyDecider(RIG).answer(question(outlook)).decision.move.duration >= body_decider.SHORTEST_S
+    assert min(move.duration for each in made for move in each.moves) == body_decider.SHORTEST_S
 
 
 def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):
