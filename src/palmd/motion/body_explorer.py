@@ -2,8 +2,8 @@
 
 A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
 again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
-decision grows a tree of moves over many seconds, where they show most, lead farthest round or face what is untouched, by
-a rough foresight, and takes the first move of the best sequence that surely holds the body, by all that is known of it;
+decision grows a tree of moves over many seconds by a rough foresight, where they show most, lead farthest round or face
+what is untouched, and takes the first move of the best sequence that surely holds the body, by all that is known of it;
 the rest of the best is gone on with next time.
 """
 
