@@ -14,6 +14,7 @@ from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
 from palmd.motion.convex_bodies import convex
 from palmd.motion.decisions import Decision
+from palmd.motion.segments import Move
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 
 HALVINGS = 3  # of the directions that are counted: 642
@@ -22,6 +23,8 @@ FELT_N = 0.05  # that a pad surely feels
 CAREFUL = 2.0  # times the force, while a body is not claimed
 # That strides turn a body by: which is claimed, which has been in the same frame, and which has not.
 STRIDE_RAD_S, SLOWER_RAD_S, SHORT_RAD_S = 2.0, 1.2, 0.35
+STOOD_S = 1.0  # without a safe move, after which a body that is not claimed is swung: it stays, whatever is believed
+SHORTEST_S = 0.7  # of a move: the next one is asked for while it is under way, and is answered no sooner
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way
 
 
@@ -35,12 +38,15 @@ class BodyDecider:
         self._run: int | None = None
         self._known: tuple[int, float] | None = None  # which object, in what frame
         self._explorer: BodyExplorer | None = None
+        self._swing: Move | None = None  # the last one of a body of which something is believed
+        self._stood = math.inf  # since when no move of it has been safe
 
     def answer(self, question: Question) -> ExplorationAnswer:
         """The answer to a question; a new task, and a body in a new frame, begin with a new explorer."""
         task, outlook, move = question.task, question.outlook, question.under_way.move
         if task.run != self._run:
             self._run, self._begun, self._known = task.run, question.t, None
+            self._stood = math.inf
         if outlook is None:
             swing = Swing(task.limits).next(move.end, self._random)
             decision = Decision("move", swing, "swings the body until it is known where it is")
@@ -52,7 +58,10 @@ class BodyDecider:
         task, under_way = question.task, question.under_way
         foresight, explorer = self._of(question, outlook)
         felt = icosphere()[0][outlook.touched]
-        touched = explorer.covered(felt, TOUCHED_RAD) | explorer.covered(outlook.since)
+        since = explorer.covered(outlook.since)
+        if outlook.claimed:
+            self._shown |= since
+        touched = explorer.covered(felt, TOUCHED_RAD) | since | self._shown
         coverage = float(touched.mean())
         if coverage >= task.goal.coverage and outlook.claimed:
             return Decision("done", None, f"{coverage:.0%} of all directions have been touched", coverage, 1.0)
@@ -65,9 +74,9 @@ class BodyDecider:
             under_way.elapsed, max(DECIDED_S - left, 0.0),
         )  # fmt: skip
         if not (foreseen.least_force[0] > 0.0 and foreseen.room[0] > 0.0):
-            if left > 0.0:
+            if left > 0.0 and under_way.move != self._swing:
                 return Decision("unsafe", None, "the move under way would lose the body", coverage, 1.0)
-            return Decision("wait", None, "the body will not stay where it is", coverage, 1.0)
+            return self._waits(question, outlook, "the body will not stay where it is", coverage)
         if not question.choose:
             return Decision("safe", None, "", coverage, 1.0)
         least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
@@ -76,10 +85,20 @@ class BodyDecider:
         self._was_claimed |= outlook.claimed
         most = SLOWER_RAD_S if self._was_claimed else SHORT_RAD_S
         least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, most)
-        move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most)
+        move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most, shortest_s=SHORTEST_S)
         if move is None:
-            return Decision("wait", None, "no safe motion found yet", coverage, 1.0)
+            return self._waits(question, outlook, "no safe motion found yet", coverage)
+        self._stood = math.inf
         return Decision("move", move, "", coverage, 1.0)
+
+    def _waits(self, question: Question, outlook: BodyOutlook, reason: str, coverage: float) -> Decision:
+        """No move is safe by what is believed, so that the palms stand; not for ever, as nothing is learnt so."""
+        self._stood = min(self._stood, question.t)
+        if outlook.claimed or not question.choose or question.t - self._stood < STOOD_S:
+            return Decision("wait", None, reason, coverage, 1.0)
+        self._swing = Swing(question.task.limits).next(question.under_way.move.end, self._random)
+        reason = "swings the body, for what is believed of it lets nothing be foreseen"
+        return Decision("move", self._swing, reason, coverage, 1.0, blind=True)
 
     def _of(self, question: Question, outlook: BodyOutlook) -> tuple[BodyForesight, BodyExplorer]:
         """Who foresees this body as it is known now."""
@@ -87,6 +106,8 @@ class BodyDecider:
         p = convex(outlook.p, outlook.covariance[6:, 6:], slice(0, len(outlook.p) - BODY))
         if self._explorer is None or known != self._known:
             self._known, self._was_claimed = known, outlook.claimed
+            # What has been touched while it was claimed: answers tell it by less, in steps of their directions.
+            self._shown = np.zeros(len(self._directions), np.bool_)
             self._foresight = BodyForesight(p, self._rig.gravity, self._rig.pad.side)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(p)

@@ -16,6 +16,8 @@ from palmd.model.symbolic import SX, ca
 from palmd.model.three_palms import BODY, PalmVectors, local_function, newton_function
 
 STEP_S = 5e-3
+ROUGH_ORDER, ROUGH_STEP_S = 8, 1e-2
+"""Of what is to be quick rather than right: the degree of the outline, and how far a step goes."""
 MOVE_INPUTS = 8
 """Joints at the start and at the end, duration, time since the start."""
 TOLD = 18
@@ -50,13 +52,13 @@ def _turned(R: SX, by: SX) -> SX:
     return after @ (1.5 * SX.eye(3) - 0.5 * after.T @ after)
 
 
-def step_function(order: int) -> ca.Function:
-    """(R, ω, move; p, g) → (R and ω after `STEP_S`, `TOLD`).
+def step_function(order: int, h: float) -> ca.Function:
+    """(R, ω, move; p, g) → (R and ω after h (s), `TOLD`).
 
     Half of the turn, then the spin by the forces midway, then the other half: of second order. The spin that the
     forces see is implicit to the first order, so that it is stable however stiff friction is.
     """
-    n, h = count(order), STEP_S
+    n = count(order)
     R, omega, move = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("move", MOVE_INPUTS)
     parameters, gravity = SX.sym("p", n + BODY), SX.sym("g")
     c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
@@ -84,6 +86,7 @@ def step_function(order: int) -> ca.Function:
 
 
 @cache
-def library(order: int) -> Library:
-    """`step_columns`, for outlines up to degree `order`."""
-    return load(f"body_rollout{order}", lambda: [of_columns(step_function(order), "step_columns", ["g"])])
+def library(order: int, h: float) -> Library:
+    """`step_columns`, for outlines up to degree `order` and steps of h (s)."""
+    name = f"body_rollout{order}_{h * 1e3:g}ms"
+    return load(name, lambda: [of_columns(step_function(order, h), "step_columns", ["g"])])

@@ -2,8 +2,9 @@
 
 A body lies in a well of the potential and follows it while the palms move; greedy moves show the same stripe again and
 again. What turns it on are strokes out with one palm's friction and back with another's, and wells that end. So each
-decision grows a tree of moves over many seconds, where they show most and where they lead farthest round, and takes the
-first move of the best sequence that surely holds the body; the rest of the best is gone on with next time.
+decision grows a tree of moves over many seconds by a rough foresight, where they show most, lead farthest round or face
+what is untouched, and takes the first move of the best sequence that surely holds the body, by all that is known of it;
+the rest of the best is gone on with next time.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, Forese
 from palmd.motion.convex_bodies import convex
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
+from palmd.system.three_palms import palms_at
 
-ROUNDS = 8  # of `COLUMNS` moves each, that a decision's tree grows by
+ROUNDS = 12  # of `COLUMNS` moves each, that a decision's tree grows by
 HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
 LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
 AGAIN = 6  # of the last decision's sequences, that are gone on with
@@ -63,10 +65,11 @@ class BodyDraws:
     def of(cls, p: FloatArray, covariance: FloatArray, random: np.random.Generator) -> BodyDraws:
         """`BODIES` of a belief about turn, spin and parameters (6 + m, 6 + m) whose mean has these parameters (m,).
 
-        None is hollow, as far as the belief allows.
+        The first is the mean itself. None is hollow, as far as the belief allows.
         """
         variance, axes = np.linalg.eigh(covariance)
         x = random.normal(size=(BODIES, len(variance))) * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+        x[0] = 0.0
         x[:, 6:] += p
         x = np.array([convex(each, covariance, slice(6, len(variance) - BODY)) for each in x])
         return cls(x[:, :3], x[:, 3:6], x[:, 6:])
@@ -105,11 +108,12 @@ class BodyExplorer:
     def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
         self._foresight, self._limits, self._directions = foresight, limits, directions
+        self._rough = BodyForesight(foresight.known, foresight.gravity, foresight.pad_side, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self._low, self._high = np.array(limits.angles).T
-        self._least_force, self._most_rad_s = LEAST_FORCE, math.inf
+        self._least_force, self._most_rad_s, self._shortest_s = LEAST_FORCE, math.inf, SHORTEST_S
 
     def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
@@ -118,19 +122,22 @@ class BodyExplorer:
 
     def decide(
         self, now: Bearings, touched: Bools, least_force: float = LEAST_FORCE, drawn: BodyDraws | None = None,
-        *, most_rad_s: float = math.inf,
+        *, most_rad_s: float = math.inf, shortest_s: float = SHORTEST_S,
     ) -> Move | None:  # fmt: skip
         """The next move from `now` (of one); None where every one that was tried might lose the body.
 
         least_force: that every palm is to bear on the way (m/s²). drawn: all of these bodies are to be held.
-        most_rad_s: that strides turn the body by in the mean, the time of a decision counted.
+        most_rad_s: that strides turn the body by in the mean, the time of a decision counted. shortest_s: that a move
+        takes.
         """
-        self._least_force, self._most_rad_s = least_force, most_rad_s
+        self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
+        self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         tree = [root, *self._followed(root)]
+        untouched = self._directions[~touched] if not touched.all() else self._directions
         for number in range(ROUNDS):
-            tree += self._grown(self._parents(tree) if number else [root] * COLUMNS, root)
+            tree += self._grown(self._parents(tree, untouched) if number else [root] * COLUMNS, root)
         found = tree[1:]
         if any(each.gain > LITTLE for each in found):
             found.sort(key=lambda each: -each.gained)
@@ -164,11 +171,14 @@ class BodyExplorer:
     def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
         """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
 
-        Palms stand for a while after each.
+        Palms stand for a while after each. The first of the bodies is the known one, which the rough tree has not
+        tried: it has to be as safe as a move is to be, the others half so.
         """
         sure, going = [0] * len(ways), list(range(len(ways)))
         n = BODIES * len(ways)
+        known = np.arange(n) % BODIES == 0
         off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        off[known], spun[known] = 0.0, 0.0
         turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
         turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
         there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
@@ -179,6 +189,7 @@ class BodyExplorer:
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
             safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
             safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
             held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
@@ -203,16 +214,22 @@ class BodyExplorer:
             reached |= {plan: each for plan, each in carried if each is not None}
         return list(reached.values())[1:]
 
-    def _parents(self, tree: list[_MoveSequence]) -> list[_MoveSequence]:
-        """Which sequences are gone on with: half of them by what they show, half the farthest some way round."""
+    def _parents(self, tree: list[_MoveSequence], untouched: FloatArray) -> list[_MoveSequence]:
+        """Which sequences are gone on with: half of them by what they show, the others by where they have led.
+
+        A quarter the farthest some way round, a quarter to where a palm is nearest to one of the untouched directions.
+        """
         short = [each for each in tree if each.seconds < HORIZON_S]
         best = sorted(short, key=lambda each: -each.gained)[:LIKELY]
-        rotations, ways = (
-            np.stack([each.bearings.R[0].ravel() for each in short]),
-            self._random.normal(size=(9, COLUMNS)),
-        )
-        farthest = (rotations @ ways).argmax(axis=0)
-        return [short[k] if i % 2 else best[i // 2 % len(best)] for i, k in enumerate(farthest.tolist())]
+        rotations = np.concatenate([each.bearings.R for each in short])
+        farthest = (rotations.reshape(-1, 9) @ self._random.normal(size=(9, COLUMNS // 4))).argmax(axis=0)
+        joints = np.concatenate([each.bearings.joints for each in short])
+        still = np.zeros_like(joints)
+        facing = -palms_at(joints, still, still).normal @ rotations  # rows: outward in the body
+        sought = untouched[self._random.integers(len(untouched), size=COLUMNS // 4)]
+        nearest = (facing @ sought.T).max(axis=1).argmax(axis=0)
+        others = np.concatenate([farthest, nearest]).tolist()
+        return [best[i % len(best)] for i in range(COLUMNS // 2)] + [short[k] for k in others]
 
     def _grown(self, parents: list[_MoveSequence], root: _MoveSequence) -> list[_MoveSequence]:
         """Those of one move more that are safe."""
@@ -224,8 +241,8 @@ class BodyExplorer:
         )
         longer = np.where(self._random.random(COLUMNS) < SLOWER, SLOWLY, 1.0)
         if math.isfinite(self._most_rad_s):
-            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 2
-        durations = np.maximum(least * longer, SHORTEST_S)
+            longer = 1.0 + (SLOWEST - 1.0) * self._random.random(COLUMNS) ** 4
+        durations = np.maximum(least * longer, self._shortest_s)
         return [each for each in self._carried(parents, ends, durations, root) if each is not None]
 
     def _carried(
@@ -233,7 +250,7 @@ class BodyExplorer:
     ) -> list[_MoveSequence | None]:
         """Each sequence with one move more, to these ends; None where that is not safe."""
         begin = Bearings(*(np.concatenate([getattr(each.bearings, k) for each in parents]) for k in Bearings.__slots__))
-        foreseen = self._foresight.of(begin, ends, durations)
+        foreseen = self._rough.of(begin, ends, durations)
         turned = _chords(foreseen.after.R, begin.R)
         safe = self._safe(foreseen) & (turned < self._most_rad_s * (durations + DECISION_S))
         found: list[_MoveSequence | None] = [None] * len(parents)

@@ -9,14 +9,14 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import body_rollout
-from palmd.model.body_rollout import MOVE_INPUTS, STEP_S, TOLD
+from palmd.model.body_rollout import MOVE_INPUTS, ROUGH_ORDER, ROUGH_STEP_S, STEP_S, TOLD
 from palmd.model.compiled import LANES
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
 from palmd.system.three_palms import room_on_pads
 
 COLUMNS = 48  # moves side by side
-EVERY = 4  # steps, of whose first the normals are told
+EVERY_S = 0.02  # the normals are told
 _FORCES, _CONTACTS, _NORMALS = slice(0, 3), slice(3, 9), slice(9, 18)
 
 
@@ -52,22 +52,25 @@ class ForeseenMoves:
 class BodyForesight:
     """Rolls the model forward, of a body with parameters p of `model.three_palms`; holds the kernel's memory."""
 
-    def __init__(self, p: FloatArray, gravity: float, pad_side: float) -> None:
-        """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first."""
-        order = math.isqrt(len(p) - BODY) - 1
-        assert len(p) == count(order) + BODY, "other parameters than those of the model"
-        self._side, self.gravity = pad_side, gravity
-        sizes = (9, 3, MOVE_INPUTS, len(p))
+    def __init__(self, p: FloatArray, gravity: float, pad_side: float, *, rough: bool = False) -> None:
+        """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first.
+
+        rough: four times as quick, by the outline as far as `ROUGH_ORDER` holds it and in longer steps.
+        """
+        self._order = min(_order(p), ROUGH_ORDER) if rough else _order(p)
+        self.pad_side, self.gravity, self._step_s = pad_side, gravity, ROUGH_STEP_S if rough else STEP_S
+        sizes = (9, 3, MOVE_INPUTS, count(self._order) + BODY)
         self._R, self._omega, self._move, self._p = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
-        self._known = np.array(p, np.float64)
+        self.learn(p)
         inputs = [self._R, self._omega, self._move, self._p, np.array([gravity])]
         outputs = [self._R_after, self._omega_after, self._told]
-        self._step = body_rollout.library(order).bind("step_columns", inputs, outputs)
+        self._step = body_rollout.library(self._order, self._step_s).bind("step_columns", inputs, outputs)
 
     def learn(self, p: FloatArray) -> None:
-        """Go by these parameters from now on."""
-        self._known = np.array(p, np.float64)
+        """Go by these parameters from now on, as far as its outline goes."""
+        assert _order(p) >= self._order, "other parameters than those of the model"
+        self._known = np.concatenate([p[: count(self._order)], p[-BODY:]])
 
     @property
     def known(self) -> FloatArray:
@@ -84,7 +87,7 @@ class BodyForesight:
         p: parameters to go by this time, of all (m,) or of each (N, m).
         """
         n = len(ends)
-        steps = np.maximum(np.ceil((durations - elapsed + stand) / STEP_S - 1e-9).astype(np.intp), 1)
+        steps = np.maximum(np.ceil((durations - elapsed + stand) / self._step_s - 1e-9).astype(np.intp), 1)
         self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)
         self._omega[:n] = begin.omega
         self._move[:n] = np.column_stack([begin.joints, ends, durations, np.full(n, elapsed)])
@@ -97,19 +100,26 @@ class BodyForesight:
         for k in range(last):
             self._step(columns)
             self._R[:], self._omega[:] = self._R_after, self._omega_after
-            self._move[:, 7] += STEP_S
+            self._move[:, 7] += self._step_s
             turned[k], spun[k], path[k] = self._R[:n], self._omega[:n], self._told[:n]
         over = np.arange(last)[:, None] >= steps
         path[over] = np.nan
         spin = np.where(over, 0.0, np.linalg.norm(spun, axis=2)).max(axis=0)
         turn, omega = (each[steps - 1, np.arange(n)] for each in (turned, spun))
         force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(last, n, 3, 2)
-        room = room_on_pads(contacts, self._side)
+        room = room_on_pads(contacts, self.pad_side)
         finite = np.isfinite(turn).all(axis=1) & np.isfinite(spin)
         return ForeseenMoves(
             Bearings(np.swapaxes(turn.reshape(-1, 3, 3), 1, 2), omega, ends),
             np.where(finite, np.nanmin(force, axis=(0, 2)), -np.inf),
             np.nanmin(room, axis=(0, 2, 3)),
             spin,
-            np.swapaxes(path[::EVERY, :, _NORMALS], 0, 1).reshape(n, -1, 3, 3),
+            np.swapaxes(path[:: round(EVERY_S / self._step_s), :, _NORMALS], 0, 1).reshape(n, -1, 3, 3),
         )
+
+
+def _order(p: FloatArray) -> int:
+    """The degree of the outline that these are parameters of."""
+    order = math.isqrt(len(p) - BODY) - 1
+    assert len(p) == count(order) + BODY, "other parameters than those of the model"
+    return order

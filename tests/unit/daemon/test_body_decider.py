@@ -12,6 +12,7 @@ from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import count
+from palmd.motion import body_explorer
 from palmd.motion.body_explorer import LEAST_FORCE
 from palmd.motion.convex_bodies import least_radii
 from palmd.motion.decisions import UnderWay
@@ -84,6 +85,38 @@ def test_what_was_felt_since_the_answer_counts_too(outlook):
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
 
 
+def test_what_was_felt_while_it_was_claimed_counts_on(outlook):
+    felt = dataclasses.replace(outlook, since=np.tile(np.eye(3), (5, 1, 1)))
+
+    def shares(*outlooks):
+        decider = BodyDecider(RIG)
+        return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks]
+
+    share, on, elsewhere = shares(felt, outlook, dataclasses.replace(outlook, begun=3.0))
+    assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
+    assert shares(dataclasses.replace(felt, claimed=False), outlook) == [share, 0.0]
+
+
+def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(outlook, monkeypatch):
+    monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *_, **__: None)
+    believed, late = dataclasses.replace(outlook, claimed=False), 10.1 + body_decider.STOOD_S
+    decider = BodyDecider(RIG)
+    assert decider.answer(question(believed)).decision.kind == "wait"
+    swing = decider.answer(question(believed, t=late)).decision
+    assert (swing.kind, swing.blind, swing.move.start) == ("move", True, REST)
+    # What is believed to lose the body does not stop the swing, nor keep the next one waiting.
+    leaving = dataclasses.replace(believed, omega=np.array([60.0, 40.0, 0.0]))
+    after = decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late + 0.1)).decision
+    assert (after.kind, after.move.start) == ("move", swing.move.end)
+    assert (
+        decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late)).decision.kind == "unsafe"
+    )  # the one before
+    claimed = BodyDecider(RIG)
+    assert [claimed.answer(question(outlook, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
+    decider.answer(question(believed, t=late, run=2))  # a new exploration waits anew
+    assert decider.answer(question(believed, t=late + 0.1, run=2)).decision.kind == "wait"
+
+
 def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
     asked = []
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))
@@ -99,7 +132,7 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outloo
 def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(outlook, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        body_decider.BodyExplorer, "decide", lambda *args, most_rad_s: asked.append((most_rad_s, args[4]))
+        body_decider.BodyExplorer, "decide", lambda *args, most_rad_s, **_: asked.append((most_rad_s, args[4]))
     )
     decider = BodyDecider(RIG)
     for claimed in (False, True, False):
@@ -108,6 +141,13 @@ def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(o
     short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
     assert [most for most, _ in asked] == [short, stride, slower, short]
     assert all(np.abs(drawn.p - outlook.p).max() < 1e-6 for _, drawn in asked)
+
+
+def test_no_move_is_over_before_the_next_can_be_decided(outlook, monkeypatch):
+    made, grown = [], body_explorer.BodyExplorer._grown
+    monkeypatch.setattr(body_explorer.BodyExplorer, "_grown", lambda *args: made.extend(grown(*args)) or made[-48:])
+    assert BodyDecider(RIG).answer(question(outlook)).decision.move.duration >= body_decider.SHORTEST_S
+    assert min(move.duration for each in made for move in each.moves) == body_decider.SHORTEST_S
 
 
 def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 from palmd.lab import space_exploring
 from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
+from palmd.model.body_rollout import ROUGH_ORDER
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
@@ -137,24 +138,32 @@ def test_the_rest_of_the_best_sequences_is_gone_on_with():
     for each in again:  # each goes on from where its own beginning leads
         parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
         assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
-        after = who._foresight.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
+        after = who._rough.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
         np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
     elsewhere = dataclasses.replace(root, bearings=bearings(1))
     assert who._followed(elsewhere) == []
 
 
-def test_what_goes_on_is_what_shows_most_and_what_is_farthest_round():
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    root = rooted(who, none)
+def test_what_goes_on_is_what_shows_most_what_is_farthest_round_and_what_faces_the_untouched():
+    who, directions = explorer(), icosphere(2)[0]
+    root = rooted(who, np.zeros(len(directions), np.bool_))
     grown = who._grown([root] * COLUMNS, root)
-    parents = who._parents([root, *grown])
+    sought = who._foresight.of(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[0, 0, 1]
+    parents = who._parents([root, *grown], sought[None])
+    half, quarter = COLUMNS // 2, COLUMNS // 4
     ranked = sorted([root, *grown], key=lambda each: -each.gained)[: body_explorer.LIKELY]
-    assert set(map(id, parents[::2])) == set(map(id, ranked))
-    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[1::2]]
+    assert set(map(id, parents[:half])) == set(map(id, ranked))
+    far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[half : half + quarter]]
     all_of_them = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in grown]
     assert np.mean(far) > 1.2 * np.mean(all_of_them)
+
+    def faces(each):
+        still = np.zeros((1, 3))
+        return (-palms_at(each.bearings.joints, still, still).normal[0] @ each.bearings.R[0] @ sought).max()
+
+    assert {faces(each) for each in parents[half + quarter :]} == {max(map(faces, [root, *grown]))}
     old = [dataclasses.replace(each, seconds=body_explorer.HORIZON_S) for each in grown]
-    assert set(map(id, who._parents([root, *old]))) == {id(root)}
+    assert set(map(id, who._parents([root, *old], sought[None]))) == {id(root)}
 
 
 def test_where_every_move_might_lose_the_body_there_is_none():
@@ -182,6 +191,30 @@ def test_what_is_gone_on_with_is_to_be_sure_too_if_anything_is():
     assert who._surest(bearings(1), [(first, thrown)], known) == (first,)
 
 
+def test_the_known_body_is_to_be_held_as_safely_as_a_move_is_to_be_and_others_half_so():
+    gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
+    who, known = explorer(), body_explorer._sure(stand()[1])
+    end, duration = np.array([gentle.end]), np.array([gentle.duration])
+    force = who._foresight.of(bearings(1), end, duration, stand=body_explorer.STAND_S).least_force[0]
+    who._least_force = 0.98 * force
+    assert who._held(bearings(1), [(gentle,)], known) == [1]
+    who._least_force = 1.02 * force
+    assert who._held(bearings(1), [(gentle,)], known) == [0]
+
+
+def test_a_rough_foresight_comes_near_the_exact_one_and_follows_what_is_learnt():
+    who, p = explorer(), stand()[1].copy()
+    ends, durations = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75]]), np.array([0.3, 0.24])
+    rough, exact = (each.of(bearings(2, SPIN), ends, durations) for each in (who._rough, who._foresight))
+    turned = body_explorer._chords(exact.after.R, bearings(2).R)
+    assert (body_explorer._chords(rough.after.R, exact.after.R) < 0.2 * turned).all()
+    assert np.isfinite(rough.normals[0, :, 0, 0]).sum() == np.isfinite(exact.normals[0, :, 0, 0]).sum()
+    p[1:] *= 0.5
+    who._foresight.learn(p)
+    who.decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_))
+    np.testing.assert_array_equal(who._rough.known, np.concatenate([p[: count(ROUGH_ORDER)], p[-BODY:]]))
+
+
 def test_a_body_is_to_be_held_however_it_may_be():
     who, p = explorer(), stand()[1]
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
@@ -204,6 +237,7 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     root = np.random.default_rng(1).normal(size=(6 + len(p), 6 + len(p)))
     drawn = BodyDraws.of(p, root @ root.T, np.random.default_rng(2))
     each = np.concatenate([drawn.turn, drawn.spin, drawn.p - p], axis=1)
+    assert not each[0].any()  # what is believed itself
     spread = np.sqrt(np.diagonal(root @ root.T))
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
 

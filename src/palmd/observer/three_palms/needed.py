@@ -19,6 +19,10 @@ def needed(_config: object) -> list[Part]:
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *map(space, (START_ORDER, ORDER)),
-        ("three palms in space, foresight", lambda: body_rollout.library(ORDER).backend),
+        ("three palms in space, foresight", lambda: body_rollout.library(ORDER, body_rollout.STEP_S).backend),
+        (
+            "three palms in space, rough foresight",
+            lambda: body_rollout.library(body_rollout.ROUGH_ORDER, body_rollout.ROUGH_STEP_S).backend,
+        ),
         ("three palms in space, the filter", lambda: "python" if steps(ORDER, ThreePalmsRig()) is None else "c"),
     ]
