@@ -1,5 +1,6 @@
 """A body between three palms followed along a record: blind to the right form, window by window as well as at once."""
 
+import math
 from dataclasses import replace
 from itertools import islice
 
@@ -22,6 +23,7 @@ from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
 
 SECONDS = 3.0
+COARSE_ORDER = 3
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +60,82 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
 def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):
     sought = []
     monkeypatch.setattr(growth, "rivals", lambda _, seconds: sought.append(seconds) or [])
-    assert growth.best(task)[0].per_number < growth.SURE
+    finer = []
+    monkeypatch.setattr(growth, "sharpened", lambda _, ended: finer.append(ended) or ended)
+    ended = growth.best(task)
+    assert ended[0].per_number < growth.SURE
+    assert finer == [ended]
     assert sought == []
     monkeypatch.setattr(growth, "anew", lambda *_: [])
     assert growth.best(task) == []
     assert sought == list(growth.STARTS_S)
+
+
+def test_all_of_a_record_is_explained_as_a_whole_before_its_parts_are(task, monkeypatch):
+    asked = []
+    monkeypatch.setattr(growth, "rivals", lambda *_: [])
+    monkeypatch.setattr(growth, "anew", lambda _, record, ways: asked.append((record, len(list(ways)))) or [])
+    assert growth.best(task) == []
+    all_of_it = task.intervals(SECONDS)
+    lengths = [len(record.middle_palms) for record, _ in asked]
+    assert lengths == [all_of_it, all_of_it, all_of_it, task.intervals(growth.WHOLE_STARTS_S[-1])]
+    assert [ways for _, ways in asked] == [growth.WAYS] * 3 + [len(list(beliefs.hypotheses()))]
+
+
+@pytest.fixture(scope="module")
+def right(task):
+    """What two blind starts of all of it meet in."""
+    return growth.anew(task, task.record(SECONDS), beliefs.hypotheses())[0]
+
+
+def test_who_explains_all_of_a_record_too_dearly_does_not_end_the_search(task, right, monkeypatch):
+    begun = []
+
+    def starts(_):
+        for each in range(2):
+            begun.append(each)
+            yield [right]
+
+    monkeypatch.setattr(growth, "_starts", starts)
+    monkeypatch.setattr(growth, "raced", lambda _, running: running)
+    assert growth.best(task) == [right]
+    assert begun == [0]
+    begun.clear()
+    monkeypatch.setattr(growth, "MOST_COST", 0.1)
+    growth.best(task)
+    assert begun == [0, 1]
+
+
+@pytest.fixture(scope="module")
+def coarse(task, right):
+    """All of the record as an outline explains it that leaves much out."""
+    prior = beliefs.prior(Y00 * right.prior.mean[0], COARSE_ORDER, task.spin_sd)
+    p = np.concatenate([right.motion.p[: count(COARSE_ORDER)], right.motion.p[-BODY:]])
+    smoother = BodySmoother(right.record, prior, task.noise, task.rig.gravity)
+    fit = smoother.fit(replace(right.motion, p=p))
+    return replace(right, prior=prior, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
+
+
+def test_what_is_not_explained_to_its_noise_is_by_finer_harmonics(task, coarse, monkeypatch):
+    monkeypatch.setattr(growth, "FINE", ORDER)
+    assert coarse.strange > growth.STRANGE
+    beside = replace(coarse, motion=replace(coarse.motion, omega=coarse.motion.omega + 1e-3), cost=coarse.cost + 20.0)
+    lost = replace(coarse, cost=coarse.cost + 50.0)
+    finer, other, still = growth.sharpened(task, [coarse, beside, lost])
+    assert finer.cost < coarse.cost - growth.BEHIND
+    assert finer.strange < growth.STRANGE
+    assert len(finer.motion.p) == len(finer.ahead.mean) == count(ORDER) + BODY
+    assert other.strange < growth.STRANGE  # who costs about as little is compared by the same
+    assert still is lost
+
+
+def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain(task, coarse, right, monkeypatch):
+    monkeypatch.setattr(growth, "FINE", ORDER)
+    assert growth.sharpened(task, [right]) == [right]
+    assert growth.sharpened(task, []) == []
+    cheap = replace(coarse, cost=right.cost + growth.BEHIND - 10.0)
+    monkeypatch.setattr(growth, "STRANGE", -math.inf)
+    assert growth.sharpened(task, [cheap]) == [cheap]
 
 
 def test_windows_lead_to_what_all_at_once_leads_to(task):
@@ -73,12 +146,6 @@ def test_windows_lead_to_what_all_at_once_leads_to(task):
     spins = np.array([ahead.motion.omega[-1], whole.motion.omega[-1]])
     assert np.ptp(spins, axis=0).max() < 0.03  # rad/s
     assert ahead.per_number < 1.15
-
-
-@pytest.fixture(scope="module")
-def right(task):
-    """What two blind starts of all of it meet in."""
-    return growth.anew(task, task.record(SECONDS), beliefs.hypotheses())[0]
 
 
 def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_one(task, right):

@@ -12,6 +12,8 @@ from palmd.model.three_palms import MOMENT
 
 ORDER = 12
 """The degree up to which outlines are estimated."""
+FINE = 20
+"""The same of a whole record that is not explained to its noise by that."""
 
 
 def inertia(p: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import ORDER, centres_of, curvatures, inertia
+from palmd.observer.three_palms.body import FINE, ORDER, centres_of, curvatures, inertia
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
@@ -37,20 +38,27 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
-FIRST_START_S = 2.0
-"""Of a record, that is explained as a whole at once; from the first second alone, in many ways, where that fails."""
-STARTS_S = (1.3, 0.8, 2.0)
+WHOLE_STARTS_S = (math.inf, 8.0, 5.0, 2.0)
+"""Of a record, that are explained as a whole at once, all of it first; from the first second alone, in many ways, where
+that fails."""
+WAYS = 4
+"""Hypotheses that a start of a whole record is tried with, but for the shortest, which is tried with all."""
+STARTS_S = (1.3, 0.8)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
 FOUND_S = 9.0
 """Of a record, beyond which no other start is asked for any more where two thirds of it were found twice."""
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
+STRANGE = 3.0
+"""One-sigmas by which the cost of a whole record is too high, from which on finer harmonics are asked for."""
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
 HOPELESS_WHOLE = 1.7  # cost per number read after these, above which a start of a whole record leads nowhere
 DECISIVE, OTHER_RAD_S = 12.0, 0.05
 """By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
-SURE = 1.35  # cost per number read at the end, below which no other start is asked for: truncation costs so much
+SURE = 1.35  # cost per number read at the end that truncation may cost
+MOST_COST = 1.12
+"""The same, of readings, equations and beliefs together, of a motion that explains a record to its noise."""
 CURVATURE_EVERY = 5  # contacts
 WINDOWS_S = (0.5, 0.2, 0.1)
 """How far it goes on at once; shorter where it is foretold badly."""
@@ -128,11 +136,6 @@ class Grown:
         return self.windows[-1][1] if self.windows else 0.0
 
     @property
-    def turned(self) -> float:
-        """By how much the body has turned in all of the record, to and fro (rad)."""
-        return float(np.linalg.norm(self.motion.omega, axis=1).sum()) * SPACING_S
-
-    @property
     def lost(self) -> bool:
         """Whether what it foretells has nothing to do with what is read any more."""
         length, cost = 0, 0.0
@@ -173,16 +176,44 @@ def best(task: Task) -> list[Grown]:
         ended += raced(task, running)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
-            break
+            ended = sharpened(task, ended)
+            if ended[0].per_number <= MOST_COST:
+                break
     if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
     return ended
 
 
+def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
+    """Those that explain all of the record about as cheaply as the first, up to degree `FINE` where that pays."""
+    if not ended or ended[0].strange < STRANGE or ended[0].per_number > HOPELESS:
+        return ended
+    first = ended[0]
+
+    def near(each: Grown) -> bool:
+        return each.intervals == first.intervals and each.cost < first.cost + BEHIND
+
+    finer = sorted((_finer(task, each) for each in ended if near(each)), key=lambda each: each.cost)
+    return [*finer, *(each for each in ended if not near(each))]
+
+
+def _finer(task: Task, now: Grown) -> Grown:
+    p = now.motion.p
+    prior = beliefs.prior(Y00 * float(now.prior.mean[0]), FINE, task.spin_sd)
+    smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
+    fit = smoother.fit(replace(now.motion, p=beliefs.raised(p, FINE)))
+    if fit.cost > now.cost - BEHIND:
+        return now
+    ahead = smoother.ahead(fit)
+    return replace(now, prior=prior, motion=fit.motion, ahead=ahead, cost=fit.cost, whole=fit, windows=())
+
+
 def _starts(task: Task) -> Iterator[list[Grown]]:
     """What rivals are followed from, one set after the other, each sought only when it is asked for."""
-    found = [each for each in anew(task, task.record(FIRST_START_S), beliefs.hypotheses()) if each.per_number < SURE]
-    yield [each for each in found if each.cost < found[0].cost + BEHIND]
+    for seconds in WHOLE_STARTS_S:
+        ways = islice(beliefs.hypotheses(), WAYS if seconds > WHOLE_STARTS_S[-1] else None)
+        found = [each for each in anew(task, task.record(seconds), ways) if each.per_number < SURE]
+        yield [each for each in found if each.cost < found[0].cost + BEHIND]
     for seconds in STARTS_S:
         yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS])
 

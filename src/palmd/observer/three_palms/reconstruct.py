@@ -14,25 +14,22 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.spherical import Y00, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
-from palmd.observer.three_palms.body import ORDER, centres_of, inertia
+from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import SURE, Grown, best
+from palmd.observer.three_palms.growth import MOST_COST, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
+from palmd.observer.three_palms.smoother import order_of
 from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
-MOST_COST = 1.12  # per number read, of readings, equations and beliefs together
 SHARP_M = 7e-5
-TUMBLED_RAD = 4.0 * math.pi
-"""By how much a body must have turned for a motion that explains it all to be the right one, truncation and all: what
-is wrong about a body does not foretell how it tumbles on."""
 MOST_LAMBDA = 0.5
 """Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
@@ -107,9 +104,9 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     """What the best of the rivals says, and whether it may be believed."""
     first = ended[0]
     fit, record, p = first.whole, first.record, first.motion.p
-    n = count(ORDER)
+    n, order = len(p) - BODY, order_of(len(p))
     directions, triangles = icosphere()
-    point_rows = _everywhere()[1]
+    point_rows = _everywhere(order)[1]
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
@@ -121,13 +118,13 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
-        converged=not (reason := doubt(task, ended, sd[touched], proven=first.turned > TUMBLED_RAD)),
+        converged=not (reason := doubt(task, ended, sd[touched])),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
         h=h, h_sd=sd, touched=touched, coefficients=p[:n],
         points=within(point_rows @ p[:n], directions, h),
         inertia=own, inertia_sd=own_sd, mu=float(p[-2]), mu_sd=float(np.sqrt(covariance[-2, -2])),
         mass=mass, mass_sd=mass_sd, t=record.t, R=R, omega=fit.motion.omega,
-        centre=centres_of(R, record.node_palms, p), contacts=(evaluator(ORDER)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
+        centre=centres_of(R, record.node_palms, p), contacts=(evaluator(order)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
 
@@ -157,19 +154,19 @@ def surface(
     centre_sd: of the centre of mass besides (m), from which all heights count.
     """
     directions, _ = icosphere()
-    rows, point_rows = _everywhere()
-    n = count(ORDER)
+    n, order = len(p) - BODY, order_of(len(p))
+    rows, point_rows = _everywhere(order)
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
-    beyond = beliefs.beyond_sd(Y00 * p[0], ORDER, touched, chi2)
+    beyond = beliefs.beyond_sd(Y00 * p[0], order, touched, chi2)
     alike = 1.0 + beliefs.NUMBERS_ALIKE * max(chi2 - 1.0, 0.0)
     return rows @ p[:n], np.asarray(np.sqrt(alike * sd**2 + beyond**2 + centre_sd**2), np.float64)
 
 
 @cache
-def _everywhere() -> tuple[FloatArray, FloatArray]:
+def _everywhere(order: int) -> tuple[FloatArray, FloatArray]:
     """As `evaluator`, of all directions."""
-    return evaluator(ORDER)(icosphere()[0])
+    return evaluator(order)(icosphere()[0])
 
 
 def within(points: FloatArray, directions: FloatArray, h: FloatArray) -> FloatArray:
@@ -196,7 +193,7 @@ def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.b
 def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = False) -> str:
     """Why the first of the rivals is not to be believed; empty if it is.
 
-    proven: it has foretold for long what came, or how the body tumbled: what more it costs is truncation.
+    proven: it has foretold for long what came: what more it costs is truncation.
     """
     first = ended[0]
     most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)
