@@ -211,7 +211,7 @@ def _finer(task: Task, now: Grown) -> Grown:
 def _starts(task: Task) -> Iterator[list[Grown]]:
     """What rivals are followed from, one set after the other, each sought only when it is asked for."""
     for seconds in WHOLE_STARTS_S:
-        ways = islice(beliefs.hypotheses(), WAYS if seconds > WHOLE_STARTS_S[-1] else None)
+        ways = islice(beliefs.hypotheses(), WAYS if seconds > min(WHOLE_STARTS_S) else None)
         found = [each for each in anew(task, task.record(seconds), ways) if each.per_number < SURE]
         yield [each for each in found if each.cost < found[0].cost + BEHIND]
     for seconds in STARTS_S:
