@@ -1,0 +1,119 @@
+"""The outline of an object with corners by all readings of all rides together, each at its place on it. Pure, offline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.observer.cornered import discs, seats
+from palmd.observer.damped import Least, minimised
+from palmd.observer.lying import SEAT, SHARED, Lying
+from palmd.observer.places import GAUGE_RAD, REACH, Places, Seat
+
+ROUNDS = 3  # in which is looked for what rocks
+RADIUS_SD_M = 2e-3
+STEP_M = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What is believed of the numbers that all rides share (`lying.SHARED`), and its one-sigmas."""
+
+    mean: FloatArray
+    sd: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class CorneredFit:
+    """The outline p, the shared numbers, how each ride is explained, and where it lies: its side and corner."""
+
+    places: Places
+    lyings: tuple[Lying, ...]
+    residuals: tuple[FloatArray, ...]
+    sides: tuple[int, ...]
+    corners: tuple[int, ...]
+    p: FloatArray
+    shared: FloatArray
+    covariance: FloatArray
+    settled: bool
+
+    @property
+    def chi2(self) -> float:
+        """Of each reading."""
+        return float(np.mean(np.concatenate(self.residuals) ** 2))
+
+    def seat(self, which: int) -> FloatArray:
+        """Y, ρ, a, H (m) of a ride."""
+        side, corner = (np.array([each[which]]) for each in (self.sides, self.corners))
+        seat: FloatArray = seats(self.p, side, corner, [self.lyings[which].ride.palm])[0]
+        return seat
+
+
+class _Problem:
+    """What is to be least squared."""
+
+    def __init__(self, lyings: Sequence[Lying], places: Places, shared: Shared):
+        used = np.flatnonzero(places.used)
+        self.lyings, self._shared = lyings, shared
+        self.sides, self.corners = places.sides[used], places.corners[used]
+        self._palms = [each.ride.palm for each in lyings]
+        self._own = len(places.p)
+        centres, radii = discs(places.p)
+        self._reach, self._radius, self._gauge = np.abs(centres).mean(), np.median(radii), np.angle(centres[0])
+
+    def seats(self, p: FloatArray) -> FloatArray:
+        return seats(p[: self._own], self.sides, self.corners, self._palms)
+
+    def at(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals, of what is believed last, and their derivatives."""
+        there, own = self.seats(p), np.eye(len(p))[: self._own]
+        moved = np.stack([(self.seats(p + STEP_M * unit) - there) / STEP_M for unit in own], axis=2)
+        misses, rows = list[FloatArray](), list[FloatArray]()
+        for seat, by, lying in zip(there, moved, self.lyings, strict=True):
+            slopes = lying.slopes(seat, p[self._own :])
+            misses.append(lying.residuals(seat, p[self._own :]))
+            rows.append(np.concatenate([slopes[:, :SEAT] @ by, slopes[:, SEAT:]], axis=1))
+        believed = self._believed(p)
+        steps = STEP_M * np.eye(len(p))
+        misses.append(believed)
+        rows.append(np.stack([(self._believed(p + step) - believed) / STEP_M for step in steps], axis=1))
+        return np.concatenate(misses), np.concatenate(rows)
+
+    def _believed(self, p: FloatArray) -> FloatArray:
+        centres, radii = discs(p[: self._own])
+        shared = (p[self._own :] - self._shared.mean) / self._shared.sd
+        reach = (np.abs(centres) / self._reach - 1.0) / REACH
+        gauge = [(np.angle(centres[0] * np.exp(-1j * self._gauge))) / GAUGE_RAD]
+        return np.concatenate([reach, (radii - self._radius) / RADIUS_SD_M, shared, gauge])
+
+
+def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared: Shared) -> CorneredFit | None:
+    """By all readings of the rides that have a place, where they lie still; None where nothing is told.
+
+    whole: the readings of each, rocking and all.
+    """
+    used = np.flatnonzero(places.used)
+    lyings, p = [found[i].lying for i in used], np.concatenate([places.p, shared.mean])
+    least: Least | None = None
+    try:
+        for _ in range(ROUNDS):
+            problem = _Problem(lyings, places, shared)
+            least = minimised(problem.at, p if least is None else least.p)
+            told = problem.seats(least.p), least.p[-SHARED:]
+            lyings = [whole[i].only(whole[i].still(seat, told[1])) for i, seat in zip(used, told[0], strict=True)]
+            if min(len(each.t) for each in lyings) == 0:
+                return None
+        problem = _Problem(lyings, places, shared)
+        least = minimised(problem.at, least.p if least is not None else p)
+        covariance = np.linalg.inv(least.information)
+    except np.linalg.LinAlgError:
+        return None
+    last, shared_now = problem.seats(least.p), least.p[-SHARED:]
+    residuals = tuple(each.residuals(seat, shared_now) for each, seat in zip(lyings, last, strict=True))
+    return CorneredFit(
+        places, tuple(lyings), residuals, tuple(problem.sides.tolist()), tuple(problem.corners.tolist()),
+        least.p[:-SHARED], shared_now, covariance, least.settled,
+    )  # fmt: skip

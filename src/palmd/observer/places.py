@@ -1,0 +1,185 @@
+"""On which side, with which corner opposite, an object with corners lay in each of many rides. Pure, offline.
+
+Each ride by itself tells four numbers (`observer.lying`): how high the centre of mass is over the side, and where the
+corner is from both. They are those of one outline, if each ride is given its place on it. Places are sought in order of
+time: a ride that follows on the same palm at once is on the same side, any other one on any that is near; what explains
+the rides so far best is kept, some in parallel. How many corners there are is sought in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.observer.cornered import IntArray, beyond, discs, regular, seats, side_normals
+from palmd.observer.damped import minimised
+from palmd.observer.lying import SEAT, Lying
+from palmd.observer.outline import wrapped
+from palmd.observer.rides import Ride
+
+TRIM_S = 0.1  # of both ends of a ride
+MOST_ROCKS = 3  # times that what rocks is looked for
+LEAST_READINGS = 16
+HEIGHT, HEIGHT_SD_M, AWAY_SD_M = 0.9, 8e-3, 15e-3  # of one ride: H in mean radii, and what it and a are off by at first
+FORM_SD_M = (3e-5, 5e-5, 1.5e-4, 1e-4)  # that Y, ρ, a, H of one ride may be off by besides their noise
+CORNERS = (3, 4, 5, 6, 7, 8)
+STAYS_S = 0.1  # from a ride to the next one on the same side: to tip takes longer
+BEAM, SKIPPED = 24, 40.0  # how many are kept; the price of a ride that is left out, of twice the log-likelihood
+HOPELESS = 400.0  # of it, that a rival may lack
+NEAR_M, CLEAR_M = 3e-3, 6e-4  # of Y − ρ: at most where the corner may end the side, at least where it may not
+REACH = 0.25  # of the mean radius: one-sigma of the corners' distance
+SPREAD_RAD, RADIUS_SD_M, BEYOND_RAD = 0.35, 1e-3, 0.04  # of corners' angles; of radii; of normals that leave a corner
+LEAST_TURN_RAD, TURN_SD_RAD = 0.15, 0.05  # between sides
+GAUGE_RAD = 1e-4
+ITERATIONS, STEP_M, MOST_STEP_M = 6, 1e-7, 6e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """What one ride tells: Y, ρ, a, H (m), a root of its information (SEAT, SEAT), and the readings it is told by."""
+
+    value: FloatArray
+    root: FloatArray
+    lying: Lying
+
+    @property
+    def ride(self) -> Ride:
+        """Which."""
+        return self.lying.ride
+
+
+def seat_of(lying: Lying, shared: FloatArray, shared_sd: FloatArray) -> Seat | None:
+    """By the readings of one ride, where it lay still; None where there are too few.
+
+    shared, shared_sd: what is believed of the numbers that all rides share.
+    """
+    high, radius = lying.ride.corner
+    mean = math.exp(shared[0])
+    p = np.concatenate([[high, radius, 0.0, HEIGHT * mean], shared])
+    believed, sd = p[2:].copy(), np.concatenate([[AWAY_SD_M, HEIGHT_SD_M], shared_sd])
+    kept = lying
+    for _ in range(MOST_ROCKS):
+        if min(kept.on_ridden.sum(), (~kept.on_ridden).sum()) < LEAST_READINGS:
+            return None
+
+        def at(p: FloatArray, kept: Lying = kept) -> tuple[FloatArray, FloatArray]:
+            rows = np.concatenate([kept.slopes(p[:SEAT], p[SEAT:]), np.diag(1.0 / sd) @ np.eye(len(p))[2:]])
+            return np.concatenate([kept.residuals(p[:SEAT], p[SEAT:]), (p[2:] - believed) / sd]), rows
+
+        found = minimised(at, p)
+        p = found.p
+        still = lying.still(p[:SEAT], p[SEAT:])
+        if still.sum() == len(kept.t):
+            break
+        kept = lying.only(still)
+    try:
+        covariance = np.linalg.inv(found.information)[:SEAT, :SEAT] + np.diag(FORM_SD_M) ** 2
+        return Seat(p[:SEAT], np.linalg.inv(np.linalg.cholesky(covariance)), kept)
+    except np.linalg.LinAlgError:
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Of each seat its side, its corner, and whether it is explained; the outline p, and twice its cost."""
+
+    p: FloatArray
+    sides: IntArray
+    corners: IntArray
+    used: IntArray
+    cost: float
+
+    @property
+    def count(self) -> int:
+        """How many corners the outline has."""
+        return len(self.p) // 3
+
+
+class PlaceSearch:
+    """Seats in order of time, and an outline of so many corners."""
+
+    def __init__(self, found: Sequence[Seat], count: int):
+        self._seats, self.count = found, count
+        self._value, self._root = np.array([each.value for each in found]), np.array([each.root for each in found])
+        self._palm = np.array([each.ride.palm for each in found])
+        self._openings = np.array([each.lying.openings for each in found])
+        height, self._radius = float(np.median(self._value[:, 3])), max(float(np.median(self._value[:, 1])), 0.0)
+        self._begin = regular(count, height, self._radius)
+        self._reach = float(np.abs(discs(self._begin)[0][0]))
+
+    def best(self) -> list[Places]:
+        """The likeliest places, best first."""
+        none = np.zeros(0, dtype=np.intp)
+        kept = [Places(self._begin, none, none, none, 0.0)]
+        for i in range(len(self._seats)):
+            options = [(each, *place) for each in kept for place in self._options(each, i)]
+            p = np.array([each.p for each, *_ in options])
+            sides, corners, used = (
+                np.array([np.append(getattr(each, name), place[k]) for each, *place in options], dtype=np.intp)
+                for k, name in enumerate(("sides", "corners", "used"))
+            )
+            p, cost = self._fitted(p, sides, corners, used)
+            first = np.argsort(cost, kind="stable")[: 2 * BEAM]
+            p, cost = self._fitted(p[first], sides[first], corners[first], used[first])
+            last = [k for k in np.argsort(cost, kind="stable")[:BEAM] if cost[k] < cost.min() + HOPELESS]
+            kept = [Places(p[k], sides[first[k]], corners[first[k]], used[first[k]], float(cost[k])) for k in last]
+        return kept
+
+    def _options(self, before: Places, i: int) -> Iterator[tuple[int, int, int]]:
+        """Side, corner and whether it is used, of the next seat."""
+        ride, (high, radius) = self._seats[i].ride, self._value[i, :2]
+        known = np.flatnonzero(before.used)
+        if not len(known):
+            sides: set[int] = {0}
+        else:
+            last = self._seats[known[-1]].ride
+            stays = last.palm == ride.palm and ride.start - last.end < STAYS_S
+            ways = (0,) if stays else range(-3, 4)
+            sides = {(int(before.sides[known[-1]]) + way) % self.count for way in ways}
+        first, most = 0 if high - radius < NEAR_M else 1, 1 if high - radius < CLEAR_M else min(4, self.count - 1)
+        for side in sorted(sides):
+            for by in range(first, most):
+                yield side, (side + (-by, 1 + by)[ride.palm]) % self.count, 1
+        yield 0, 0, 0
+
+    def _fitted(
+        self, p: FloatArray, sides: IntArray, corners: IntArray, used: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Outlines (B, 3n) iterated, and their costs (B,): damped Gauss–Newton, all side by side."""
+        damping, misses = np.full(len(p), 1e-3), self._misses(p, sides, corners, used)
+        cost, own = (misses**2).sum(axis=1), np.arange(p.shape[1])
+        for _ in range(ITERATIONS):
+            rows = np.stack(
+                [(self._misses(p + STEP_M * unit, sides, corners, used) - misses) / STEP_M for unit in np.eye(len(own))],
+                axis=2,
+            )
+            matrix, side = np.swapaxes(rows, 1, 2) @ rows, (misses[:, None, :] @ rows)[:, 0]
+            matrix[:, own, own] *= 1.0 + damping[:, None]
+            matrix[:, own, own] += 1.0
+            step = np.clip(-np.linalg.solve(matrix, side[:, :, None])[:, :, 0], -MOST_STEP_M, MOST_STEP_M)
+            there = self._misses(p + step, sides, corners, used)
+            new = (there**2).sum(axis=1)
+            good = new < cost
+            p, misses = np.where(good[:, None], p + step, p), np.where(good[:, None], there, misses)
+            cost, damping = np.where(good, new, cost), np.where(good, damping / 5.0, damping * 8.0)
+        return p, cost + SKIPPED * (1 - used).sum(axis=1)
+
+    def _misses(self, p: FloatArray, sides: IntArray, corners: IntArray, used: IntArray) -> FloatArray:
+        """In one-sigmas (B, …): of the seats' numbers, of normals that are not the corner's, of what is believed."""
+        count = sides.shape[1]
+        palm, openings = self._palm[:count], self._openings[:count]
+        told = self._value[:count] - seats(p, sides, corners, palm)
+        told = (self._root[:count] @ told[..., None])[..., 0] * used[..., None]
+        out = beyond(p, sides, corners, palm, openings) / BEYOND_RAD * used[..., None]
+        centres, radii = discs(p)
+        away = wrapped(np.angle(np.roll(centres, -1, axis=1) / centres) - math.tau / self.count) / SPREAD_RAD
+        normals = side_normals(p)
+        hollow = np.minimum(wrapped(np.roll(normals, -1, axis=1) - normals) - LEAST_TURN_RAD, 0.0) / TURN_SD_RAD
+        reach = (np.abs(centres) / self._reach - 1.0) / REACH
+        gauge = np.angle(centres[:, :1]) / GAUGE_RAD
+        parts = told, out, away, reach, (radii - self._radius) / RADIUS_SD_M, hollow, gauge
+        return np.concatenate([each.reshape(len(p), -1) for each in parts], axis=1)
