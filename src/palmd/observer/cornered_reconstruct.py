@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, C
-from palmd.observer.cornered import discs, side_normals, supported, turned
+from palmd.observer.cornered import IntArray, discs, side_normals, supported, turned
 from palmd.observer.cornered_fit import CorneredFit, Shared, fitted
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.lying import Carried, Lying, balance
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
-from palmd.observer.places import CORNERS, STAYS_S, TRIM_S, PlaceSearch, Places, Seat, seat_of
+from palmd.observer.places import STAYS_S, TRIM_S, Places, Seat, certain, placed, seat_of
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.record import Record, lasting
+from palmd.observer.record import Record, joined, lasting
 from palmd.observer.ridden import trimmed
 from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import Search
-from palmd.observer.sided_fits import LEAST_S, LN_GYRATION
+from palmd.observer.sided_fits import LEAST_S, LN_GYRATION, LN_GYRATION_SD
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS, normal_directions
@@ -30,55 +31,64 @@ from palmd.system.rig_constants import declared_exact
 
 LEAST_SEATS = 4  # rides that differ, of an object that has lain on several sides
 OVERLAP_S = 0.05  # of two rides, as readings that end one may begin the other
-GYRATION_SD = 0.2  # of ln of the radius of gyration, before the outline is known
+GYRATION_SD, HELD_SD = 0.2, 0.02  # of ln of the radius of gyration: what rocks a little would tell it wrong, so it is held
+ROUND = 1.08  # of the sides' height, the mean radius
 EXPLAINED, STILL = 0.8, 0.5  # of the rides' time, that has a place; of their readings, while the object lies still
 MOST_CHI2, RIDE_SIGMAS = 1.15, 6.0  # of all readings; of one ride's
 DOUBT, DIFFERENT_M = 30.0, 1e-4  # of twice the log-likelihood, that a rival lacks which need not be alike; how alike
 MODEL_SD_M, OVERCONFIDENCE = 1e-5, 1.5  # of an outline besides, as sides give and corners roll
 
 
-def cornered_reconstruction(search: Search, record: Record, begun: float) -> Reconstruction | None:
-    """The outline between whose corners the object of `record` has lain; None where there is any doubt.
+def cornered_reconstruction(search: Search, records: Sequence[Record], begun: float) -> Reconstruction | None:
+    """The outline on whose sides the object of `records` has lain; None where there is any doubt.
 
-    record: of the segment of `search`, and of others in which the same object may have ridden.
+    records: of the segment of `search`, and of others in which the same object may have ridden, in order of time.
     """
     if not declared_exact(search.rig):
         return None
-    rides = _apart(rides_of(record))
+    rides, record = _apart([ride for each in records for ride in rides_of(each)]), joined(records)
     if len(same(rides)) < LEAST_SEATS or not any(ride.rolls for ride in rides):
         return None
-    prior = search.prior
-    shared = Shared(
-        np.array([LN_GYRATION + math.log(prior.mean[C.SHAPE]), *prior.mean[[C.DRAG, C.SATURATION]]]),
-        np.array([GYRATION_SD, *prior.sd[[C.DRAG, C.SATURATION]]]),
-    )
+    shared = _believed(search, float(search.prior.mean[C.SHAPE]), GYRATION_SD)
     whole = [Lying.of(record, ride, TRIM_S) for ride in sorted(rides, key=lambda ride: ride.start)]
     both = [(seat, each) for each in whole if (seat := seat_of(each, shared.mean, shared.sd)) is not None]
     told, whole = [seat for seat, _ in both], [each for _, each in both]
     if len(told) < LEAST_SEATS:
         return None
-    rivals = sorted((each for count in CORNERS for each in PlaceSearch(told, count).best()), key=lambda each: each.cost)
+    shared = _believed(search, ROUND * float(np.median([seat.value[3] for seat in told])), HELD_SD)
+    rivals = placed(told, DOUBT)
     best = rivals[0]
-    fit = fitted(told, whole, best, shared)
-    if fit is None or _doubtful(fit, told, whole, rides):
+    if _lasting(told, best.used) < EXPLAINED * lasting([span for span in trimmed(rides) if span[1] > span[0]]):
+        return None
+    used = certain(rivals, np.array([seat.ride.lasts for seat in told]))
+    fit = fitted(told, whole, replace(best, used=used), shared)
+    if fit is None or _lasting(told, used) < LEAST_S or _doubtful(fit, whole):
         return None
     return _told(fit, rivals, search, record, begun)
+
+
+def _believed(search: Search, radius: float, sd: float) -> Shared:
+    """Of what all rides share, of an object of this mean radius (m), the radius of gyration to `sd` of its ln."""
+    prior, friction = search.prior, [C.DRAG, C.SATURATION]
+    mean = np.array([LN_GYRATION + math.log(radius), *prior.mean[friction]])
+    return Shared(mean, np.array([sd, *prior.sd[friction]]))
 
 
 def _apart(rides: Sequence[Ride]) -> list[Ride]:
     """These, longest first, but for those that overlap a longer one."""
     kept = list[Ride]()
-    for ride in rides:
+    for ride in sorted(rides, key=lambda ride: -ride.lasts):
         if all(min(ride.end, other.end) - max(ride.start, other.start) < OVERLAP_S for other in kept):
             kept.append(ride)
     return kept
 
 
-def _doubtful(fit: CorneredFit, told: Sequence[Seat], whole: Sequence[Lying], rides: Sequence[Ride]) -> bool:
-    placed = [ride.lying.ride for ride, used in zip(told, fit.places.used, strict=True) if used]
-    explained = lasting(trimmed(placed))
-    if explained < max(LEAST_S, EXPLAINED * lasting([span for span in trimmed(rides) if span[1] > span[0]])):
-        return True
+def _lasting(told: Sequence[Seat], used: IntArray) -> float:
+    """How long (s) the rides last that are used, but for their ends."""
+    return lasting(trimmed([seat.ride for seat, each in zip(told, used, strict=True) if each]))
+
+
+def _doubtful(fit: CorneredFit, whole: Sequence[Lying]) -> bool:
     there = sum(len(each.t) for each, used in zip(whole, fit.places.used, strict=True) if used)
     if sum(len(each.t) for each in fit.lyings) < STILL * there or not fit.settled or fit.chi2 > MOST_CHI2:
         return True
@@ -99,7 +109,7 @@ def _told(
     covariance = OVERCONFIDENCE**2 * _turned_covariance(fit, turn)
     normals, theta = normal_angles(record.palms, psi), directions()
     touched = touched_within(record, psi)
-    if not _alike(fit.places, rivals, theta[touched] - side_normals(p)[fit.sides[0]]):
+    if not _alike(rivals, theta[touched] - side_normals(p)[fit.sides[0]]):
         return None
     h, slope, rows = supported(p, theta)
     there = slope[touched]
@@ -110,12 +120,12 @@ def _told(
         return None
     mass = _weighed(fit, whole, search)
     shared_sd = OVERCONFIDENCE * np.sqrt(np.diagonal(fit.covariance)[len(p) :])
-    rho = math.exp(fit.shared[0])
+    rho = math.exp(LN_GYRATION) * float(h.mean())  # as of an even body: it is not told
     return Reconstruction(
         converged=True, chi2=fit.chi2,
         theta=theta, h=h, h_sd=h_sd, touched=touched,
         visits=np.sum([visits_of(part) for part in np.split(normals, record.torn + 1)], axis=0),
-        rho=rho, rho_sd=rho * float(shared_sd[0]), mu=float(fit.shared[1]), mu_sd=float(shared_sd[1]),
+        rho=rho, rho_sd=rho * LN_GYRATION_SD, mu=float(fit.shared[1]), mu_sd=float(shared_sd[1]),
         mass=mass.value, mass_sd=mass.sd, rig=search.prior.mean[RIG], rig_covariance=np.diag(search.prior.sd[RIG] ** 2),
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=psi, omega0=spin, radii=np.stack([supported(p, each)[0] for each in normals.T]),
@@ -135,8 +145,9 @@ def _motion(fit: CorneredFit, whole: Record) -> tuple[Record, FloatArray, FloatA
         stays.append((start, end, palm, side))
     record = whole.within([each[:2] for each in stays])
     normals, psi, spin = side_normals(fit.p), list[FloatArray](), list[FloatArray]()
-    parts = np.split(np.arange(len(record.t)), record.torn + 1)
-    for (_, _, palm, side), nodes in zip(stays, parts, strict=True):
+    starts = [start for start, *_ in stays]
+    for nodes in np.split(np.arange(len(record.t)), record.torn + 1):  # a contact may be lost during a stay
+        _, _, palm, side = stays[int(np.searchsorted(starts, record.t[nodes[-1]])) - 1]
         palms = record.palms[nodes]
         unturned = normal_directions(palms[:, : len(PALMS)].T, 0.0)[palm]
         psi.append(unturned - normals[side])
@@ -154,16 +165,15 @@ def _turned_covariance(fit: CorneredFit, turn: float) -> FloatArray:
     return covariance
 
 
-def _alike(best: Places, rivals: Sequence[Places], away: FloatArray) -> bool:
-    """Whether all rivals that are hardly less likely are the same outline on these normals (rad).
+def _alike(rivals: Sequence[Places], away: FloatArray) -> bool:
+    """Whether all rivals are the same outline on these normals (rad).
 
     away: from the normal of the side that is the first ride's.
     """
     outlines = list[FloatArray]()
     for each in rivals:
-        if each.cost < best.cost + DOUBT:
-            first = side_normals(each.p)[each.sides[np.argmax(each.used)]]
-            outlines.append(supported(each.p, away + first)[0])
+        first = side_normals(each.p)[each.sides[np.argmax(each.used)]]
+        outlines.append(supported(each.p, away + first)[0])
     return all(float(np.sqrt(np.mean((h - outlines[0]) ** 2))) < DIFFERENT_M for h in outlines)
 
 

@@ -26,15 +26,18 @@ MOST_ROCKS = 3  # times that what rocks is looked for
 LEAST_READINGS = 16
 HEIGHT, HEIGHT_SD_M, AWAY_SD_M = 0.9, 8e-3, 15e-3  # of one ride: H in mean radii, and what it and a are off by at first
 FORM_SD_M = (3e-5, 5e-5, 1.5e-4, 1e-4)  # that Y, ρ, a, H of one ride may be off by besides their noise
-CORNERS = (3, 4, 5, 6, 7, 8)
+CORNERS = (6, 5, 7, 4, 8, 3)  # how many there may be, the likeliest first
 STAYS_S = 0.1  # from a ride to the next one on the same side: to tip takes longer
-BEAM, SKIPPED = 24, 40.0  # how many are kept; the price of a ride that is left out, of twice the log-likelihood
-HOPELESS = 400.0  # of it, that a rival may lack
+BEAM = 24  # how many are kept
+SKIPPED = 40.0  # the price of a ride that is left out, of twice the log-likelihood
+MOST_PASSED = 3  # sides between the one that it lies on and the corner opposite
+HOPELESS = 100.0  # of it, that a rival may lack
 NEAR_M, CLEAR_M = 3e-3, 6e-4  # of Y − ρ: at most where the corner may end the side, at least where it may not
 REACH = 0.25  # of the mean radius: one-sigma of the corners' distance
 SPREAD_RAD, RADIUS_SD_M, BEYOND_RAD = 0.35, 1e-3, 0.04  # of corners' angles; of radii; of normals that leave a corner
 LEAST_TURN_RAD, TURN_SD_RAD = 0.15, 0.05  # between sides
 GAUGE_RAD = 1e-4
+SAME_TURN_RAD, SAME_CORNER_M = 0.02, 5e-4  # of a side, of a corner, at the same place in two outlines
 ITERATIONS, STEP_M, MOST_STEP_M = 6, 1e-7, 6e-3
 
 
@@ -85,7 +88,10 @@ def seat_of(lying: Lying, shared: FloatArray, shared_sd: FloatArray) -> Seat | N
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Of each seat its side, its corner, and whether it is explained; the outline p, and twice its cost."""
+    """Of each seat its side, its corner, and whether it is used; the outline p.
+
+    cost: twice the negative log-likelihood up to a constant.
+    """
 
     p: FloatArray
     sides: IntArray
@@ -97,6 +103,45 @@ class Places:
     def count(self) -> int:
         """How many corners the outline has."""
         return len(self.p) // 3
+
+    @property
+    def labels(self) -> tuple[IntArray, ...]:
+        """All that is said of each seat."""
+        return self.sides, self.corners, self.used
+
+
+def placed(found: Sequence[Seat], doubt: float) -> list[Places]:
+    """The likeliest places of seats in order of time, on an outline of any `CORNERS`, best first.
+
+    With all rivals that were found which cost less than `doubt` more.
+    """
+    rivals = list[Places]()
+    for count in CORNERS:
+        least = min((each.cost for each in rivals), default=math.inf)
+        rivals += PlaceSearch(found, count).best(least + doubt)
+    rivals.sort(key=lambda each: each.cost)
+    return [each for each in rivals if each.cost < rivals[0].cost + doubt]
+
+
+def certain(rivals: Sequence[Places], lasts: FloatArray) -> IntArray:
+    """Which seats, that last so long (s), all rivals have at the same place of the same outline as the first.
+
+    Frames are laid on one another by the side on which the first has the object lie longest.
+    """
+    best = rivals[0]
+    on = np.bincount(best.sides, weights=lasts * best.used, minlength=best.count)
+    anchor = int(np.argmax(lasts * best.used * (best.sides == np.argmax(on))))
+    used, places = best.used.copy(), list[tuple[FloatArray, IntArray, FloatArray]]()
+    for each in rivals:
+        normals, (centres, _) = side_normals(each.p), discs(each.p)
+        frame = normals[each.sides[anchor]]
+        corners = centres[each.corners] * np.exp(-1j * frame)
+        places.append((normals[each.sides] - frame, each.used, np.stack([corners.real, corners.imag], axis=1)))
+    for normals, there, corners in places[1:]:
+        turned = np.abs(wrapped(normals - places[0][0])) > SAME_TURN_RAD
+        moved = np.linalg.norm(corners - places[0][2], axis=1) > SAME_CORNER_M
+        used[(there == 1) & (turned | moved)] = 0
+    return used
 
 
 class PlaceSearch:
@@ -111,45 +156,62 @@ class PlaceSearch:
         self._begin = regular(count, height, self._radius)
         self._reach = float(np.abs(discs(self._begin)[0][0]))
 
-    def best(self) -> list[Places]:
-        """The likeliest places, best first."""
+    def best(self, most: float) -> list[Places]:
+        """The likeliest places, best first; none where even the best costs more than `most`."""
         none = np.zeros(0, dtype=np.intp)
         kept = [Places(self._begin, none, none, none, 0.0)]
         for i in range(len(self._seats)):
-            options = [(each, *place) for each in kept for place in self._options(each, i)]
-            p = np.array([each.p for each, *_ in options])
-            sides, corners, used = (
-                np.array([np.append(getattr(each, name), place[k]) for each, *place in options], dtype=np.intp)
-                for k, name in enumerate(("sides", "corners", "used"))
+            options = [(each, place) for each in kept for place in self._options(each, i)]
+            p = np.array([each.p for each, _ in options])
+            labels = np.array(
+                [
+                    [np.append(before, new) for before, new in zip(each.labels, place, strict=True)]
+                    for each, place in options
+                ],
+                dtype=np.intp,
             )
-            p, cost = self._fitted(p, sides, corners, used)
+            p, cost = self._fitted(p, labels)
             first = np.argsort(cost, kind="stable")[: 2 * BEAM]
-            p, cost = self._fitted(p[first], sides[first], corners[first], used[first])
+            labels = labels[first]
+            p, cost = self._fitted(p[first], labels)
             last = [k for k in np.argsort(cost, kind="stable")[:BEAM] if cost[k] < cost.min() + HOPELESS]
-            kept = [Places(p[k], sides[first[k]], corners[first[k]], used[first[k]], float(cost[k])) for k in last]
+            kept = [Places(p[k], *labels[k], float(cost[k])) for k in last]
+            if kept[0].cost > most:
+                return []
         return kept
 
     def _options(self, before: Places, i: int) -> Iterator[tuple[int, int, int]]:
-        """Side, corner and whether it is used, of the next seat."""
+        """Side, corner and whether it is used, of the next seat; anywhere after one that is not."""
         ride, (high, radius) = self._seats[i].ride, self._value[i, :2]
+        near = high - radius < CLEAR_M
+        reach = range(0 if high - radius < NEAR_M else 1, 1 if near else min(MOST_PASSED, self.count - 2) + 1)
         known = np.flatnonzero(before.used)
-        if not len(known):
-            sides: set[int] = {0}
-        else:
-            last = self._seats[known[-1]].ride
-            stays = last.palm == ride.palm and ride.start - last.end < STAYS_S
-            ways = (0,) if stays else range(-3, 4)
-            sides = {(int(before.sides[known[-1]]) + way) % self.count for way in ways}
-        first, most = 0 if high - radius < NEAR_M else 1, 1 if high - radius < CLEAR_M else min(4, self.count - 1)
-        for side in sorted(sides):
-            for by in range(first, most):
-                yield side, (side + (-by, 1 + by)[ride.palm]) % self.count, 1
+        for side in range(self.count if len(known) else 1):
+            for by in reach:
+                corner = (side + (-by, 1 + by)[ride.palm]) % self.count
+                if not len(known) or known[-1] < i - 1 or self._leads(before, ride, side, corner):
+                    yield side, corner, 1
         yield 0, 0, 0
 
-    def _fitted(
-        self, p: FloatArray, sides: IntArray, corners: IntArray, used: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Outlines (B, 3n) iterated, and their costs (B,): damped Gauss–Newton, all side by side."""
+    def _leads(self, before: Places, ride: Ride, side: int, corner: int) -> bool:
+        """Whether the object comes there from the last place by one tip, or by none.
+
+        From one palm to the other the corner of either place ends the side of the other; on one palm it tips on by a
+        side, or not at all.
+        """
+        last, own, opposite = self._seats[len(before.sides) - 1].ride, int(before.sides[-1]), int(before.corners[-1])
+        if ride.palm != last.palm:
+            return opposite in self._ends(side) and corner in self._ends(own)
+        by = (side - own) % self.count
+        stays = ride.start - last.end < STAYS_S
+        return by == 0 or (not stays and by in (1, self.count - 1) and corner == opposite)
+
+    def _ends(self, side: int) -> tuple[int, int]:
+        return side, (side + 1) % self.count
+
+    def _fitted(self, p: FloatArray, labels: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Outlines (B, 3n) of labels (B, 3, r) iterated, and costs (B,): damped Gauss–Newton, all side by side."""
+        sides, corners, used = np.moveaxis(labels, 1, 0)
         damping, misses = np.full(len(p), 1e-3), self._misses(p, sides, corners, used)
         cost, own = (misses**2).sum(axis=1), np.arange(p.shape[1])
         for _ in range(ITERATIONS):
