@@ -82,4 +82,5 @@ def beyond(p: FloatArray, sides: IntArray, corners: IntArray, palms: IntArray, o
     low, high = ends.min(axis=1), ends.max(axis=1)
     middle, half = (low + high) / 2, (high - low) / 2
     below, above = wrapped(middle - first) - half, wrapped(last - middle) - half
-    return np.minimum(np.stack([below, above], axis=-1), 0.0)
+    out: FloatArray = np.minimum(np.stack([below, above], axis=-1), 0.0)
+    return out

@@ -1,4 +1,4 @@
-"""The outline of an object with corners by all readings of all rides together, each at its place on it. Pure, offline."""
+"""The outline of an object with corners by all readings of all rides, each at its place on it. Pure, offline."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.observer.cornered import discs, seats
-from palmd.observer.damped import Least, minimised
+from palmd.observer.damped import minimised
 from palmd.observer.lying import SEAT, SHARED, Lying
-from palmd.observer.places import GAUGE_RAD, REACH, Places, Seat
+from palmd.observer.places import Places, Seat, believed
 
 ROUNDS = 3  # in which is looked for what rocks
-RADIUS_SD_M = 2e-3
 STEP_M = 1e-7
 
 
@@ -62,7 +61,8 @@ class _Problem:
         self._palms = [each.ride.palm for each in lyings]
         self._own = len(places.p)
         centres, radii = discs(places.p)
-        self._reach, self._radius, self._gauge = np.abs(centres).mean(), np.median(radii), np.angle(centres[0])
+        self._reach, self._radius = float(np.abs(centres).mean()), float(np.median(radii))
+        self._gauge = float(np.angle(centres[0]))
 
     def seats(self, p: FloatArray) -> FloatArray:
         return seats(p[: self._own], self.sides, self.corners, self._palms)
@@ -83,11 +83,8 @@ class _Problem:
         return np.concatenate(misses), np.concatenate(rows)
 
     def _believed(self, p: FloatArray) -> FloatArray:
-        centres, radii = discs(p[: self._own])
         shared = (p[self._own :] - self._shared.mean) / self._shared.sd
-        reach = (np.abs(centres) / self._reach - 1.0) / REACH
-        gauge = [(np.angle(centres[0] * np.exp(-1j * self._gauge))) / GAUGE_RAD]
-        return np.concatenate([reach, (radii - self._radius) / RADIUS_SD_M, shared, gauge])
+        return np.concatenate([believed(p[: self._own], self._reach, self._radius, self._gauge), shared])
 
 
 def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared: Shared) -> CorneredFit | None:
@@ -95,25 +92,27 @@ def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared
 
     whole: the readings of each, rocking and all.
     """
-    used = np.flatnonzero(places.used)
+    used = np.flatnonzero(places.used).tolist()
     lyings, p = [found[i].lying for i in used], np.concatenate([places.p, shared.mean])
-    least: Least | None = None
     try:
         for _ in range(ROUNDS):
-            problem = _Problem(lyings, places, shared)
-            least = minimised(problem.at, p if least is None else least.p)
-            told = problem.seats(least.p), least.p[-SHARED:]
-            lyings = [whole[i].only(whole[i].still(seat, told[1])) for i, seat in zip(used, told[0], strict=True)]
-            if min(len(each.t) for each in lyings) == 0:
+            problem = _Problem(lyings, places.of(used), shared)
+            p = minimised(problem.at, p).p
+            lyings = [
+                whole[i].only(whole[i].still(seat, p[-SHARED:])) for i, seat in zip(used, problem.seats(p), strict=True)
+            ]
+            used = [i for i, each in zip(used, lyings, strict=True) if each.enough]
+            lyings = [each for each in lyings if each.enough]
+            if not used:
                 return None
-        problem = _Problem(lyings, places, shared)
-        least = minimised(problem.at, least.p if least is not None else p)
-        covariance = np.linalg.inv(least.information)
+        problem = _Problem(lyings, places.of(used), shared)
+        least = minimised(problem.at, p)
+        covariance = np.asarray(np.linalg.inv(least.information), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    last, shared_now = problem.seats(least.p), least.p[-SHARED:]
-    residuals = tuple(each.residuals(seat, shared_now) for each, seat in zip(lyings, last, strict=True))
+    told = least.p[-SHARED:]
+    residuals = tuple(each.residuals(seat, told) for each, seat in zip(lyings, problem.seats(least.p), strict=True))
     return CorneredFit(
-        places, tuple(lyings), residuals, tuple(problem.sides.tolist()), tuple(problem.corners.tolist()),
-        least.p[:-SHARED], shared_now, covariance, least.settled,
+        places.of(used), tuple(lyings), residuals, tuple(problem.sides.tolist()), tuple(problem.corners.tolist()),
+        least.p[:-SHARED], told, covariance, least.settled,
     )  # fmt: skip

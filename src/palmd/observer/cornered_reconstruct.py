@@ -31,7 +31,10 @@ from palmd.system.rig_constants import declared_exact
 
 LEAST_SEATS = 4  # rides that differ, of an object that has lain on several sides
 OVERLAP_S = 0.05  # of two rides, as readings that end one may begin the other
-GYRATION_SD, HELD_SD = 0.2, 0.02  # of ln of the radius of gyration: what rocks a little would tell it wrong, so it is held
+GYRATION_SD, HELD_SD = (
+    0.2,
+    0.02,
+)  # of ln of the radius of gyration: what rocks a little would tell it wrong, so it is held
 ROUND = 1.08  # of the sides' height, the mean radius
 EXPLAINED, STILL = 0.8, 0.5  # of the rides' time, that has a place; of their readings, while the object lies still
 MOST_CHI2, RIDE_SIGMAS = 1.15, 6.0  # of all readings; of one ride's
@@ -62,7 +65,7 @@ def cornered_reconstruction(search: Search, records: Sequence[Record], begun: fl
         return None
     used = certain(rivals, np.array([seat.ride.lasts for seat in told]))
     fit = fitted(told, whole, replace(best, used=used), shared)
-    if fit is None or _lasting(told, used) < LEAST_S or _doubtful(fit, whole):
+    if fit is None or _lasting(told, fit.places.used) < LEAST_S or _doubtful(fit, whole):
         return None
     return _told(fit, rivals, search, record, begun)
 

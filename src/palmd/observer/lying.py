@@ -24,6 +24,7 @@ SEAT, SHARED = 4, 3
 STEPS = (*(1e-6,) * SEAT, *(1e-4,) * SHARED)  # for slopes
 WINDOW_S, WINDOW_SIGMAS, MOST = 0.2, 4.0, 10.0  # in which χ² tells that it rocks; a residual's share of it
 ABOUT_S = 0.1  # before and after, that is left out too
+LEAST_READINGS = 16  # of either pad
 
 Marks = npt.NDArray[np.bool_]
 
@@ -109,7 +110,9 @@ class Lying:
         mine = (t > ride.start + trim) & (t < ride.end - trim)
         carried = Carried.by(ride.palm, record.contact_palms[mine], record.rig)
         on_ridden = record.contact_pad[mine] == PALMS[ride.palm]
-        return cls(ride, t[mine], record.contact_value[mine], np.sqrt(record.contact_variance[mine]), on_ridden, carried)
+        return cls(
+            ride, t[mine], record.contact_value[mine], np.sqrt(record.contact_variance[mine]), on_ridden, carried
+        )
 
     def residuals(self, seat: FloatArray, shared: FloatArray) -> FloatArray:
         """Of all readings (n), in one-sigmas."""
@@ -144,6 +147,12 @@ class Lying:
             for start, end in zip(t[wrong] - ABOUT_S, t[last[wrong] - 1] + ABOUT_S, strict=True):
                 kept &= (self.t < start) | (self.t > end)
         return kept
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are readings enough of both pads."""
+        on_ridden = int(self.on_ridden.sum())
+        return min(on_ridden, len(self.t) - on_ridden) >= LEAST_READINGS
 
     def only(self, kept: Marks) -> Lying:
         """The same of some of its readings."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from palmd.observer.rides import Ride
 
 TRIM_S = 0.1  # of both ends of a ride
 MOST_ROCKS = 3  # times that what rocks is looked for
-LEAST_READINGS = 16
 HEIGHT, HEIGHT_SD_M, AWAY_SD_M = 0.9, 8e-3, 15e-3  # of one ride: H in mean radii, and what it and a are off by at first
 FORM_SD_M = (3e-5, 5e-5, 1.5e-4, 1e-4)  # that Y, ρ, a, H of one ride may be off by besides their noise
 CORNERS = (6, 5, 7, 4, 8, 3)  # how many there may be, the likeliest first
@@ -66,7 +65,7 @@ def seat_of(lying: Lying, shared: FloatArray, shared_sd: FloatArray) -> Seat | N
     believed, sd = p[2:].copy(), np.concatenate([[AWAY_SD_M, HEIGHT_SD_M], shared_sd])
     kept = lying
     for _ in range(MOST_ROCKS):
-        if min(kept.on_ridden.sum(), (~kept.on_ridden).sum()) < LEAST_READINGS:
+        if not kept.enough:
             return None
 
         def at(p: FloatArray, kept: Lying = kept) -> tuple[FloatArray, FloatArray]:
@@ -104,10 +103,29 @@ class Places:
         """How many corners the outline has."""
         return len(self.p) // 3
 
+    def of(self, used: Sequence[int]) -> Places:
+        """The same of these seats alone."""
+        return replace(self, used=np.isin(np.arange(len(self.used)), used).astype(np.intp))
+
     @property
     def labels(self) -> tuple[IntArray, ...]:
         """All that is said of each seat."""
         return self.sides, self.corners, self.used
+
+
+def believed(p: FloatArray, reach: float, radius: float, gauge: float) -> FloatArray:
+    """What outlines p (..., 3n) miss what is likely by, in one-sigmas (..., 4n + 1).
+
+    Corners so far from the centre of mass, and of such a radius (m), about evenly round it, sides that turn one way.
+    The first corner is at the angle `gauge` (rad), for certain.
+    """
+    (centres, radii), normals = discs(p), side_normals(p)
+    evenly = math.tau / centres.shape[-1]
+    away = wrapped(np.angle(np.roll(centres, -1, axis=-1) / centres) - evenly) / SPREAD_RAD
+    hollow = np.minimum(wrapped(np.roll(normals, -1, axis=-1) - normals) - LEAST_TURN_RAD, 0.0) / TURN_SD_RAD
+    far = (np.abs(centres) / reach - 1.0) / REACH
+    first = np.angle(centres[..., :1] * np.exp(-1j * gauge)) / GAUGE_RAD
+    return np.concatenate([away, far, (radii - radius) / RADIUS_SD_M, hollow, first], axis=-1)
 
 
 def placed(found: Sequence[Seat], doubt: float) -> list[Places]:
@@ -175,7 +193,7 @@ class PlaceSearch:
             labels = labels[first]
             p, cost = self._fitted(p[first], labels)
             last = [k for k in np.argsort(cost, kind="stable")[:BEAM] if cost[k] < cost.min() + HOPELESS]
-            kept = [Places(p[k], *labels[k], float(cost[k])) for k in last]
+            kept = [Places(p[k], labels[k, 0], labels[k, 1], labels[k, 2], float(cost[k])) for k in last]
             if kept[0].cost > most:
                 return []
         return kept
@@ -216,7 +234,10 @@ class PlaceSearch:
         cost, own = (misses**2).sum(axis=1), np.arange(p.shape[1])
         for _ in range(ITERATIONS):
             rows = np.stack(
-                [(self._misses(p + STEP_M * unit, sides, corners, used) - misses) / STEP_M for unit in np.eye(len(own))],
+                [
+                    (self._misses(p + STEP_M * unit, sides, corners, used) - misses) / STEP_M
+                    for unit in np.eye(len(own))
+                ],
                 axis=2,
             )
             matrix, side = np.swapaxes(rows, 1, 2) @ rows, (misses[:, None, :] @ rows)[:, 0]
@@ -237,11 +258,5 @@ class PlaceSearch:
         told = self._value[:count] - seats(p, sides, corners, palm)
         told = (self._root[:count] @ told[..., None])[..., 0] * used[..., None]
         out = beyond(p, sides, corners, palm, openings) / BEYOND_RAD * used[..., None]
-        centres, radii = discs(p)
-        away = wrapped(np.angle(np.roll(centres, -1, axis=1) / centres) - math.tau / self.count) / SPREAD_RAD
-        normals = side_normals(p)
-        hollow = np.minimum(wrapped(np.roll(normals, -1, axis=1) - normals) - LEAST_TURN_RAD, 0.0) / TURN_SD_RAD
-        reach = (np.abs(centres) / self._reach - 1.0) / REACH
-        gauge = np.angle(centres[:, :1]) / GAUGE_RAD
-        parts = told, out, away, reach, (radii - self._radius) / RADIUS_SD_M, hollow, gauge
+        parts = told, out, believed(p, self._reach, self._radius, 0.0)
         return np.concatenate([each.reshape(len(p), -1) for each in parts], axis=1)
