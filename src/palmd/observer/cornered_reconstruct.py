@@ -60,6 +60,8 @@ def cornered_reconstruction(search: Search, records: Sequence[Record], begun: fl
         return None
     shared = _believed(search, ROUND * float(np.median([seat.value[3] for seat in told])), HELD_SD)
     rivals = placed(told, DOUBT)
+    if not rivals:
+        return None
     best = rivals[0]
     if _lasting(told, best.used) < EXPLAINED * lasting([span for span in trimmed(rides) if span[1] > span[0]]):
         return None

@@ -29,6 +29,7 @@ CORNERS = (6, 5, 7, 4, 8, 3)  # how many there may be, the likeliest first
 STAYS_S = 0.1  # from a ride to the next one on the same side: to tip takes longer
 BEAM = 24  # how many are kept
 SKIPPED = 40.0  # the price of a ride that is left out, of twice the log-likelihood
+MOST_SKIPPED = 0.2  # of the rides' time
 MOST_PASSED = 3  # sides between the one that it lies on and the corner opposite
 HOPELESS = 100.0  # of it, that a rival may lack
 NEAR_M, CLEAR_M = 3e-3, 6e-4  # of Y − ρ: at most where the corner may end the side, at least where it may not
@@ -168,6 +169,7 @@ class PlaceSearch:
     def __init__(self, found: Sequence[Seat], count: int):
         self._seats, self.count = found, count
         self._value, self._root = np.array([each.value for each in found]), np.array([each.root for each in found])
+        self._lasts = np.array([each.ride.lasts for each in found])
         self._palm = np.array([each.ride.palm for each in found])
         self._openings = np.array([each.lying.openings for each in found])
         height, self._radius = float(np.median(self._value[:, 3])), max(float(np.median(self._value[:, 1])), 0.0)
@@ -180,6 +182,8 @@ class PlaceSearch:
         kept = [Places(self._begin, none, none, none, 0.0)]
         for i in range(len(self._seats)):
             options = [(each, place) for each in kept for place in self._options(each, i)]
+            if not options:
+                return []
             p = np.array([each.p for each, _ in options])
             labels = np.array(
                 [
@@ -209,7 +213,9 @@ class PlaceSearch:
                 corner = (side + (-by, 1 + by)[ride.palm]) % self.count
                 if not len(known) or known[-1] < i - 1 or self._leads(before, ride, side, corner):
                     yield side, corner, 1
-        yield 0, 0, 0
+        left_out = self._lasts[:i][before.used == 0].sum() + self._lasts[i]
+        if left_out < MOST_SKIPPED * self._lasts.sum():
+            yield 0, 0, 0
 
     def _leads(self, before: Places, ride: Ride, side: int, corner: int) -> bool:
         """Whether the object comes there from the last place by one tip, or by none.
