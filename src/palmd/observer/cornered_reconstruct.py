@@ -17,7 +17,7 @@ from palmd.observer.likeness import likeness, root_of
 from palmd.observer.lying import Carried, Lying, balance
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
-from palmd.observer.places import STAYS_S, TRIM_S, Places, Seat, certain, placed, seat_of
+from palmd.observer.places import STAYS_S, TRIM_S, Places, Seat, anchor_of, certain, placed, seat_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, joined, lasting
 from palmd.observer.ridden import trimmed
@@ -31,10 +31,8 @@ from palmd.system.rig_constants import declared_exact
 
 LEAST_SEATS = 4  # rides that differ, of an object that has lain on several sides
 OVERLAP_S = 0.05  # of two rides, as readings that end one may begin the other
-GYRATION_SD, HELD_SD = (
-    0.2,
-    0.02,
-)  # of ln of the radius of gyration: what rocks a little would tell it wrong, so it is held
+GYRATION_SD = 0.2  # of ln of the radius of gyration, while rides are looked at one by one
+HELD_SD = 0.02  # and then: what rocks a little would tell it wrong, so it is held
 ROUND = 1.08  # of the sides' height, the mean radius
 EXPLAINED, STILL = 0.8, 0.5  # of the rides' time, that has a place; of their readings, while the object lies still
 MOST_CHI2, RIDE_SIGMAS = 1.15, 6.0  # of all readings; of one ride's
@@ -114,11 +112,14 @@ def _told(
     covariance = OVERCONFIDENCE**2 * _turned_covariance(fit, turn)
     normals, theta = normal_angles(record.palms, psi), directions()
     touched = touched_within(record, psi)
-    if not _alike(rivals, theta[touched] - side_normals(p)[fit.sides[0]]):
+    anchor = anchor_of(rivals, fit.places.used)
+    if anchor is None:
+        return None
+    there = theta[touched] - side_normals(p)[fit.places.sides[anchor]]
+    if not _alike(rivals, anchor, there):
         return None
     h, slope, rows = supported(p, theta)
-    there = slope[touched]
-    by = there @ rows[touched] / max(float(there @ there), 1e-30)
+    by = slope[touched] @ rows[touched] / max(float(slope[touched] @ slope[touched]), 1e-30)
     free = rows - np.outer(slope, by)
     h_sd = np.hypot(sd_of(free, covariance), MODEL_SD_M)
     if float(np.sqrt(np.mean(h_sd[touched] ** 2))) > SHARP_M:
@@ -170,15 +171,9 @@ def _turned_covariance(fit: CorneredFit, turn: float) -> FloatArray:
     return covariance
 
 
-def _alike(rivals: Sequence[Places], away: FloatArray) -> bool:
-    """Whether all rivals are the same outline on these normals (rad).
-
-    away: from the normal of the side that is the first ride's.
-    """
-    outlines = list[FloatArray]()
-    for each in rivals:
-        first = side_normals(each.p)[each.sides[np.argmax(each.used)]]
-        outlines.append(supported(each.p, away + first)[0])
+def _alike(rivals: Sequence[Places], anchor: int, away: FloatArray) -> bool:
+    """Whether all rivals are the same outline on these normals (rad), away from that of the side of seat `anchor`."""
+    outlines = [supported(each.p, away + side_normals(each.p)[each.sides[anchor]])[0] for each in rivals]
     return all(float(np.sqrt(np.mean((h - outlines[0]) ** 2))) < DIFFERENT_M for h in outlines)
 
 

@@ -142,14 +142,19 @@ def placed(found: Sequence[Seat], doubt: float) -> list[Places]:
     return [each for each in rivals if each.cost < rivals[0].cost + doubt]
 
 
-def certain(rivals: Sequence[Places], lasts: FloatArray) -> IntArray:
-    """Which seats, that last so long (s), all rivals have at the same place of the same outline as the first.
+def anchor_of(rivals: Sequence[Places], weights: FloatArray | IntArray) -> int | None:
+    """The seat of most weight, of those that all rivals use, by whose side their frames are laid on one another."""
+    shared = weights * np.min([each.used for each in rivals], axis=0)
+    return int(np.argmax(shared)) if shared.any() else None
 
-    Frames are laid on one another by the side on which the first has the object lie longest.
-    """
+
+def certain(rivals: Sequence[Places], lasts: FloatArray) -> IntArray:
+    """Which seats, that last so long (s), all rivals have at the same place of the same outline as the first."""
     best = rivals[0]
     on = np.bincount(best.sides, weights=lasts * best.used, minlength=best.count)
-    anchor = int(np.argmax(lasts * best.used * (best.sides == np.argmax(on))))
+    anchor = anchor_of(rivals, lasts * (best.sides == np.argmax(on)))  # a side on which the object lies longest
+    if anchor is None:
+        return np.zeros_like(best.used)
     used, places = best.used.copy(), list[tuple[FloatArray, IntArray, FloatArray]]()
     for each in rivals:
         normals, (centres, _) = side_normals(each.p), discs(each.p)

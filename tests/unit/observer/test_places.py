@@ -93,3 +93,6 @@ def test_what_a_rival_has_elsewhere_is_not_certain():
     other = Places(p, np.array([0, 0, 3, 2]), np.array([4, 3, 0, 0]), ones, 12.0)
     assert certain([best, other], np.array([3.0, 3.0, 2.0, 2.0])).tolist() == [1, 1, 1, 0]
     assert certain([best, replace(other, used=np.array([1, 1, 1, 0]))], np.full(4, 2.0)).all()
+    assert certain([best, replace(best, corners=np.array([4, 3, 1, 3]))], np.full(4, 2.0)).tolist() == [1, 1, 0, 1]
+    unused = replace(best, used=np.array([0, 0, 1, 1]))  # of none of which the side is that of the longest
+    assert not certain([best, unused], np.array([3.0, 3.0, 2.0, 2.0])).any()
