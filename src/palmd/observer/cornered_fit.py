@@ -10,7 +10,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.cornered import discs, seats
 from palmd.observer.damped import minimised
-from palmd.observer.lying import SEAT, SHARED, Lying
+from palmd.observer.lying import SEAT, SHARED, RideReadings
 from palmd.observer.places import Places, Seat, believed
 
 ROUNDS = 3  # in which is looked for what rocks
@@ -30,7 +30,7 @@ class CorneredFit:
     """The outline p, the shared numbers, how each ride is explained, and where it lies: its side and corner."""
 
     places: Places
-    lyings: tuple[Lying, ...]
+    lyings: tuple[RideReadings, ...]
     residuals: tuple[FloatArray, ...]
     sides: tuple[int, ...]
     corners: tuple[int, ...]
@@ -51,10 +51,10 @@ class CorneredFit:
         return seat
 
 
-class _Problem:
+class _AllRides:
     """What is to be least squared."""
 
-    def __init__(self, lyings: Sequence[Lying], places: Places, shared: Shared):
+    def __init__(self, lyings: Sequence[RideReadings], places: Places, shared: Shared):
         used = np.flatnonzero(places.used)
         self.lyings, self._shared = lyings, shared
         self.sides, self.corners = places.sides[used], places.corners[used]
@@ -87,7 +87,7 @@ class _Problem:
         return np.concatenate([believed(p[: self._own], self._reach, self._radius, self._gauge), shared])
 
 
-def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared: Shared) -> CorneredFit | None:
+def fitted(found: Sequence[Seat], whole: Sequence[RideReadings], places: Places, shared: Shared) -> CorneredFit | None:
     """By all readings of the rides that have a place, where they lie still; None where nothing is told.
 
     whole: the readings of each, rocking and all.
@@ -96,7 +96,7 @@ def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared
     lyings, p = [found[i].lying for i in used], np.concatenate([places.p, shared.mean])
     try:
         for _ in range(ROUNDS):
-            problem = _Problem(lyings, places.of(used), shared)
+            problem = _AllRides(lyings, places.of(used), shared)
             p = minimised(problem.at, p).p
             lyings = [
                 whole[i].only(whole[i].still(seat, p[-SHARED:])) for i, seat in zip(used, problem.seats(p), strict=True)
@@ -105,7 +105,7 @@ def fitted(found: Sequence[Seat], whole: Sequence[Lying], places: Places, shared
             lyings = [each for each in lyings if each.enough]
             if not used:
                 return None
-        problem = _Problem(lyings, places.of(used), shared)
+        problem = _AllRides(lyings, places.of(used), shared)
         least = minimised(problem.at, p)
         covariance = np.asarray(np.linalg.inv(least.information), dtype=np.float64)
     except np.linalg.LinAlgError:

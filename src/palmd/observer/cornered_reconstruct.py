@@ -14,7 +14,7 @@ from palmd.model.smoothing import RIG, C
 from palmd.observer.cornered import IntArray, discs, side_normals, supported, turned
 from palmd.observer.cornered_fit import CorneredFit, Shared, fitted
 from palmd.observer.likeness import likeness, root_of
-from palmd.observer.lying import Carried, Lying, balance
+from palmd.observer.lying import Carried, RideReadings, balance
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.places import STAYS_S, TRIM_S, Places, Seat, anchor_of, certain, placed, seat_of
@@ -51,7 +51,7 @@ def cornered_reconstruction(search: Search, records: Sequence[Record], begun: fl
     if len(same(rides)) < LEAST_SEATS or not any(ride.rolls for ride in rides):
         return None
     shared = _believed(search, float(search.prior.mean[C.SHAPE]), GYRATION_SD)
-    whole = [Lying.of(record, ride, TRIM_S) for ride in sorted(rides, key=lambda ride: ride.start)]
+    whole = [RideReadings.of(record, ride, TRIM_S) for ride in sorted(rides, key=lambda ride: ride.start)]
     both = [(seat, each) for each in whole if (seat := seat_of(each, shared.mean, shared.sd)) is not None]
     told, whole = [seat for seat, _ in both], [each for _, each in both]
     if len(told) < LEAST_SEATS:
@@ -91,7 +91,7 @@ def _lasting(told: Sequence[Seat], used: IntArray) -> float:
     return lasting(trimmed([seat.ride for seat, each in zip(told, used, strict=True) if each]))
 
 
-def _doubtful(fit: CorneredFit, whole: Sequence[Lying]) -> bool:
+def _doubtful(fit: CorneredFit, whole: Sequence[RideReadings]) -> bool:
     there = sum(len(each.t) for each, used in zip(whole, fit.places.used, strict=True) if used)
     if sum(len(each.t) for each in fit.lyings) < STILL * there or not fit.settled or fit.chi2 > MOST_CHI2:
         return True

@@ -90,7 +90,7 @@ def balance(seat: FloatArray, shared: FloatArray, carried: Carried) -> Balance:
 
 
 @dataclass(frozen=True, slots=True)
-class Lying:
+class RideReadings:
     """The readings of both pads in one ride, for as long as the object lies still; s and one-sigma in m.
 
     on_ridden: which of them are the ridden palm's.
@@ -104,7 +104,7 @@ class Lying:
     carried: Carried
 
     @classmethod
-    def of(cls, record: Record, ride: Ride, trim: float) -> Lying:
+    def of(cls, record: Record, ride: Ride, trim: float) -> RideReadings:
         """Of `record`, but for so long (s) at either end."""
         t = record.contact_t
         mine = (t > ride.start + trim) & (t < ride.end - trim)
@@ -154,7 +154,7 @@ class Lying:
         on_ridden = int(self.on_ridden.sum())
         return min(on_ridden, len(self.t) - on_ridden) >= LEAST_READINGS
 
-    def only(self, kept: Marks) -> Lying:
+    def only(self, kept: Marks) -> RideReadings:
         """The same of some of its readings."""
         carried = Carried(*(getattr(self.carried, name)[kept] for name in ("pull", "spin", "turn", "opening")))
         at = {name: getattr(self, name)[kept] for name in ("t", "s", "sd", "on_ridden")}

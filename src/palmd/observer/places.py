@@ -17,7 +17,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.cornered import IntArray, beyond, discs, regular, seats, side_normals
 from palmd.observer.damped import minimised
-from palmd.observer.lying import SEAT, Lying
+from palmd.observer.lying import SEAT, RideReadings
 from palmd.observer.outline import wrapped
 from palmd.observer.rides import Ride
 
@@ -47,7 +47,7 @@ class Seat:
 
     value: FloatArray
     root: FloatArray
-    lying: Lying
+    lying: RideReadings
 
     @property
     def ride(self) -> Ride:
@@ -55,7 +55,7 @@ class Seat:
         return self.lying.ride
 
 
-def seat_of(lying: Lying, shared: FloatArray, shared_sd: FloatArray) -> Seat | None:
+def seat_of(lying: RideReadings, shared: FloatArray, shared_sd: FloatArray) -> Seat | None:
     """By the readings of one ride, where it lay still; None where there are too few.
 
     shared, shared_sd: what is believed of the numbers that all rides share.
@@ -69,7 +69,7 @@ def seat_of(lying: Lying, shared: FloatArray, shared_sd: FloatArray) -> Seat | N
         if not kept.enough:
             return None
 
-        def at(p: FloatArray, kept: Lying = kept) -> tuple[FloatArray, FloatArray]:
+        def at(p: FloatArray, kept: RideReadings = kept) -> tuple[FloatArray, FloatArray]:
             rows = np.concatenate([kept.slopes(p[:SEAT], p[SEAT:]), np.diag(1.0 / sd) @ np.eye(len(p))[2:]])
             return np.concatenate([kept.residuals(p[:SEAT], p[SEAT:]), (p[2:] - believed) / sd]), rows
 

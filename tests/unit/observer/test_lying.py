@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.observer.lying import Carried, Lying, balance
+from palmd.observer.lying import Carried, RideReadings, balance
 from palmd.observer.rides import Ride
 
 RIG = np.array([9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0])
@@ -79,7 +79,7 @@ def test_what_rocks_is_left_out_and_nothing_else():
     rocks = on_ridden & (t < 0.4)
     s[rocks] += 1e-3 * np.sin(60 * t[rocks])
     ride = Ride(0, 0.0, 3.0, SEAT[:2], 1e-10 * np.eye(2), rolls=True)
-    lying = Lying(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
+    lying = RideReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
     kept = lying.still(SEAT, SHARED)
     assert not kept[t < 0.35].any()
     assert kept[t > 0.7].all()

@@ -8,7 +8,7 @@ import pytest
 
 from palmd.observer import places
 from palmd.observer.cornered import beyond, discs, regular, seats, side_normals, supported, turned
-from palmd.observer.lying import Carried, Lying
+from palmd.observer.lying import Carried, RideReadings
 from palmd.observer.places import Places, PlaceSearch, Seat, certain, placed
 from palmd.observer.rides import Ride
 
@@ -38,7 +38,7 @@ def told(p, tour):
         opening = np.array([[middle - 0.1, 0.0, 0.0], [middle + 0.1, 0.0, 0.0]])
         two = np.zeros(2)
         carried = Carried(np.zeros((2, 2)), two, two, opening)
-        lying = Lying(ride, two, two, two, np.array([True, False]), carried)
+        lying = RideReadings(ride, two, two, two, np.array([True, False]), carried)
         found.append(Seat(value, np.diag(1.0 / np.array([3e-5, 5e-5, 1.5e-4, 1e-4])), lying))
     return found
 
