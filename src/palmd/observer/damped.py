@@ -15,10 +15,9 @@ ENOUGH, MOST_DAMPING = 1e-6, 1e9
 
 @dataclass(frozen=True, slots=True)
 class Least:
-    """Where the cost is least, how much it is there, and half its second derivatives."""
+    """Where the cost is least, half its second derivatives there, and whether the last step gained nothing."""
 
     p: FloatArray
-    cost: float
     information: FloatArray
     settled: bool
 
@@ -45,7 +44,7 @@ def minimised(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: Floa
             if damping > MOST_DAMPING:
                 break
     weight = 1.0 / np.sqrt(1.0 + (misses / GATE) ** 2)
-    return Least(p, cost, rows.T @ (weight[:, None] * rows), settled)
+    return Least(p, rows.T @ (weight[:, None] * rows), settled)
 
 
 def _cost(misses: FloatArray) -> float:
