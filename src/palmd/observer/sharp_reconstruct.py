@@ -14,6 +14,7 @@ from palmd.model import sharp
 from palmd.model.shape import coefficients_of
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import ORDER, RIG, C
+from palmd.observer.cornered_reconstruct import cornered_reconstruction
 from palmd.observer.factor import friction_of, given
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.normal_equations import Guess
@@ -59,6 +60,10 @@ def sharp_reconstruction(
         until = so_far.record.t[-1] - segment.start
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.lasts:.1f} s")
+
+    told = cornered_reconstruction(search, sided.records, begun)
+    if told is not None:
+        return told
 
     def longest() -> Iterator[tuple[Candidate, ...]]:
         yield from sided.ridden()

@@ -1,0 +1,47 @@
+"""A thing with corners that is tipped in the emulated rig is told by where it lies, and more of it than one side."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmd.lab import thing_logs
+from palmd.observer import places
+from palmd.observer.cornered_reconstruct import cornered_reconstruction
+from palmd.observer.data_segment import data_segments
+from palmd.observer.search import Search
+from palmd.observer.sided import SidedSearch
+from palmd.score import score_outline
+from palmd.yamlfile import load_plan
+
+PLAN = Path(__file__).parents[3] / "config" / "plans" / "tip.yaml"
+
+
+@pytest.fixture(scope="module")
+def tipped():
+    """What is told of it without the searches for other objects, and the truth."""
+    task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=load_plan(PLAN))
+    log, truth, _ = thing_logs.simulated(task)
+    search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]
+    return search, SidedSearch(search, 0, others).records, truth
+
+
+def test_most_of_it_is_told_to_a_few_hundredths_of_a_millimetre(tipped, monkeypatch):
+    monkeypatch.setattr(places, "CORNERS", (6, 5))  # others take their time
+    search, records, truth = tipped
+    told = cornered_reconstruction(search, records, 0.0)
+    assert told is not None
+    score = score_outline(told.theta, told.h, told.touched, np.array(truth["h_m"]))
+    assert score.max_error < 1.5e-4
+    assert score.touched > 0.5
+    assert np.sqrt(np.mean(told.h_sd[told.touched] ** 2)) < 5e-5
+    assert abs(told.mu - truth["mu"]) < 3 * told.mu_sd + 0.005
+    assert len(told.sides) >= 3
+
+
+def test_nothing_is_told_of_readings_that_no_one_outline_explains(tipped, monkeypatch):
+    monkeypatch.setattr(places, "CORNERS", (6,))
+    search, records, _ = tipped
+    bent = [replace(each, contact_value=each.contact_value + 1e-3 * np.sin(each.contact_t / 5.0)) for each in records]
+    assert cornered_reconstruction(search, bent, 0.0) is None

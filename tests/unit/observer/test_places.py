@@ -1,0 +1,98 @@
+"""Rides are given their places on an outline, and only those that no rival has elsewhere are sure."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmd.observer import places
+from palmd.observer.cornered import beyond, discs, regular, seats, side_normals, supported, turned
+from palmd.observer.lying import Carried, RideReadings
+from palmd.observer.places import Places, PlaceSearch, Seat, certain, placed
+from palmd.observer.rides import Ride
+
+# Of five corners: side and corner opposite, one after the other, each led to by a tip or a stay; on which palm.
+TOUR = [(0, 4, 0), (0, 3, 0), (3, 0, 1), (3, 1, 1), (1, 4, 0), (1, 0, 0), (4, 1, 1), (4, 2, 1), (2, 0, 0), (2, 1, 0)]
+
+
+def pentagon():
+    """Not a regular one."""
+    p = regular(5, 15e-3, 2e-3)
+    return p + 1e-3 * np.random.default_rng(5).normal(size=len(p)) * np.repeat([1.0, 1.0, 0.1], 5)
+
+
+def told(p, tour):
+    """Seats as rides would tell them, the openings in the middle of what the corner allows."""
+    found, t = [], 0.0
+    normals, count = side_normals(p), len(p) // 3
+    for i, (side, corner, palm) in enumerate(tour):
+        first, last = (math.remainder(normals[(corner + by) % count] - normals[side], math.tau) for by in (-1, 0))
+        middle = math.pi - abs(first + math.remainder(last - first, math.tau) / 2)
+        stays = i > 0 and tour[i - 1][0] == side
+        start = t + (0.03 if stays else 0.3)
+        t = start + 2.0
+        value = seats(p, np.array([side]), np.array([corner]), [palm])[0]
+        value = value + 1e-5 * np.random.default_rng(i).normal(size=4)
+        ride = Ride(palm, start, t, value[:2], 1e-10 * np.eye(2), rolls=True)
+        opening = np.array([[middle - 0.1, 0.0, 0.0], [middle + 0.1, 0.0, 0.0]])
+        two = np.zeros(2)
+        carried = Carried(np.zeros((2, 2)), two, two, opening)
+        lying = RideReadings(ride, two, two, two, np.array([True, False]), carried)
+        found.append(Seat(value, np.diag(1.0 / np.array([3e-5, 5e-5, 1.5e-4, 1e-4])), lying))
+    return found
+
+
+def test_a_side_is_where_both_corners_reach_as_far_and_a_corner_where_it_is_felt():
+    p = pentagon()
+    (centres, radii), normals = discs(p), side_normals(p)
+    for side in range(5):
+        reach = (centres * np.exp(-1j * normals[side])).real + radii
+        assert reach[side] == pytest.approx(reach[(side + 1) % 5], abs=1e-12)
+        assert reach[side] == pytest.approx(reach.max(), abs=1e-12)
+        assert supported(p, normals[side : side + 1])[0][0] == pytest.approx(reach.max(), abs=1e-12)
+    theta = np.linspace(0.0, 6.0, 50)
+    h, slope, rows = supported(p, theta)
+    assert rows @ p == pytest.approx(h)
+    assert slope == pytest.approx((supported(p, theta + 1e-7)[0] - supported(p, theta - 1e-7)[0]) / 2e-7, abs=1e-5)
+    assert supported(turned(p, 0.3), theta + 0.3)[0] == pytest.approx(h)
+
+
+def test_normals_that_are_not_the_corners_are_missed_by_as_much():
+    p, openings = regular(4, 10e-3, 1e-3), np.array([[0.6 * math.pi, 0.7 * math.pi]])
+    side, palm = np.array([0]), np.array([0])
+    assert not beyond(p, side, np.array([0]), palm, openings).any()  # 54 to 72° from the side: its own end
+    assert np.abs(beyond(p, side, np.array([3]), palm, openings)).max() == pytest.approx(0.2 * math.pi)
+
+
+def test_all_rides_are_given_their_places_and_the_number_of_corners_is_found(monkeypatch):
+    monkeypatch.setattr(places, "CORNERS", (4, 5, 6))  # others take their time
+    p = pentagon()
+    rivals = placed(told(p, TOUR), 30.0)
+    best = rivals[0]
+    assert best.count == 5
+    assert best.used.all()
+    assert [(side, corner) for side, corner in zip(best.sides, best.corners, strict=True)] == [
+        each[:2] for each in TOUR
+    ]
+    assert np.abs(best.p - turned(p, -float(np.angle(discs(p)[0][0])))).max() < 1e-4
+    assert certain(rivals, np.full(len(TOUR), 2.0)).all()
+
+
+def test_what_is_of_no_outline_is_left_out():
+    found = told(pentagon(), TOUR)
+    wrong = replace(found[4], value=found[4].value + np.array([3e-3, 0.0, 0.0, 2e-3]))
+    best = PlaceSearch([*found[:4], wrong, *found[5:]], 5).best(math.inf)[0]
+    assert np.flatnonzero(best.used == 0).tolist() == [4]
+
+
+def test_what_a_rival_has_elsewhere_is_not_certain():
+    p = pentagon()
+    sides, corners, ones = (np.array(each) for each in ([0, 0, 3, 1], [4, 3, 0, 3], [1, 1, 1, 1]))
+    best = Places(p, sides, corners, ones, 10.0)
+    other = Places(p, np.array([0, 0, 3, 2]), np.array([4, 3, 0, 0]), ones, 12.0)
+    assert certain([best, other], np.array([3.0, 3.0, 2.0, 2.0])).tolist() == [1, 1, 1, 0]
+    assert certain([best, replace(other, used=np.array([1, 1, 1, 0]))], np.full(4, 2.0)).all()
+    assert certain([best, replace(best, corners=np.array([4, 3, 1, 3]))], np.full(4, 2.0)).tolist() == [1, 1, 0, 1]
+    unused = replace(best, used=np.array([0, 0, 1, 1]))  # of none of which the side is that of the longest
+    assert not certain([best, unused], np.array([3.0, 3.0, 2.0, 2.0])).any()
