@@ -1,4 +1,4 @@
-"""Pages on the keys of configurations and plans, made from their models and the texts below each key in config.py."""
+"""Pages on the keys of configurations and plans, made from their models and the texts below each key."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from pydantic import AfterValidator, PlainValidator
 from pydantic.fields import FieldInfo
 
 from palmd import config
-from palmd.config import Plausible, Strict, unit_of
+from palmd.config.fields import Plausible, Strict, unit_of
 
 BOUNDS = ((at.Gt, "gt", ">"), (at.Ge, "ge", "≥"), (at.Lt, "lt", "<"), (at.Le, "le", "≤"))
+
+FOLDER = Path(config.__file__).parent
 
 
 class Key(NamedTuple):
@@ -33,7 +35,7 @@ class Key(NamedTuple):
 def _texts() -> dict[tuple[str, str], str]:
     """By class and key: the text below the key."""
     found = {}
-    for node in ast.parse(Path(config.__file__).read_text()).body:
+    for node in (node for path in FOLDER.glob("*.py") for node in ast.parse(path.read_text()).body):
         if isinstance(node, ast.ClassDef):
             for key, text in zip(node.body, node.body[1:], strict=False):
                 if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(key.target, ast.Name):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palmd.calibration.pad_characteristic import characterise
 from palmd.calibration.pad_figure import save
-from palmd.config import VersaPadConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.lab.rolled_marble import rolled
 
 FIGURE = Path(__file__).parent.parent / "docs/figures/pad.svg"

@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from palmd.config import rig_description
+from palmd.config.two_palms import rig_description
 from palmd.console.shipped import shipped
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
 from palmd.daemon.planner import read_plan

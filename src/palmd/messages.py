@@ -40,7 +40,7 @@ from palmd.system.rig_constants import RIG_NAMES, said_off
 from palmd.topics import TOPICS
 
 if TYPE_CHECKING:
-    from palmd.config import Config
+    from palmd.config.two_palms import Config
 
 Fields = dict[str, Any]
 
@@ -389,7 +389,7 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
 
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
-    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
 
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}

@@ -15,7 +15,7 @@ from palmd.quantities import SCHEMA, UNITS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
 if TYPE_CHECKING:
-    from palmd.pivot_config import PivotConfig
+    from palmd.config.pivot import PivotConfig
 
 _TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
 _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
@@ -68,7 +68,7 @@ def answer_of(fields: Mapping[str, Any]) -> PivotAnswer:
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
     """`palm/pivot_info`: who runs, and the rig as configured, for whoever draws it."""
-    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
 
     return {
         "version": version,

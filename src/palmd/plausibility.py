@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from palmd.config import AdeptConfig, AnyConfig, Config, Plausible, RigConfig, size, unit_of
+from palmd.config.any_config import AnyConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.fields import Plausible, size, unit_of
+from palmd.config.two_palms import Config, RigConfig
 from palmd.system.mechanism import PALMS
 from palmd.systems import LIVE, load_part
 from palmd.yamlfile import Document, Loc

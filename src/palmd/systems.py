@@ -24,7 +24,7 @@ class LiveParts:
     demo: str
     """The shipped configuration that `palmd demo` runs."""
     config: str
-    """Model of its configuration: a `palmd.config.AnyConfig`."""
+    """Model of its configuration: a `palmd.config.any_config.AnyConfig`."""
     description: str
     """What its observers are told of a configured rig: a dataclass of numbers."""
     plans: str
@@ -69,8 +69,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
             live=LiveParts(
                 manual="docs/start/bringup.md",
                 demo="demo.yaml",
-                config="palmd.config:Config",
-                description="palmd.config:rig_description",
+                config="palmd.config.two_palms:Config",
+                description="palmd.config.two_palms:rig_description",
                 plans="palmd.motion.plan:PLANS",
                 topics="palmd.quantities:TWO_PALMS_TOPICS",
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
@@ -89,8 +89,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
             live=LiveParts(
                 manual="docs/start/pivot.md",
                 demo="pivot.yaml",
-                config="palmd.pivot_config:PivotConfig",
-                description="palmd.pivot_config:pivot_rig",
+                config="palmd.config.pivot:PivotConfig",
+                description="palmd.config.pivot:pivot_rig",
                 plans="palmd.motion.pivot:PLANS",
                 topics="palmd.pivot_quantities:PIVOT_TOPICS",
                 loop="palmd.daemon.pivot_system:PivotGrasp",
@@ -108,8 +108,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
             live=LiveParts(
                 manual="docs/start/three-palms.md",
                 demo="three_palms.yaml",
-                config="palmd.three_palms_config:ThreePalmsConfig",
-                description="palmd.three_palms_config:three_palms_rig",
+                config="palmd.config.three_palms:ThreePalmsConfig",
+                description="palmd.config.three_palms:three_palms_rig",
                 plans="palmd.motion.three_palms:PLANS",
                 topics="palmd.three_palms_quantities:PALM3_TOPICS",
                 loop="palmd.daemon.three_palms_system:ThreePalmsInSpace",

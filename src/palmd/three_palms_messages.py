@@ -16,7 +16,7 @@ from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS,
 from palmd.three_palms_quantities import PALM3, PALM3_EVENTS
 
 if TYPE_CHECKING:
-    from palmd.three_palms_config import ThreePalmsConfig
+    from palmd.config.three_palms import ThreePalmsConfig
 
 VALUES = (*(each.name for each in PALM3.quantities if each.kind == "number" and each.unit), "mu")
 """The fields of `palm3/estimate` that are in an estimate's `values`."""
@@ -109,7 +109,7 @@ def shaped(**told: Any) -> BodyAnswer:
 
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
     """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
-    from palmd.config import config_hash  # of the pydantic models, which nothing else here needs
+    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
 
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))
     return {

@@ -8,7 +8,8 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import tipping_plan, turning_plan
 from palmd.calibration.pad_force import pad_forces
 from palmd.calibration.pad_scale import pad_scales
-from palmd.config import LimitsConfig, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.motion.limits import MotionLimits
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(300)]

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from palmd.config import LimitsConfig, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.motion.limits import MotionLimits
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)

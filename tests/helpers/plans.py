@@ -1,6 +1,6 @@
 """Motion plans that several tests run."""
 
-from palmd.config import PlanSpec
+from palmd.config.plans import PlanSpec
 
 SWING = PlanSpec.model_validate(
     {

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import msgpack
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.messages import events_fields, info_fields, stamp
 from palmd.quantities import EVENTS, INFO, LOOP

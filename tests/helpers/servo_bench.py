@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, JointPose, make_actuator
 from palmd.rig.fault_injection import FaultOrder

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import PlanSpec, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.plans import PlanSpec
 from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits

@@ -7,7 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from palms import motion_of
 
-from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import Config, PadsConfig
 from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
 from palmd.events import PalmMotion

@@ -16,7 +16,7 @@ from waiting import PATIENCE_S as GENEROUS_S
 from waiting import wait
 
 from palmd.bus.command_client import CommandClient
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.harness.processes import Child
 from palmd.harness.stack import Stack
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from harness import LEAST_WORK, Client, Process, free_ports, wait
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.harness.stack import Stack
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from palmd.config.pivot import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import PlanError
-from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.rig.imperfections import Imperfections, PadImperfection, perfect
 from palmd.rig.pivot_world import configured_imperfections
 from palmd.yamlfile import ConfigError, load_any_config, load_config

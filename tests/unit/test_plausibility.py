@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from palmd.config import Plausible, Strict
+from palmd.config.fields import Plausible, Strict
 from palmd.motion.check import check_files
 from palmd.plausibility import implausible, odd
 from palmd.yamlfile import load_any_config, load_config, read_document

@@ -12,6 +12,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from palmd.cli import build
+from palmd.config.pivot import PivotConfig, PivotRigConfig
 from palmd.console.shipped import shipped
 from palmd.daemon.core import Core
 from palmd.daemon.planner import read_plan
@@ -20,7 +21,6 @@ from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion import pivot
 from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits
-from palmd.pivot_config import PivotConfig, PivotRigConfig
 from palmd.pivot_quantities import PIVOT, PIVOT_MOTION
 from palmd.quantities import STATE
 from palmd.record.metadata import preface

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
+from palmd.config.three_palms import TiltPlanSpec, three_palms_rig
 from palmd.motion.check import check_files
 from palmd.motion.plan import PlanError
 from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
-from palmd.three_palms_config import TiltPlanSpec, three_palms_rig
 from palmd.yamlfile import load_any_config
 
 ROOT = Path(__file__).parents[2]

@@ -15,7 +15,7 @@ import numpy as np
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, changed, found, held_by, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds_within
 from palmd.console.configured import configured
 from palmd.console.errors import RIG_FAILED, CliError

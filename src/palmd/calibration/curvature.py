@@ -15,7 +15,7 @@ from typing import Any
 from palmd.calibration import cylinder_session
 from palmd.calibration.files import plain, provenance, write
 from palmd.calibration.pad_curvature import PadCurvature, pad_curvatures
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.system.mechanism import PALMS
 
 FORMAT = 1

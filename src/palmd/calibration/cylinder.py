@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.devices.pad import straight_mm
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs

@@ -16,7 +16,9 @@ from palmd.bus.link import add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.calibration.cylinder import CylinderError, turning_plan
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.config import Config, PadConfig, from_here
+from palmd.config.addresses import from_here
+from palmd.config.pads import PadConfig
+from palmd.config.two_palms import Config
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.events import Event

@@ -9,7 +9,8 @@ from typing import Any
 import yaml
 
 from palmd import __version__
-from palmd.config import Strict, config_hash
+from palmd.config.any_config import config_hash
+from palmd.config.fields import Strict
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.folders import nearest, takes_files
 

@@ -30,7 +30,7 @@ from palmd.calibration.rolling_fit import (
     slope,
 )
 from palmd.calibration.rolling_session import RollingSession, slopes_within
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.console.configured import with_flat_palms
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.processes import StopRequest

@@ -17,11 +17,11 @@ from typing import Any
 from palmd.calibration.cylinder_session import LARGEST_RADIUS_MM, within
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.pivot_height import HeightError, PivotHeight, pivot_height
+from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.console.configured import any_configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.events import Event
 from palmd.observer.pivot.growing import as_fed
-from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import LogError
 from palmd.record.run import read_any_run

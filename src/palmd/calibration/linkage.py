@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from palmd.config import AdeptConfig, ArmConfig, Config, RigConfig, Strict
+from palmd.config.arms import AdeptConfig, ArmConfig
+from palmd.config.fields import Strict
+from palmd.config.two_palms import Config, RigConfig
 from palmd.console.errors import BAD_INPUT, CliError
 
 

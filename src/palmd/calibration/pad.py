@@ -13,7 +13,7 @@ from typing import Any
 
 from palmd.calibration.files import not_written, plain, provenance, writable, write
 from palmd.calibration.pad_characteristic import AxisCharacteristic, PadCharacteristic, TooFewReportsError, characterise
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.console.arguments import seconds_within
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import drawing

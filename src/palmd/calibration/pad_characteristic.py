@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, place_mm
 from palmd.events import FloatArray
 

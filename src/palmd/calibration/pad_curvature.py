@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from palmd.calibration.cylinder import LEAST_TRAVEL_M, CylinderError, contacts_m, not_spoilt, readings
 from palmd.calibration.pad_scale import slow_readings
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
 

@@ -21,7 +21,7 @@ from palmd.calibration.pad_characteristic import (
     residuals,
     strokes,
 )
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.devices.pad import PadReport
 from palmd.events import FloatArray
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.calibration.cylinder import CylinderError, CylinderReadings, lying, normal_forces, readings
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
 

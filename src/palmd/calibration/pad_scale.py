@@ -23,7 +23,7 @@ from palmd.calibration.cylinder import (
     not_spoilt,
     readings,
 )
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
 from palmd.system.mechanism import PALMS

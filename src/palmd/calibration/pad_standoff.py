@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from palmd.calibration.cylinder import CylinderError, CylinderReadings, not_spoilt, readings
 from palmd.calibration.pad_scale import PadScale, pad_scales, slow_enough
-from palmd.config import PadConfig
+from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
 

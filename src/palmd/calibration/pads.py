@@ -14,7 +14,8 @@ from typing import Any
 
 from palmd.calibration import cylinder_session
 from palmd.calibration.pad_scale import PadScale, pad_scales
-from palmd.config import Config, PadConfig
+from palmd.config.pads import PadConfig
+from palmd.config.two_palms import Config
 
 FORMAT = 1
 Scales = tuple[PadScale, PadScale]

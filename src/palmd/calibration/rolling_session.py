@@ -12,7 +12,9 @@ from typing import Any
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
 from palmd.calibration.rolling_fit import LEAST_PER_PALM, Acceleration, accelerate, causes, find_rolls
-from palmd.config import Config, LimitsConfig, PadConfig, config_hash
+from palmd.config.any_config import config_hash
+from palmd.config.pads import PadConfig
+from palmd.config.two_palms import Config, LimitsConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.events import Event, PadSample

@@ -19,7 +19,8 @@ import numpy as np
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
 from palmd.calibration.self_fit import RigFit, combined
-from palmd.config import Config, DynamixelConfig, rig_description
+from palmd.config.arms import DynamixelConfig
+from palmd.config.two_palms import Config, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, CliError

@@ -18,7 +18,7 @@ from palmd.calibration.cylinder import turning_plan
 from palmd.calibration.cylinder_session import ending, heard, pads, store, wait_for_none, within
 from palmd.calibration.files import writable
 from palmd.calibration.pad_standoff import LEAST_RATIO, PadStandoff, pad_standoffs
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.console.configured import with_flat_palms
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.motion.check import motion_limits

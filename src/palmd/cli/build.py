@@ -12,7 +12,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-from palmd.config import AnyConfig
+from palmd.config.any_config import AnyConfig
 from palmd.console.configured import any_configured
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.observer.kernels import Part, of_palms

@@ -14,7 +14,7 @@ from typing import Any
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
-from palmd.config import MAX_DURATION_S, ExploreGoal
+from palmd.config.plans import MAX_DURATION_S, ExploreGoal
 from palmd.harness.operator import PlanRun, why
 from palmd.harness.processes import StopRequest
 

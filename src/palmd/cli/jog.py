@@ -17,7 +17,7 @@ from typing import Any
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.bus.subscriber import Subscriber
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.keys import pressed, unbuffered

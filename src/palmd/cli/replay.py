@@ -15,7 +15,7 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from palmd.bus.link import PUBLISH
-from palmd.config import LocalAddress
+from palmd.config.addresses import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest

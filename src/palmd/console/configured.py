@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from palmd.config import AnyConfig, Config
+from palmd.config.any_config import AnyConfig
+from palmd.config.two_palms import Config
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
 from palmd.yamlfile import ConfigError, load_any_config, load_config

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd import __version__
-from palmd.config import AnyConfig
+from palmd.config.any_config import AnyConfig
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName

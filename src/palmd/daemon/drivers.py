@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from palmd.config import ArmConfig
+from palmd.config.arms import ArmConfig
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.daemon.poses import Poses
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, make_actuator

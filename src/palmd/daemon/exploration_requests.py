@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.events import Outlook
 from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.excitation import homewards, rock

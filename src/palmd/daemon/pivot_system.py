@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import ClassVar
 
 from palmd import pivot_messages as messages
+from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.daemon.dragging import Dragging
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Explores
@@ -22,7 +23,6 @@ from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.outlinefile import Outline
-from palmd.pivot_config import PivotConfig, pivot_rig
 from palmd.pivot_quantities import PIVOT_ANSWER, PIVOT_SHAPE
 from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate

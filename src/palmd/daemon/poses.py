@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.devices.actuator import JointPose, Place, Pose, Reach
 from palmd.events import Joints
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import ClassVar
 
 from palmd import three_palms_messages as messages
+from palmd.config.three_palms import ThreePalmsConfig, three_palms_rig
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Exploring
@@ -23,7 +24,6 @@ from palmd.observer.three_palms.live import BodyObserver
 from palmd.outlinefile import Outline
 from palmd.quantities import Topic
 from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
-from palmd.three_palms_config import ThreePalmsConfig, three_palms_rig
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
 DECIDER = "palmd.daemon.body_decider:BodyDecider"

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from typing import ClassVar
 
 from palmd import messages, observer
-from palmd.config import Config, rig_description
+from palmd.config.two_palms import Config, rig_description
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Exploring

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from palmd.config import ArmConfig
+from palmd.config.arms import ArmConfig
 from palmd.events import Joints
 
 if TYPE_CHECKING:

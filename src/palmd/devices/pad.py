@@ -17,7 +17,7 @@ import numpy as np
 from palmd.events import FloatArray, PadLift, PadSample
 
 if TYPE_CHECKING:
-    from palmd.config import PadConfig
+    from palmd.config.pads import PadConfig
     from palmd.devices.port import DevicePort
     from palmd.messages import PadView
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import ServoConfig
+from palmd.config.arms import ServoConfig
 from palmd.devices import dynamixel as dxl
 from palmd.devices.dynamixel import HardwareError, Register
 

@@ -19,7 +19,7 @@ from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum, auto
 
-from palmd.config import ServoConfig
+from palmd.config.arms import ServoConfig
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
 from palmd.devices.arrival import byte_time

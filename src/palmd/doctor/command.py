@@ -8,7 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.config import BAUDS, SERVO_BAUDS, AdeptConfig, DynamixelConfig
+from palmd.config.arms import AdeptConfig, DynamixelConfig
+from palmd.config.fields import BAUDS, SERVO_BAUDS
 from palmd.console.configured import INSTALLED, configured, usual
 from palmd.console.errors import BAD_INPUT, CliError
 

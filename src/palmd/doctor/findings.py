@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palmd.config import Config, from_here
+from palmd.config.addresses import from_here
+from palmd.config.two_palms import Config
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.doctor import machine, ports
 from palmd.doctor.finding import Finding

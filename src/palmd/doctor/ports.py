@@ -10,7 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from palmd.config import Config, DynamixelConfig, PadConfig
+from palmd.config.arms import DynamixelConfig
+from palmd.config.pads import PadConfig
+from palmd.config.two_palms import Config
 from palmd.daemon.realtime import user
 from palmd.doctor.finding import Finding
 

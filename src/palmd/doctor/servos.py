@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-from palmd.config import DynamixelConfig
+from palmd.config.arms import DynamixelConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.actuator import make_actuator
 from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, PortTalk, ServoResult, examine

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from palmd.config import PadConfig, PadsConfig
+from palmd.config.pads import PadConfig
+from palmd.config.two_palms import PadsConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.pad import PadReport, make_pad
 from palmd.devices.port import PortWaiter

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from palmd.config.pivot import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.daemon.core import Core
 from palmd.daemon.planner import Plan
 from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
 from palmd.observer.pivot.observer import pivot_observer
-from palmd.pivot_config import PivotConfig, PivotPlanSpec, pivot_rig
 from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.shapes import Kind
 

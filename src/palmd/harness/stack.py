@@ -16,7 +16,7 @@ import zmq
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Message, Subscriber
-from palmd.config import AnyConfig, BusConfig
+from palmd.config.any_config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.harness.processes import Child
 

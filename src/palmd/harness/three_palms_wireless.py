@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.core import Core
 from palmd.daemon.exploration_requests import InlineExplorer
@@ -11,7 +12,6 @@ from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
 from palmd.observer.three_palms.growing import SimulatedGrowing
 from palmd.observer.three_palms.live import BodyObserver, BodySmoothing
 from palmd.rig.three_palms.world import ThreePalmsWorld
-from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
 
 
 class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):

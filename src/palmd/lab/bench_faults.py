@@ -16,7 +16,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from palmd.config import Config, EvdevConfig, PadsConfig
+from palmd.config.pads import EvdevConfig
+from palmd.config.two_palms import Config, PadsConfig
 from palmd.console.arguments import count, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.config import Drawn
+from palmd.config.two_palms import Drawn
 from palmd.console.arguments import count, seconds, seconds_within, seed
 from palmd.lab import pivot, pivot_live, workers
 from palmd.lab.bench_montecarlo import ALL

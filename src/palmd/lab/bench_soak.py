@@ -19,7 +19,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from palmd.config import Config, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds, seed
 from palmd.console.errors import BAD_INPUT
 from palmd.console.progress import Progress

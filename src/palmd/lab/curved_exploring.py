@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import Config, LimitsConfig
+from palmd.config.two_palms import Config, LimitsConfig
 from palmd.lab import exploring
 from palmd.lab.exploring import ExploringRow, ExploringTask
 from palmd.lab.exploring_plans import Strategy

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palmd.config import Config, Drawn, ExploreGoal, rig_description
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import Config, Drawn, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
 from palmd.events import FloatArray, Outlook
 from palmd.harness.wireless import Wireless

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.bus.subscriber import Message
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd import observer
-from palmd.config import Drawn
+from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.lab.runs import with_failures
 from palmd.lab.scoring import (

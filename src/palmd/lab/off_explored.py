@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.config import Config, ExploreGoal, ImperfectionsConfig, rig_description
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import Config, ImperfectionsConfig, rig_description
 from palmd.events import FloatArray, Improvement, Unexplained
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_plans import plan

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.config import Config, rig_description
+from palmd.config.two_palms import Config, rig_description
 from palmd.events import Event, PadLift, PalmSample
 from palmd.lab.scoring import truth_of
 from palmd.lab.simulated import simulated

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from palmd import pivot_messages as says
-from palmd.config import Drawn
+from palmd.config.pivot import PivotConfig, PivotPlanSpec
+from palmd.config.two_palms import Drawn
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import Dragging
 from palmd.harness.pivot_wireless import PivotWireless
@@ -22,7 +23,6 @@ from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
 from palmd.observer.pivot.claimed import friction_of
-from palmd.pivot_config import PivotConfig, PivotPlanSpec
 from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER
 from palmd.rig.imperfections import perfect
 from palmd.score import WRONG_M, score_outline

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palmd.config import VersaPadConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.devices.arrival import byte_time
 from palmd.devices.versapad import PACKET_BYTES, PadCounters, PadPacket, PressureFormat, VersaPadDecoder
 from palmd.rig.marble import Marble

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from palmd.config import Drawn
+from palmd.config.two_palms import Drawn
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.plant import FrictionSurface
 from palmd.rig.shapes import Body, Kind

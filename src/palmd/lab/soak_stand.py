@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from palmd.bus.subscriber import Message, Subscriber
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.console.errors import RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.harness.operator import Operator

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from palmd.blas import one_thread
+from palmd.config.three_palms import ThreePalmsLimitsConfig
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
 from palmd.model.icosphere import icosphere
@@ -30,7 +31,6 @@ from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing
 from palmd.rig.three_palms.simulate import KINDS, REST_POSE, STEP_S, started
 from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of, room_on_pads
-from palmd.three_palms_config import ThreePalmsLimitsConfig
 
 WIDE = ThreePalmsLimitsConfig(beta_deg=(10.0, 80.0), gamma2_deg=(15.0, 75.0), gamma3_deg=(15.0, 75.0))
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from palmd.blas import one_thread
+from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.harness.three_palms_comparison import matrix, surface_error
 from palmd.harness.three_palms_wireless import ThreePalmsWireless
@@ -22,7 +23,6 @@ from palmd.model.icosphere import icosphere
 from palmd.motion.body_explorer import NEAR_RAD
 from palmd.quantities import STATE
 from palmd.system.three_palms import JOINTS, PALMS, palms_at
-from palmd.three_palms_config import ThreePalmsConfig, TiltPlanSpec
 from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palmd.config import Drawn, ExploreSpec, PlanSpec, rig_description
+from palmd.config.plans import ExploreSpec, PlanSpec
+from palmd.config.two_palms import Drawn, rig_description
 from palmd.events import Event
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_watch import ExplorationWatch

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.config import Drawn, ExploreGoal, rig_description
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import Drawn, rig_description
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless
 from palmd.lab import thing_logs

@@ -9,7 +9,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from palmd.config import AnyConfig, AnyPlanSpec, PadBase
+from palmd.config.any_config import AnyConfig
+from palmd.config.pads import PadBase
+from palmd.config.plans import AnyPlanSpec
 from palmd.console.folders import nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits

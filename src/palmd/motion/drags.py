@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.motion.pivot import PivotLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles, Move
 from palmd.system.pivot import Touching

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.events import PalmMotion
 from palmd.motion.segments import Angles, Move
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.events import FloatArray, Outlook
 from palmd.model import shape_map
 from palmd.model.arcs import touched_normals

@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import AdeptConfig, Config
+from palmd.config.arms import AdeptConfig
+from palmd.config.two_palms import Config
 from palmd.events import Joints, PalmMotion
 from palmd.system.mechanism import directions, hinge_position
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import Joints, PalmMotion
 from palmd.motion.kinematics import RigGeometry
 from palmd.system.arcs import FLAT, opening_at

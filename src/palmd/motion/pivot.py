@@ -6,13 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from palmd.events import PalmMotion
-from palmd.motion.exploration import Exploration
-from palmd.motion.joint_limits import JointLimits
-from palmd.motion.limits import MotionLimits, problems, ranges
-from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
-from palmd.motion.segments import Angles, Hold, MotionSegment, Move
-from palmd.pivot_config import (
+from palmd.config.pivot import (
     PivotConfig,
     PivotExploreSpec,
     PivotHoldSpec,
@@ -21,6 +15,12 @@ from palmd.pivot_config import (
     PivotPlace,
     PivotPlanSpec,
 )
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
+from palmd.motion.joint_limits import JointLimits
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move
 from palmd.system.pivot import AXES, SYSTEM
 
 

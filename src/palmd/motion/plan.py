@@ -15,24 +15,23 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
-from palmd.config import (
+from palmd.config.fields import Strict
+from palmd.config.plans import (
     MAX_DURATION_S,
     SEGMENT_KINDS,
     AnyPlanSpec,
-    Config,
     DitherSpec,
     ExploreSpec,
     HoldSpec,
     JointValues,
-    LimitsConfig,
     MoveSpec,
     PalmAngles,
     PlanSpec,
     RateSpec,
     SegmentSpec,
     SineSpec,
-    Strict,
 )
+from palmd.config.two_palms import Config, LimitsConfig
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError

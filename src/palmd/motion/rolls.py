@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.motion.drags import CLEAR_M, PAD_END_M, WAIT, Drags, DragStep
 from palmd.motion.pivot import PivotLimits
 from palmd.motion.segments import Angles

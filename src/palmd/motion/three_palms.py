@@ -6,14 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from palmd.events import PalmMotion
-from palmd.motion.exploration import Exploration
-from palmd.motion.joint_limits import JointLimits
-from palmd.motion.limits import MotionLimits, problems, ranges
-from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
-from palmd.motion.segments import Angles, Hold, MotionSegment, Move, Sine, growing_s
-from palmd.system.three_palms import JOINTS, SYSTEM
-from palmd.three_palms_config import (
+from palmd.config.three_palms import (
     ThreePalmsConfig,
     ThreePalmsLimitsConfig,
     TiltAngles,
@@ -22,6 +15,13 @@ from palmd.three_palms_config import (
     TiltMoveSpec,
     TiltPlanSpec,
 )
+from palmd.events import PalmMotion
+from palmd.motion.exploration import Exploration
+from palmd.motion.joint_limits import JointLimits
+from palmd.motion.limits import MotionLimits, problems, ranges
+from palmd.motion.plan import Loc, PlanError, PlanForm, Round, Trajectory
+from palmd.motion.segments import Angles, Hold, MotionSegment, Move, Sine, growing_s
+from palmd.system.three_palms import JOINTS, SYSTEM
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 from palmd.events import ObserverName
 
 if TYPE_CHECKING:
-    from palmd.config import Config
+    from palmd.config.two_palms import Config
 
 Part = tuple[str, Callable[[], str]]
 """What it is, and what makes it or finds it made, and says how it runs."""

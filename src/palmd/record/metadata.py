@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from palmd import __version__
-from palmd.config import AnyConfig, config_hash
+from palmd.config.any_config import AnyConfig, config_hash
 from palmd.outlinefile import SUFFIXES
 from palmd.quantities import SCHEMA
 from palmd.record.mcapfile import Preface

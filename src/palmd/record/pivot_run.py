@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from palmd import pivot_messages
+from palmd.config.pivot import PivotConfig
 from palmd.messages import Says
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
-from palmd.pivot_config import PivotConfig
 from palmd.pivot_quantities import PIVOT_ANSWER
 from palmd.record.run import AnyRun, RecordedAnswers
 from palmd.system.pivot import SYSTEM, PivotRig

@@ -15,7 +15,8 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
-from palmd.config import AnyConfig, from_here
+from palmd.config.addresses import from_here
+from palmd.config.any_config import AnyConfig
 from palmd.keys import Credentials
 from palmd.record.recording import Ended, Recording
 

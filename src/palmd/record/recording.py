@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from palmd.config import AnyConfig
+from palmd.config.any_config import AnyConfig
 from palmd.payload import unpacked
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface

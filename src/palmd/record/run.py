@@ -14,7 +14,8 @@ import yaml
 from pydantic import TypeAdapter
 
 from palmd import messages
-from palmd.config import AnyConfig, Config
+from palmd.config.any_config import AnyConfig
+from palmd.config.two_palms import Config
 from palmd.events import Event, Improvement, Unexplained
 from palmd.messages import Fields, Says, improvement_of
 from palmd.observer.observer import LiveObserver, Observer

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.config import Config, rig_description
+from palmd.config.two_palms import Config, rig_description
 from palmd.events import FloatArray
 from palmd.messages import Fields
 from palmd.polygon import closed_outline, turned

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from palmd import three_palms_messages
+from palmd.config.three_palms import ThreePalmsConfig
 from palmd.messages import Says
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.record.run import AnyRun, RecordedAnswers
 from palmd.system.three_palms import SYSTEM, ThreePalmsRig
-from palmd.three_palms_config import ThreePalmsConfig
 from palmd.three_palms_quantities import PALM3_ANSWER
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.events import FloatArray
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits

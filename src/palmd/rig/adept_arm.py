@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config
+from palmd.config.arms import AdeptConfig
+from palmd.config.two_palms import Config
 from palmd.devices.actuator import ArmState, Pose
 from palmd.events import Joints, PalmMotion
 from palmd.rig.arm import Linkage

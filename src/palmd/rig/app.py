@@ -32,7 +32,7 @@ import msgpack
 import numpy as np
 import zmq
 
-from palmd.config import AnyConfig
+from palmd.config.any_config import AnyConfig
 from palmd.console.folders import for_sockets
 from palmd.messages import stamp
 from palmd.quantities import BODY, STALL, TRUTH, Topic

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from palmd.config import AdeptConfig, Config
+from palmd.config.arms import AdeptConfig
+from palmd.config.two_palms import Config
 from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 

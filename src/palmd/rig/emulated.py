@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from palmd.config import EvdevConfig, StripConfig, VersaPadConfig
+from palmd.config.pads import EvdevConfig, StripConfig, VersaPadConfig
 from palmd.quantities import Topic
 from palmd.rig.actuators import LineDevice
 from palmd.rig.evdevs import EvdevEmulator

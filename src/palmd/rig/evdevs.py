@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palmd.config import EvdevConfig
+from palmd.config.pads import EvdevConfig
 from palmd.devices import evdev
 from palmd.devices.evdev import EvdevReader, Record
 from palmd.rig.pads import PadEmulator, PadOptions

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import Joints
 
 _MOST_PHI12_DEG = 170.0

@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmd.config import AnyConfig, Config, PadImperfectionsConfig, Strict, rig_description
+from palmd.config.any_config import AnyConfig
+from palmd.config.fields import Strict
+from palmd.config.two_palms import Config, PadImperfectionsConfig, rig_description
 from palmd.events import Joints, PalmMotion
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palmd.config import BAUDS, SERVO_BAUDS
+from palmd.config.fields import BAUDS, SERVO_BAUDS
 
 READ_BYTES = 4096
 _OSPEED = 5

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from palmd.config import PadBase, VersaPadConfig
+from palmd.config.pads import PadBase, VersaPadConfig
 from palmd.devices.versapad import (
     COUNT_MAX,
     COUNT_MIN,

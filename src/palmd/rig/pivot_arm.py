@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from palmd.config.pivot import PivotConfig
 from palmd.devices.actuator import Pose
-from palmd.pivot_config import PivotConfig
 from palmd.rig.pivot import Axis
 from palmd.rig.tool import DrivenTool, limits_round
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.pivot_config import PivotConfig, pivot_rig
+from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName

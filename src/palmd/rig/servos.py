@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import Config, DynamixelConfig, ServoConfig
+from palmd.config.arms import DynamixelConfig, ServoConfig
+from palmd.config.two_palms import Config
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmState
 from palmd.devices.dynamixel import BROADCAST, HardwareError, Instruction, Packet, PacketReader, Register

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.config import Config, LimitsConfig
+from palmd.config.two_palms import Config, LimitsConfig
 from palmd.devices.actuator import Pose
 from palmd.rig.arm import Linkage, turn
 from palmd.rig.controller import CYCLE_S

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import Drawn
+from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
 from palmd.rig.curved_plant import CurvedPlant

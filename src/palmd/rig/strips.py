@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palmd.config import StripConfig
+from palmd.config.pads import StripConfig
 from palmd.devices.strip import FORCE_MAX, POSITION_MAX, TOUCHED_S, UNTOUCHED_S, StripDecoder, encode
 from palmd.rig.pads import PadEmulator, PadOptions
 

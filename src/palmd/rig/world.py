@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config, Drawn, PadConfig, PadsConfig, RigConfig, VersaPadConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import PadConfig, VersaPadConfig
+from palmd.config.two_palms import Config, Drawn, PadsConfig, RigConfig
 from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator

@@ -13,7 +13,7 @@ import yaml
 from palmd.calibration import arm as command
 from palmd.calibration.linkage import changed
 from palmd.cli import main
-from palmd.config import config_hash
+from palmd.config.any_config import config_hash
 from palmd.devices.armlink import ArmState, Pose
 from palmd.rig.arm import Linkage
 from palmd.rig.controller import ArmLimits, Controller

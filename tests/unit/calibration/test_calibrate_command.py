@@ -14,7 +14,9 @@ from palmd.calibration import pad
 from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
 from palmd.cli.table import below
-from palmd.config import VersaPadConfig, config_hash, rig_description
+from palmd.config.any_config import config_hash
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import rig_description
 from palmd.console.extras import install_line
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet

@@ -13,7 +13,7 @@ from virtual_rig import running
 from palmd.calibration import cylinder, cylinder_session
 from palmd.calibration import standoff as standoff_command
 from palmd.cli import main
-from palmd.config import config_hash
+from palmd.config.any_config import config_hash
 from palmd.rig.fault_injection import order
 from palmd.rig.pads import PadOptions
 from palmd.rig.shapes import cylinder as turned

@@ -16,7 +16,9 @@ from palmd.calibration.linkage import changed
 from palmd.calibration.rolling_fit import GravityFit
 from palmd.calibration.rolling_session import Slope, slopes_within
 from palmd.cli import main
-from palmd.config import LimitsConfig, PlanSpec, config_hash
+from palmd.config.any_config import config_hash
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import LimitsConfig
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply

@@ -9,7 +9,8 @@ import pytest
 from off_pads import LIMITS, share
 
 from palmd.calibration.cylinder import PAD_MARGIN_M, SLOW_RAD_S, CylinderError, contact_m, tipping_plan, turning_plan
-from palmd.config import LimitsConfig, PlanSpec
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import LimitsConfig
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 

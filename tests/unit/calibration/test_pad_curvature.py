@@ -11,7 +11,8 @@ from palmd.calibration.curvature import called_for, remarks, table
 from palmd.calibration.cylinder import CylinderError, contacts_m, turning_plan
 from palmd.calibration.pad_curvature import pad_curvatures
 from palmd.calibration.pad_scale import pad_scales
-from palmd.config import LimitsConfig, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import PadSample, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.rig.world import default_config

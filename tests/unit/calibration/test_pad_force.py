@@ -12,7 +12,7 @@ from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, normal_forces, tipping_plan
 from palmd.calibration.pad_force import pad_forces
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import PadSample, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.rig.pads import PadOptions

@@ -9,7 +9,7 @@ from turned_cylinder import turned
 
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
-from palmd.config import VersaPadConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.devices.pad import place_mm, straight_mm
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions

@@ -11,7 +11,7 @@ from palmd.calibration.cylinder import CylinderError, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.calibration.pad_standoff import pad_standoffs
 from palmd.calibration.standoff import called_for, remarks
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
 
 RADII_M, MASSES_KG = (0.024, 0.012), (0.1, 0.025)

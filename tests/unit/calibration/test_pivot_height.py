@@ -12,10 +12,10 @@ import yaml
 
 from palmd.calibration.pivot_height import HeightError, pivot_height
 from palmd.cli import main
-from palmd.config import config_hash
+from palmd.config.any_config import config_hash
+from palmd.config.pivot import pivot_rig
 from palmd.console.shipped import shipped
 from palmd.events import PadSample, PalmSample
-from palmd.pivot_config import pivot_rig
 from palmd.system.description import PadSensor
 from palmd.system.pivot import PivotRig
 from palmd.yamlfile import load_any_config

@@ -15,7 +15,8 @@ import yaml
 from palmd.calibration.self_calibration import applied, called_for, fitted
 from palmd.calibration.self_fit import RigFit, combined
 from palmd.cli import main
-from palmd.config import config_hash, rig_description
+from palmd.config.any_config import config_hash
+from palmd.config.two_palms import rig_description
 from palmd.events import PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.motion.kinematics import RigGeometry

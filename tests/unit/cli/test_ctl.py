@@ -13,7 +13,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli import main
 from palmd.cli.ctl import JOG_EVERY_S, jog_steps, told
-from palmd.config import BusConfig
+from palmd.config.any_config import BusConfig
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply, Request

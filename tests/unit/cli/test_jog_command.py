@@ -12,7 +12,7 @@ import pytest
 
 from palmd.cli import jog, main
 from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, Handle, line
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
 from palmd.daemon.jog import DEAD_MAN_S, RATE

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from palmd.config.three_palms import TiltGoal
 from palmd.daemon import body_decider
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
@@ -21,7 +22,6 @@ from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
-from palmd.three_palms_config import TiltGoal
 
 RIG, SEED = ThreePalmsRig(), 4
 LIMITS = TiltLimits.over(WIDE, 75.0)

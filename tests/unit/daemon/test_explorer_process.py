@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from palmd.config import ExploreGoal, LimitsConfig
+from palmd.config.plans import ExploreGoal
+from palmd.config.three_palms import ThreePalmsLimitsConfig, TiltGoal
+from palmd.config.two_palms import LimitsConfig
 from palmd.daemon import worker
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.explorer_process import HIGH_WATER, ExplorerProcess
@@ -24,7 +26,6 @@ from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
 from palmd.system.description import RigDescription
 from palmd.system.three_palms import ThreePalmsRig
-from palmd.three_palms_config import ThreePalmsLimitsConfig, TiltGoal
 
 PATIENCE_S = 60.0
 FEW = HIGH_WATER // 2

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from test_core import Bench
 
 from palmd import keys
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.commands import COMMANDS, CommandError, parse
 from palmd.rig.world import default_config
 

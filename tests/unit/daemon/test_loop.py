@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from waiting import wait
 
-from palmd.config import AdeptConfig, Config, PadsConfig, VersaPadConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import Config, PadsConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
 from palmd.daemon.loop import Loop, next_deadline

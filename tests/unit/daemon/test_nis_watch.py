@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from palmd.config import ImperfectionsConfig, PlanSpec
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import ImperfectionsConfig
 from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
 from palmd.harness.wireless import Wireless

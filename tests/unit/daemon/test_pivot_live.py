@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from palmd import pivot_messages as says
+from palmd.config.pivot import PivotPlanSpec, pivot_rig
 from palmd.daemon.commands import parse
 from palmd.daemon.systems import live_system
 from palmd.events import PadSample
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.messages import stamp, validate
 from palmd.observer.pivot.live import PivotObserver
-from palmd.pivot_config import PivotPlanSpec, pivot_rig
 from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.score import score_shape
 from palmd.topics import TOPICS

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from palmd import keys
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.planner import PlanFolder, plan_in
 from palmd.motion.limits import MotionLimits
 from palmd.yamlfile import ConfigError

@@ -5,7 +5,10 @@ import math
 
 import pytest
 
-from palmd.config import AdeptConfig, Config, PadsConfig, PlanSpec, VersaPadConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import Config, PadsConfig
 from palmd.daemon.jog import DEAD_MAN_S
 from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import SetPoints

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from palmd import pivot_messages as says
+from palmd.config.pivot import PivotPlanSpec, pivot_rig
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.observer.pivot.observer import pivot_observer
-from palmd.pivot_config import PivotPlanSpec, pivot_rig
 from palmd.score import score_shape
 from palmd.yamlfile import load_any_config, parse, read_document
 

@@ -10,7 +10,7 @@ import terminals
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.config import EvdevConfig
+from palmd.config.pads import EvdevConfig
 from palmd.devices import evdev
 from palmd.devices.evdev import RECORD, EvdevReader, encode
 from palmd.devices.evdevport import EvdevPort

@@ -7,8 +7,9 @@ from typing import get_args
 import pytest
 from pydantic import Discriminator, Tag
 
-from palmd import config, devices
-from palmd.config import AdeptConfig, DynamixelConfig, EvdevConfig, StripConfig, VersaPadConfig
+from palmd import devices
+from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig
+from palmd.config.pads import EvdevConfig, PadConfig, StripConfig, VersaPadConfig
 from palmd.devices.actuator import Actuator, ArmState, Pose, Sent, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
 from palmd.devices.pad import PadDriver, make_pad
@@ -36,8 +37,8 @@ def members(protocol):
 
 
 def test_every_file_has_its_configuration_model_and_the_other_way_round():
-    assert kinds("pads") == kinds_in(config.PadConfig)
-    assert kinds("actuators") == kinds_in(config.ArmConfig)
+    assert kinds("pads") == kinds_in(PadConfig)
+    assert kinds("actuators") == kinds_in(ArmConfig)
 
 
 @pytest.mark.parametrize(

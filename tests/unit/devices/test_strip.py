@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.config import StripConfig
+from palmd.config.pads import StripConfig
 from palmd.devices.pad import make_pad
 from palmd.devices.strip import FORCE_MAX, StripDecoder, encode
 from palmd.events import PadLift, PadSample

@@ -15,7 +15,7 @@ import terminals
 from shut import shut
 
 from palmd.cli import main
-from palmd.config import VersaPadConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.console import configured
 from palmd.console.shipped import shipped
 from palmd.daemon import realtime

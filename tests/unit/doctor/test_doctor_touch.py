@@ -8,7 +8,8 @@ import pytest
 import terminals
 
 from palmd.cli import main
-from palmd.config import PadsConfig, VersaPadConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import PadsConfig
 from palmd.console.errors import CliError
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import touch

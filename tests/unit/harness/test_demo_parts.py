@@ -9,7 +9,7 @@ import zmq
 
 from palmd.bus.subscriber import Message
 from palmd.cli import demo
-from palmd.config import BusConfig
+from palmd.config.any_config import BusConfig
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import Comparison, Punctuality
 from palmd.harness.operator import AGAIN_S, CALM_S, Operator

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from palmd.config import Config, PlanSpec
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import Config
 from palmd.daemon.lifecycle import State
 from palmd.events import PadSample
 from palmd.harness.wireless import Wireless

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
 from palmd.harness.three_palms_comparison import matrix
@@ -12,7 +13,6 @@ from palmd.lab.space_live import SpaceLiveRow, TrueCoverage, told_of_exploring
 from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
-from palmd.three_palms_config import TiltPlanSpec
 from palmd.yamlfile import load_any_config
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})

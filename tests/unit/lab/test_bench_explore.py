@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.harness.wireless import Instant
 from palmd.lab import bench_explore, exploring, exploring_plans, runs
 from palmd.lab.clairvoyant import true_state

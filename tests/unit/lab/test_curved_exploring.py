@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.console.shipped import shipped
 from palmd.events import PalmMotion
 from palmd.harness.wireless import Instant

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from palmd.cli import main
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.console.shipped import shipped
 from palmd.events import PadSample, PalmSample
 from palmd.lab import bench_things, thing_logs

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from palmd.config.three_palms import ThreePalmsLimitsConfig
 from palmd.lab.space_exploring import WIDE
 from palmd.motion.body_swing import FARTHEST_RAD, SWING_RAD, Swing
 from palmd.motion.three_palms import TiltLimits
-from palmd.three_palms_config import ThreePalmsLimitsConfig
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])

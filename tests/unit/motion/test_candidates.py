@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.model import rollout
 from palmd.motion import candidates
 from palmd.motion.check import motion_limits

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from shut import shut
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.planner import read_plan
 from palmd.keys import make_pair
 from palmd.motion.check import check_files, load_trajectory, motion_limits

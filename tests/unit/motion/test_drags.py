@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.motion import drags
 from palmd.motion.drags import Drags
 from palmd.motion.pivot import PivotLimits

@@ -7,7 +7,8 @@ import math
 
 import pytest
 
-from palmd.config import ExploreGoal, LimitsConfig
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import LimitsConfig
 from palmd.motion.excitation import CORNERS_DEG, STEP_RAD, homewards, rock
 from palmd.motion.exploration import Exploration
 from palmd.motion.limits import MotionLimits

@@ -8,7 +8,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from palmd.config import ExploreGoal, LimitsConfig
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R

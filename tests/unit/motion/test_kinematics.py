@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.events import PalmMotion
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 

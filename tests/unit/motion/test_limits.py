@@ -7,7 +7,7 @@ import math
 import pytest
 from palms import motion_of
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import PalmMotion
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import SMALL_RADIUS, MotionLimits, Workspace

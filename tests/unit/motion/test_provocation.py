@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import PalmMotion
 from palmd.motion.limits import MotionLimits
 from palmd.motion.provocation import CLOSED, OPEN, ROUNDS, lean, provoke, rounds, slips

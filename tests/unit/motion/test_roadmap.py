@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.config import ExploreGoal, LimitsConfig
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import LimitsConfig
 from palmd.events import Outlook
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs

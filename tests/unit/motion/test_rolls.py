@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from palmd.config import ExploreGoal
+from palmd.config.plans import ExploreGoal
 from palmd.motion.pivot import PivotLimits
 from palmd.motion.rolls import ENOUGH, PASSES, SETTINGS, Rolls
 from palmd.system.pivot import Touching

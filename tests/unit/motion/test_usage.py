@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from palmd.config import LimitsConfig, PlanSpec
+from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import LimitsConfig
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 from palmd.motion.usage import sampled, usage

@@ -8,7 +8,7 @@ import pytest
 import recorded
 from improvements import improvement
 
-from palmd.config import rig_description
+from palmd.config.two_palms import rig_description
 from palmd.events import PadSample
 from palmd.messages import improvement_fields
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT

@@ -10,6 +10,8 @@ from plans import SHORT, SWING
 from recorded import config as recorded_config
 
 from palmd.cli import main
+from palmd.config.pivot import PivotPlanSpec
+from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.commands import Request
 from palmd.harness.pivot_wireless import PivotWireless
@@ -17,14 +19,12 @@ from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.harness.wireless import Wireless
 from palmd.lab.fault_wireless import WirelessRecorder
 from palmd.lab.silent_observer import SilentObserver
-from palmd.pivot_config import PivotPlanSpec
 from palmd.record.run import RunError, read_any_run, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
 from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
-from palmd.three_palms_config import TiltPlanSpec
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"

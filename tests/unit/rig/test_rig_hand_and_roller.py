@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.config import LimitsConfig
+from palmd.config.two_palms import LimitsConfig
 from palmd.devices.armlink import Ack, ArmState, LineReader, Query, Refusal, Start, encode_command, parse_reply
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.events import PalmMotion

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.config import ImperfectionsConfig, rig_description
+from palmd.config.two_palms import ImperfectionsConfig, rig_description
 from palmd.events import PalmMotion
 from palmd.observer.reconstruct import reconstruct
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection, configured, drawn

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmd.config import PressureConfig, VersaPadConfig
+from palmd.config.pads import PressureConfig, VersaPadConfig
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
 

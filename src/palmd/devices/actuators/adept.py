@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from palmd.config import AdeptConfig
+from palmd.config.arms import AdeptConfig
 from palmd.devices.actuator import ActuatorFactory, Place, Pose, Reach, Sent
 from palmd.devices.armhost import FAULT_S, FREEZE_S, ArmHost
 from palmd.devices.armlink import error_text

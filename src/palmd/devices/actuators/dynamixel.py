@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from palmd.config import DynamixelConfig
+from palmd.config.arms import DynamixelConfig
 from palmd.devices.actuator import ActuatorFactory, Reach
 from palmd.devices.health import Limits, Shares
 from palmd.devices.port import Port

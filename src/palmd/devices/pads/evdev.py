@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Literal
 
-from palmd.config import EvdevConfig
+from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import EvdevPort
 from palmd.devices.health import Limits, Shares, last_report

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Literal
 
-from palmd.config import StripConfig
+from palmd.config.pads import StripConfig
 from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
 from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, PadFactory, TouchTracker, place_mm
 from palmd.devices.port import DevicePort, Port

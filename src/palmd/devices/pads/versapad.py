@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from typing import Literal, cast
 
-from palmd.config import VersaPadConfig
+from palmd.config.pads import VersaPadConfig
 from palmd.devices.handshake import Handshake
 from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
 from palmd.devices.pad import SILENT_INTERVALS, PadFactory

@@ -11,7 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palmd.config import AdeptConfig, Config, VersaPadConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.pads import VersaPadConfig
+from palmd.config.two_palms import Config
 from palmd.events import PalmMotion
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.emulated import EmulatedRig

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgpack
 
-from palmd.config import Config
+from palmd.config.two_palms import Config
 from palmd.daemon.commands import CommandError, Request, parse
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import COMMANDED, State

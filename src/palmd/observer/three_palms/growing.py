@@ -15,7 +15,7 @@ from itertools import islice
 import numpy as np
 
 from palmd.blas import one_thread
-from palmd.config import PRESSURE_GAIN_STD
+from palmd.config.pads import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs

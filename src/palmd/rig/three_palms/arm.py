@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
+from palmd.config.three_palms import ThreePalmsConfig
 from palmd.devices.actuator import Pose
 from palmd.rig.three_palms.compiled import JointMotion
 from palmd.rig.tool import DrivenTool, limits_round
-from palmd.three_palms_config import ThreePalmsConfig
 
 ROOM = 2.0  # what the controller allows beyond what the limits need
 ENCODER_NOISE_RAD = math.radians(0.015)

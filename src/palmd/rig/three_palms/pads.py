@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from palmd.config.three_palms import PlanePadConfig
 from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
-from palmd.three_palms_config import PlanePadConfig
 
 
 class PlanePadEmulator(VersaPadEmulator):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from palmd.config.three_palms import ThreePalmsConfig
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
@@ -25,7 +26,6 @@ from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
 from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
-from palmd.three_palms_config import ThreePalmsConfig
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
 HALF_STEP = 2

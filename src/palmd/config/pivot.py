@@ -7,22 +7,12 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
-from palmd.config import (
-    AdeptConfig,
-    AnyConfig,
-    AnyPads,
-    AnyPlanSpec,
-    Drawn,
-    ExploreSpec,
-    NotNegative,
-    PadConfig,
-    Pair,
-    Plausible,
-    Positive,
-    Strict,
-    one_key_of,
-    pad_sensor,
-)
+from palmd.config.any_config import AnyConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.fields import NotNegative, Pair, Plausible, Positive, Strict
+from palmd.config.pads import AnyPads, PadConfig, pad_sensor
+from palmd.config.plans import AnyPlanSpec, ExploreSpec, one_key_of
+from palmd.config.two_palms import Drawn
 from palmd.system.pivot import SYSTEM, PivotRig
 
 

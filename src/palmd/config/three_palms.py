@@ -7,23 +7,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
-from palmd.config import (
-    AdeptConfig,
-    AngleRange,
-    AnyConfig,
-    AnyPads,
-    AnyPlanSpec,
-    Duration,
-    ExploreGoal,
-    ExploreSpec,
-    JointValues,
-    Plausible,
-    Positive,
-    Strict,
-    SwingFrequency,
-    VersaPadConfig,
-    one_key_of,
-)
+from palmd.config.any_config import AnyConfig
+from palmd.config.arms import AdeptConfig
+from palmd.config.fields import AngleRange, Plausible, Positive, Strict
+from palmd.config.pads import AnyPads, VersaPadConfig
+from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
 from palmd.system.three_palms import MECHANISM, SYSTEM, PadPlane, ThreePalmsRig
 
 

@@ -1,0 +1,204 @@
+"""The kinds of touchpads, and what an observer must know of one."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    Discriminator,
+    Field,
+    FiniteFloat,
+    SerializerFunctionWrapHandler,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+)
+
+from palmd.config.fields import Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
+from palmd.system.description import PadSensor
+
+
+class PressureConfig(Strict):
+    """Where a pad's packet carries the pressure: (packet[byte] & mask) >> shift, inverted or not."""
+
+    byte: Annotated[int, Field(ge=0, le=5)] = 5
+    """Which byte of the packet, from 0."""
+    mask: Annotated[int, Field(ge=1, le=0xFF)] = 0x7F
+    """Which bits of it."""
+    shift: Annotated[int, Field(ge=0, le=7)] = 0
+    """How many bits the masked byte is shifted to the right."""
+    invert: bool = False
+    """Whether a firm touch gives a small number."""
+
+
+_STEEPEST_CURVE = 0.2
+"""A pad whose readings run backwards has no place for each."""
+
+
+class PadBase(Strict):
+    """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm.
+
+    Where readings are not proportional, what `curve_mm` has for that s is added.
+    """
+
+    port: PortPath
+    """The serial port; a name that lasts is best (`/dev/serial/by-id/…`)."""
+    axis: Literal["x", "y"] = "x"
+    """Which of the pad's axes lies along the palm."""
+    sign: Annotated[int, one_of(1, -1)] = 1
+    """1 where the counts grow away from the hinge."""
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = 28.0
+    """Distance from the hinge of the place where the pad counts 0."""
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(0.5, 150)] = 7.874
+    """The pad's scale; 200 counts per inch."""
+    newtons_per_count: Annotated[Positive, Plausible(0.0005, 0.5)] = 0.02
+    """What one count of pressure is worth."""
+    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = 55.5
+    """How far from the hinge the pad reaches."""
+    curve_mm: Annotated[tuple[FiniteFloat, ...], Field(strict=False, max_length=64)] = ()
+    """What is added to a reading at so many even places from the hinge to the pad's end, two or more; none: nothing."""
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
+    """One sigma of a position, its rounding not counted."""
+    zero_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.1
+    """How well the zero is known, one sigma."""
+    scale_sd: Annotated[NotNegative, Field(le=0.2), Plausible(0.00001, 0.05, or_zero=True)] = 0.003
+    """How well the scale is known, one sigma, as a share of it."""
+    standoff_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
+    """By how much the pad's surface may lie off the hinge line, one sigma; only what rolls tells it, in part."""
+    sagitta_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 2, or_zero=True)] = 0.03
+    """By how much the pad's middle may be higher than its ends, one sigma."""
+    lag_sd_ms: Annotated[NotNegative, Field(le=100), Plausible(0.05, 50, or_zero=True)] = 2.0
+    """How well the time of a reading is known, one sigma."""
+    force_sd_mm_per_n: Annotated[NotNegative, Field(le=10), Plausible(0.0005, 2, or_zero=True)] = 0.05
+    """By how much a reading may move with the contact's force, one sigma."""
+
+    @field_validator("curve_mm")
+    @classmethod
+    def _gentle(cls, curve_mm: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if len(curve_mm) == 1:
+            raise ValueError("must have two places or more, evenly from the hinge to the pad's end, or none")
+        steepest = max((abs(after - before) for before, after in pairwise(curve_mm)), default=0.0)
+        if steepest * (len(curve_mm) - 1) > _STEEPEST_CURVE * info.data.get("length_mm", math.inf):
+            raise ValueError(f"must change by {_STEEPEST_CURVE:.0%} of the way between two places at most")
+        return curve_mm
+
+    @model_serializer(mode="wrap")
+    def _without_no_curve(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A pad without a curve hashes as it did before there were any."""
+        told: dict[str, Any] = handler(self)
+        if not self.curve_mm:
+            told.pop("curve_mm", None)
+        return told
+
+
+class VersaPadConfig(PadBase):
+    """A VersaPad on a serial line."""
+
+    kind: Literal["versapad"] = Field(default="versapad", exclude=True)  # excluded: it is where it is stored
+    """What kind of pad it is; may be left out."""
+    baud: Baud = 9600
+    """Of the serial line."""
+    handshake: Literal["none", "break", "break_twice"] = "none"
+    """What the pad wants before it talks: nothing, a break, or two."""
+    pressure: PressureConfig = PressureConfig()
+    """Where the pressure is in a packet."""
+
+    @property
+    def across(self) -> tuple[float, int] | None:
+        """Of a pad that is read both ways, its other coordinate where it counts 0 (mm) and its sign."""
+        return None
+
+    @property
+    def report_s(self) -> float:
+        """How long a report of six bytes takes on the line (s)."""
+        return 6 * (10.0 / self.baud)
+
+
+class StripConfig(PadBase):
+    """A force-sensing strip read by a microcontroller on a USB serial port: `tools/strip/`."""
+
+    kind: Literal["strip"]
+    """What kind of pad it is."""
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = -1.5
+    """Distance from the hinge of the place where the strip counts 0."""
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = 273.0
+    """The strip's scale: 16383 counts over 60 mm."""
+    newtons_per_count: Annotated[Positive, Plausible(0.00005, 0.05)] = 0.002
+    """What one count of force is worth."""
+    noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.15
+    """One sigma of a position, its rounding not counted."""
+    baud: Baud = 115200
+    """Of the serial line; without meaning on a board whose own USB it is."""
+
+    @property
+    def report_s(self) -> float:
+        """How far apart reports are (s)."""
+        return 0.01
+
+
+class EvdevConfig(PadBase):
+    """Any touch device that the kernel's input layer knows: `/dev/input/by-path/…`."""
+
+    kind: Literal["evdev"]
+    """What kind of pad it is."""
+    pressure: bool = True
+    """Whether the device's pressure is a force; `false`: no mass and no forces are claimed."""
+
+    @property
+    def report_s(self) -> float:
+        """How far apart reports are while the contact moves (s)."""
+        return 0.01
+
+
+PadConfig = Annotated[
+    Annotated[VersaPadConfig, Tag("<versapad>")]
+    | Annotated[StripConfig, Tag("<strip>")]
+    | Annotated[EvdevConfig, Tag("<evdev>")],
+    Discriminator(
+        by_kind("versapad"),
+        custom_error_type="kind",
+        custom_error_message="kind must be one of versapad, strip, evdev",
+    ),
+]
+"""The kinds of touchpads."""
+
+
+class AnyPads(Strict):
+    """The touchpads of whichever system, a field each, called `palm1` and so on; no two on one port."""
+
+    @field_validator("*")
+    @classmethod
+    def _own_port(cls, pad: PadConfig, info: ValidationInfo) -> PadConfig:
+        for palm, other in info.data.items():
+            if other.port == pad.port:
+                raise ValueError(f"port {pad.port} is already that of {palm}")
+        return pad
+
+    def each(self) -> tuple[PadConfig, ...]:
+        """They, in the order of their numbers."""
+        return tuple(getattr(self, name) for name in type(self).model_fields)
+
+
+PRESSURE_GAIN_STD = 0.03
+"""How far a resistive pad's pressure, as a whole, is off its calibration: it creeps, and drifts within a minute."""
+
+
+def pad_sensor(pad: PadConfig, curvature: float) -> PadSensor:
+    """What an observer must know of a configured pad (SI), on a palm of this curvature (1/m)."""
+    return PadSensor(
+        curvature=curvature,
+        length=pad.length_mm * 1e-3,
+        noise=pad.noise_mm * 1e-3,
+        resolution=1e-3 / pad.counts_per_mm,
+        force_resolution=pad.newtons_per_count,
+        force_gain_std=PRESSURE_GAIN_STD,
+        zero_sd=pad.zero_sd_mm * 1e-3,
+        scale_sd=pad.scale_sd,
+        standoff_sd=pad.standoff_sd_mm * 1e-3,
+        sagitta_sd=pad.sagitta_sd_mm * 1e-3,
+        lag_sd=pad.lag_sd_ms * 1e-3,
+        force_sd=pad.force_sd_mm_per_n * 1e-3,
+    )
