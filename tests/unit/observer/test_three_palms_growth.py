@@ -71,15 +71,15 @@ def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_no
     assert sought == list(growth.STARTS_S)
 
 
-def test_all_of_a_record_is_explained_as_a_whole_before_its_parts_are(task, monkeypatch):
+def test_all_of_a_record_is_explained_as_a_whole_where_its_beginning_leads_astray(task, monkeypatch):
     asked = []
     monkeypatch.setattr(growth, "rivals", lambda *_: [])
     monkeypatch.setattr(growth, "anew", lambda _, record, ways: asked.append((record, len(list(ways)))) or [])
     assert growth.best(task) == []
     all_of_it = task.intervals(SECONDS)
     lengths = [len(record.middle_palms) for record, _ in asked]
-    assert lengths == [all_of_it, all_of_it, all_of_it, task.intervals(growth.WHOLE_STARTS_S[-1])]
-    assert [ways for _, ways in asked] == [growth.WAYS] * 3 + [len(list(beliefs.hypotheses()))]
+    assert lengths == [task.intervals(growth.WHOLE_STARTS_S[0]), all_of_it, all_of_it, all_of_it]
+    assert [ways for _, ways in asked] == [len(list(beliefs.hypotheses()))] + [growth.WAYS] * 3
 
 
 @pytest.fixture(scope="module")

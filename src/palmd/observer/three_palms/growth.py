@@ -38,11 +38,13 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
-WHOLE_STARTS_S = (math.inf, 8.0, 5.0, 2.0)
-"""Of a record, that are explained as a whole at once, all of it first; from the first second alone, in many ways, where
-that fails."""
+WHOLE_STARTS_S = (2.0, math.inf, 8.0, 5.0)
+"""Of a record, that are explained as a whole at once; from the first second alone, in many ways, where that fails.
+
+What is calm is told soonest from its beginning; a tumble leads who grows from there astray, but not who explains all.
+"""
 WAYS = 4
-"""Hypotheses that a start of a whole record is tried with, but for the shortest, which is tried with all."""
+"""Hypotheses that longer starts are tried with; the shortest is tried with all."""
 STARTS_S = (1.3, 0.8)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
@@ -59,6 +61,8 @@ DECISIVE, OTHER_RAD_S = 12.0, 0.05
 SURE = 1.35  # cost per number read at the end that truncation may cost
 MOST_COST = 1.12
 """The same, of readings, equations and beliefs together, of a motion that explains a record to its noise."""
+MOST_LAMBDA = 0.5
+"""Of the inertia's λ: beyond it the inertia stands in for something else."""
 CURVATURE_EVERY = 5  # contacts
 WINDOWS_S = (0.5, 0.2, 0.1)
 """How far it goes on at once; shorter where it is foretold badly."""
@@ -85,7 +89,7 @@ class Grown:
 
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
     met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
-    folded: how many numbers were read before the record, and what they cost.
+    folded: how many numbers were read before the record, and what they cost. refined: finer harmonics have been tried.
     """
 
     prior: BodyPrior
@@ -98,6 +102,7 @@ class Grown:
     met: int = 1
     confirmed: int = 0
     folded: tuple[int, float] = (0, 0.0)
+    refined: bool = False
 
     @property
     def intervals(self) -> int:
@@ -145,6 +150,16 @@ class Grown:
                 return cost > LOST * length
         return False
 
+    @property
+    def plausible(self) -> bool:
+        """Whether a body may be so: its inertia, and its surface where a palm has touched."""
+        return self.largest_lambda <= MOST_LAMBDA and self.least_radius() > 0.0
+
+    @property
+    def largest_lambda(self) -> float:
+        """Of the numbers that tell its inertia, which are 0 for a dense ball."""
+        return float(np.abs(self.motion.p[-BODY:-3]).max())
+
     def least_radius(self) -> float:
         """The smallest radius of curvature where a palm has touched (m); not more than 0 where the body is hollow."""
         R, p = self.motion.R, self.motion.p
@@ -175,9 +190,9 @@ def best(task: Task) -> list[Grown]:
     for running in _starts(task):
         ended += raced(task, running)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
-        if ended and ended[0].per_number < SURE and ended[0].intervals == task.intervals(task.end - task.start):
+        if ended and ended[0].intervals == task.intervals(task.end - task.start):
             ended = sharpened(task, ended)
-            if ended[0].per_number <= MOST_COST:
+            if ended[0].per_number <= MOST_COST and ended[0].plausible:
                 break
     if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
@@ -198,14 +213,16 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
 
 
 def _finer(task: Task, now: Grown) -> Grown:
+    if now.refined:
+        return now
     p = now.motion.p
     prior = beliefs.prior(Y00 * float(now.prior.mean[0]), FINE, task.spin_sd)
     smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
     fit = smoother.fit(replace(now.motion, p=beliefs.raised(p, FINE)))
     if fit.cost > now.cost - BEHIND:
-        return now
-    ahead = smoother.ahead(fit)
-    return replace(now, prior=prior, motion=fit.motion, ahead=ahead, cost=fit.cost, whole=fit, windows=())
+        return replace(now, refined=True)
+    found = replace(now, prior=prior, motion=fit.motion, cost=fit.cost, whole=fit, windows=(), refined=True)
+    return replace(found, ahead=smoother.ahead(fit))
 
 
 def _starts(task: Task) -> Iterator[list[Grown]]:

@@ -19,7 +19,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import MOST_COST, SURE, Grown, best
+from palmd.observer.three_palms.growth import MOST_COST, MOST_LAMBDA, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
@@ -30,8 +30,6 @@ LEAST_S = 2.5
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 SHARP_M = 7e-5
-MOST_LAMBDA = 0.5
-"""Of the inertia's λ, which is 0 for a dense ball: beyond it the inertia stands in for something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +203,7 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = 
         return "no motion by the equations explains the readings"
     if any(each.contradicts(first) for each in ended[1:]):
         return "another motion explains the readings as well"
-    if float(np.abs(first.motion.p[-BODY:-3]).max()) > MOST_LAMBDA:
+    if first.largest_lambda > MOST_LAMBDA:
         return "only an inertia that no such body has explains the readings"
     if first.least_radius() <= 0.0:
         return "only a hollow body explains the readings"
