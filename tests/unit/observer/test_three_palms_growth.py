@@ -106,6 +106,15 @@ def test_who_explains_all_of_a_record_too_dearly_does_not_end_the_search(task, r
     assert begun == [0, 1]
 
 
+def test_what_is_no_body_neither_ends_the_search_nor_comes_before_one(task, right, monkeypatch):
+    p = right.motion.p.copy()
+    p[-BODY] = 2 * growth.MOST_LAMBDA
+    impossible = replace(right, motion=replace(right.motion, p=p), cost=right.cost - 1.0)
+    monkeypatch.setattr(growth, "_starts", lambda _: iter([[impossible], [right]]))
+    monkeypatch.setattr(growth, "raced", lambda _, running: running)
+    assert growth.best(task) == [right, impossible]
+
+
 @pytest.fixture(scope="module")
 def coarse(task, right):
     """All of the record as an outline explains it that leaves much out."""
@@ -135,7 +144,10 @@ def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain
     assert growth.sharpened(task, []) == []
     cheap = replace(coarse, cost=right.cost + growth.BEHIND - 10.0)
     monkeypatch.setattr(growth, "STRANGE", -math.inf)
-    assert growth.sharpened(task, [cheap]) == [cheap]
+    (tried,) = growth.sharpened(task, [cheap])
+    assert tried == replace(cheap, refined=True)
+    monkeypatch.setattr(BodySmoother, "fit", None)
+    assert growth.sharpened(task, [tried]) == [tried]  # once is enough
 
 
 def test_windows_lead_to_what_all_at_once_leads_to(task):

@@ -185,18 +185,22 @@ class Grown:
 
 
 def best(task: Task) -> list[Grown]:
-    """Rivals followed to the end or to where they are lost: who got furthest first, then the cheapest."""
+    """Rivals followed to the end or to where they are lost: who got furthest first, then bodies, then the cheapest."""
     ended: list[Grown] = []
     for running in _starts(task):
         ended += raced(task, running)
-        ended.sort(key=lambda each: (-each.intervals, each.cost))
+        ended.sort(key=_rank)
         if ended and ended[0].intervals == task.intervals(task.end - task.start):
-            ended = sharpened(task, ended)
+            ended = sorted(sharpened(task, ended), key=_rank)
             if ended[0].per_number <= MOST_COST and ended[0].plausible:
                 break
     if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
     return ended
+
+
+def _rank(rival: Grown) -> tuple[int, bool, float]:
+    return -rival.intervals, not rival.plausible, rival.cost
 
 
 def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
