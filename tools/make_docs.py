@@ -15,8 +15,8 @@ import shell_files
 
 from palmd.cli.table import COMMANDS as TABLE
 from palmd.cli.table import Command, loaded, parser_of, said
-from palmd.config.plans import ExploreSpec, HoldSpec, MoveSpec, PlanSpec, RateSpec, SineSpec
-from palmd.config.two_palms import Config
+from palmd.config.plans import ExploreSpec, HoldSpec
+from palmd.config.two_palms import Config, MoveSpec, PlanSpec, RateSpec, SineSpec
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS, Fault

@@ -18,8 +18,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from palmd.config.any_config import AnyConfig
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config
+from palmd.config.two_palms import Config, PlanSpec
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
 MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds

@@ -15,8 +15,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import InvalidHeaderValue
 from websockets.http11 import Request
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config
+from palmd.config.two_palms import Config, PlanSpec
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, parse, reply_fields
 from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import Hello, LineReader, LinkError, command_body, encode_command, parse_command, parse_reply

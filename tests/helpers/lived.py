@@ -8,8 +8,7 @@ import msgpack
 import recorded
 
 from palmd import observer
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import rig_description
+from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.harness.wireless import Wireless
 from palmd.messages import info_fields, stamp
 from palmd.quantities import ESTIMATE, INFO, LOOP

@@ -1,6 +1,6 @@
 """Motion plans that several tests run."""
 
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 
 SWING = PlanSpec.model_validate(
     {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.config.pads import VersaPadConfig
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from palms import motion_of
 
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.events import PalmMotion
 from palmd.motion.kinematics import RigGeometry
 from palmd.motion.limits import MotionLimits

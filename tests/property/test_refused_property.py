@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from virtual_rig import AtOnce
 
 from palmd.cli.ctl import JOG_EVERY_S, jog_steps
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.daemon.commands import COMMANDS, CommandError, Request, parse
 from palmd.daemon.core import Core
 from palmd.daemon.planner import Plan

@@ -9,8 +9,7 @@ from palms import motion_of
 
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import VersaPadConfig
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, PadsConfig
+from palmd.config.two_palms import Config, PadsConfig, PlanSpec
 from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import LONGEST_STEP_S, SetPoints
 from palmd.events import PalmMotion

@@ -74,7 +74,7 @@ class DynamixelConfig(Strict):
     servo1: ServoConfig = ServoConfig(id=1)
     """The servo of palm 1."""
     servo2: ServoConfig = ServoConfig(id=2, sign=-1)
-    """The servo of palm 2, which faces the other one."""
+    """The other palm's, which faces it."""
     backlash_deg: Annotated[NotNegative, Field(le=5)] = 0.25
     """Play of the gears between servo and palm, from end to end."""
     angle_noise_deg: Annotated[Positive, Field(le=1)] = 0.04

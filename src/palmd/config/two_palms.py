@@ -1,4 +1,4 @@
-"""The configuration of two palms, `palmd.yaml`, and what an observer must know of the rig that it describes."""
+"""The configuration of two palms, `palmd.yaml`, their motion plans, and what an observer must know of such a rig."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
+from palmd.config.plans import (
+    AnyPlanSpec,
+    Duration,
+    ExploreSpec,
+    HoldSpec,
+    JointValues,
+    Repeat,
+    SwingFrequency,
+    one_key_of,
+)
 from palmd.events import ObserverName
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
@@ -234,3 +244,127 @@ def rig_description(config: Config) -> RigDescription:
             pad_sensor(pad, kappa) for pad, kappa in zip(config.pads.each(), config.rig.curvatures_per_m, strict=True)
         ),
     )
+
+
+def _for_both_palms(value: Any) -> Any:
+    return value if isinstance(value, list) else [value, value]
+
+
+SEGMENT_KINDS = ("move", "rate", "hold_s", "sine", "explore")
+SwingFrequencies = Annotated[
+    tuple[SwingFrequency, SwingFrequency], Field(strict=False), BeforeValidator(_for_both_palms)
+]
+
+
+class PalmAngles(JointValues):
+    """Where palm angles shall go; an angle that is left out stays."""
+
+    phi1_deg: FiniteFloat | None = None
+    """Palm 1 from the world X axis."""
+    phi2_deg: FiniteFloat | None = None
+    """Palm 2 from palm 1."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _written(cls, value: Any) -> Any:
+        if value is None:
+            raise ValueError("has no value: write one or leave the key out")
+        return value
+
+
+class PalmRates(JointValues):
+    """Constant rates of the palm angles; zero where left out."""
+
+    phi1_deg_s: FiniteFloat = 0.0
+    """Of φ1."""
+    phi2_deg_s: FiniteFloat = 0.0
+    """Of φ2."""
+
+
+class PalmAmplitudes(JointValues):
+    """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
+
+    phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+    """Of φ1."""
+    phi2_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
+    """Of φ2."""
+
+
+class MoveSpec(Strict):
+    """From rest to rest on a minimum-jerk path."""
+
+    move: PalmAngles
+    """Where to; an angle that is left out stays."""
+    duration_s: Duration
+    """How long it takes."""
+
+    @field_validator("move")
+    @classmethod
+    def _goes_somewhere(cls, move: PalmAngles) -> PalmAngles:
+        if all(angle is None for angle in move.each()):
+            raise ValueError("needs phi1_deg, phi2_deg or both")
+        return move
+
+
+class RateSpec(Strict):
+    """Constant rates until one palm angle is reached, where the palms come to rest."""
+
+    rate: PalmRates
+    """How fast."""
+    until: PalmAngles
+    """The one angle that ends it."""
+
+    @field_validator("rate")
+    @classmethod
+    def _turns(cls, rate: PalmRates) -> PalmRates:
+        if not any(rate.each()):
+            raise ValueError("needs a rate other than 0 for phi1_deg_s or phi2_deg_s")
+        return rate
+
+    @field_validator("until")
+    @classmethod
+    def _one_end(cls, until: PalmAngles) -> PalmAngles:
+        if sum(angle is not None for angle in until.each()) != 1:
+            raise ValueError("needs exactly one of phi1_deg, phi2_deg")
+        return until
+
+
+class SineSpec(Strict):
+    """Swing about the pose where it starts, growing in and dying away."""
+
+    sine: PalmAmplitudes
+    """How far to either side."""
+    frequency_hz: SwingFrequencies
+    """Of both palms, or one for each."""
+    duration_s: Duration
+    """How long it takes, growing in and dying away included."""
+
+
+SegmentSpec = Annotated[
+    Annotated[MoveSpec, Tag("<move>")]
+    | Annotated[RateSpec, Tag("<rate>")]
+    | Annotated[HoldSpec, Tag("<hold_s>")]
+    | Annotated[SineSpec, Tag("<sine>")]
+    | Annotated[ExploreSpec, Tag("<explore>")],
+    one_key_of(SEGMENT_KINDS),
+]
+
+
+class DitherSpec(Strict):
+    """A small vibration of both palm angles on top of the whole plan, to break friction."""
+
+    amplitude_deg: Annotated[FiniteFloat, Field(gt=0, le=5)]
+    """Of both angles."""
+    frequency_hz: Annotated[FiniteFloat, Field(gt=0, le=20)]
+    """Of both angles."""
+
+
+class PlanSpec(AnyPlanSpec):
+    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+
+    repeat: Repeat = 1
+    """How often the segments are run."""
+    segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]
+    """Motions, one after the other."""
+    dither: DitherSpec | None = None
+    """A small vibration on top of it all, to break friction."""

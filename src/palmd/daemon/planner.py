@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Self
 
 from palmd.config.any_config import AnyConfig
-from palmd.config.plans import AnyPlanSpec, ExploreSpec, MoveSpec
+from palmd.config.plans import AnyPlanSpec, ExploreSpec
+from palmd.config.two_palms import MoveSpec
 from palmd.motion.check import compile_any, compiled, plan_spec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import Trajectory

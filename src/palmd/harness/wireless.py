@@ -14,8 +14,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 import msgpack
 
 from palmd import observer
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, rig_description
+from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.daemon.commands import parse
 from palmd.daemon.core import Core
 from palmd.daemon.exploration_requests import Decider, InlineExplorer, Source

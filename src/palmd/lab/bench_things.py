@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from palmd.config.plans import ExploreGoal, PlanSpec
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import PlanSpec
 from palmd.console.arguments import count, seconds, seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.daemon.planner import read_plan

@@ -6,8 +6,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from palmd.config.plans import ExploreGoal, PlanSpec
-from palmd.config.two_palms import Config, LimitsConfig
+from palmd.config.plans import ExploreGoal
+from palmd.config.two_palms import Config, LimitsConfig, PlanSpec
 from palmd.events import FloatArray
 from palmd.motion.candidates import single_moves
 from palmd.motion.check import motion_limits

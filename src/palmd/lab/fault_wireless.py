@@ -11,8 +11,7 @@ from typing import Literal
 import msgpack
 
 from palmd import observer
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, rig_description
+from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.harness.wireless import Instant, Wireless
 from palmd.lab.fault_reaction import Reaction, ReactionWatch
 from palmd.lab.fault_rows import FaultRow

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import rig_description
+from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.events import Event
 from palmd.harness.wireless import Instant, Wireless
 from palmd.lab.silent_observer import SilentObserver

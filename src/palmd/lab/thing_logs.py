@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import Drawn, PlanSpec
 from palmd.lab.runs import with_failures
 from palmd.lab.scoring import FAR, RIGHT_M
 from palmd.lab.simulated import written

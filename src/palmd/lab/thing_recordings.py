@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palmd.config.plans import ExploreSpec, PlanSpec
-from palmd.config.two_palms import Drawn, rig_description
+from palmd.config.plans import ExploreSpec
+from palmd.config.two_palms import Drawn, PlanSpec, rig_description
 from palmd.events import Event
 from palmd.harness.wireless import Wireless
 from palmd.lab.exploring_watch import ExplorationWatch

@@ -16,14 +16,12 @@ from itertools import accumulate
 from typing import Any
 
 from palmd.config.fields import Strict
-from palmd.config.plans import (
-    MAX_DURATION_S,
+from palmd.config.plans import MAX_DURATION_S, AnyPlanSpec, ExploreSpec, HoldSpec, JointValues
+from palmd.config.two_palms import (
     SEGMENT_KINDS,
-    AnyPlanSpec,
+    Config,
     DitherSpec,
-    ExploreSpec,
-    HoldSpec,
-    JointValues,
+    LimitsConfig,
     MoveSpec,
     PalmAngles,
     PlanSpec,
@@ -31,7 +29,6 @@ from palmd.config.plans import (
     SegmentSpec,
     SineSpec,
 )
-from palmd.config.two_palms import Config, LimitsConfig
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError

@@ -17,8 +17,7 @@ from palmd.calibration.rolling_fit import GravityFit
 from palmd.calibration.rolling_session import Slope, slopes_within
 from palmd.cli import main
 from palmd.config.any_config import config_hash
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import LimitsConfig
+from palmd.config.two_palms import LimitsConfig, PlanSpec
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply

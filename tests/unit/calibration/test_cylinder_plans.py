@@ -9,8 +9,7 @@ import pytest
 from off_pads import LIMITS, share
 
 from palmd.calibration.cylinder import PAD_MARGIN_M, SLOW_RAD_S, CylinderError, contact_m, tipping_plan, turning_plan
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import LimitsConfig
+from palmd.config.two_palms import LimitsConfig, PlanSpec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 

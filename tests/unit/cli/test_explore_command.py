@@ -11,7 +11,7 @@ from waiting import wait
 
 from palmd.cli import main
 from palmd.cli.explore import concluded, progress
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
 from palmd.harness import operator

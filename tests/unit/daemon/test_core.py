@@ -13,7 +13,8 @@ from improvements import improvement
 from plans import SHORT, SWING
 from virtual_rig import AtOnce
 
-from palmd.config.plans import ExploreGoal, ExploreSpec, PlanSpec
+from palmd.config.plans import ExploreGoal, ExploreSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.daemon.commands import Request
 from palmd.daemon.core import Core
 from palmd.daemon.exploring import OVERTIME_S

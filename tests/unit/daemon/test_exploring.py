@@ -12,8 +12,7 @@ import pytest
 
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import VersaPadConfig
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, PadsConfig, rig_description
+from palmd.config.two_palms import Config, PadsConfig, PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, InlineExplorer, Question
 from palmd.daemon.exploring import (
     AHEAD_S,

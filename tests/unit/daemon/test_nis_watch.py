@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import ImperfectionsConfig
+from palmd.config.two_palms import ImperfectionsConfig, PlanSpec
 from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
 from palmd.harness.wireless import Wireless

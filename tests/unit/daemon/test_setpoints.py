@@ -7,8 +7,7 @@ import pytest
 
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import VersaPadConfig
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, PadsConfig
+from palmd.config.two_palms import Config, PadsConfig, PlanSpec
 from palmd.daemon.jog import DEAD_MAN_S
 from palmd.daemon.poses import ArcPoses
 from palmd.daemon.setpoints import SetPoints

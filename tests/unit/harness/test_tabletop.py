@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config
+from palmd.config.two_palms import Config, PlanSpec
 from palmd.daemon.lifecycle import State
 from palmd.events import PadSample
 from palmd.harness.wireless import Wireless

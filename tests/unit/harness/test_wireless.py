@@ -7,8 +7,7 @@ import math
 import pytest
 from outcomes import conclude, outcome, take
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import rig_description
+from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless, WirelessError

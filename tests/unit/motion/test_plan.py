@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import LimitsConfig
+from palmd.config.two_palms import LimitsConfig, PlanSpec
 from palmd.motion.kinematics import PoseError, RigGeometry
 from palmd.motion.limits import MotionLimits, Workspace
 from palmd.motion.plan import HOME, PlanError, PlanPlace, Trajectory, approach, compile_plan, home

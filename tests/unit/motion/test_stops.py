@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.daemon.poses import make_poses
 from palmd.devices.actuator import Reach
 from palmd.events import PalmMotion

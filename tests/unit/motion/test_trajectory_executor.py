@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import LimitsConfig
+from palmd.config.two_palms import LimitsConfig, PlanSpec
 from palmd.events import PalmMotion
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import HOME, Trajectory, compile_plan

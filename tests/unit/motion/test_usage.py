@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import LimitsConfig
+from palmd.config.two_palms import LimitsConfig, PlanSpec
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 from palmd.motion.usage import sampled, usage

@@ -9,7 +9,7 @@ import pytest
 from palms import palm_sample
 
 from palmd import observer
-from palmd.config.plans import PlanSpec
+from palmd.config.two_palms import PlanSpec
 from palmd.events import PadSample, PalmMotion
 from palmd.harness.wireless import Wireless
 from palmd.model import sensitivity, shape, shape_map

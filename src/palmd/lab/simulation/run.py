@@ -21,8 +21,7 @@ import msgpack
 import yaml
 
 from palmd import observer
-from palmd.config.plans import PlanSpec
-from palmd.config.two_palms import Config, rig_description
+from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Request
 from palmd.daemon.core import Core
