@@ -84,7 +84,8 @@ def test_messages_are_what_the_contract_says(wire, topic):
                 assert all(isinstance(key, str) and isinstance(sd, float) for key, sd in value.items())
             else:
                 assert plain(value) or (isinstance(value, list) and all(map(plain, value))), name
-            if isinstance(value, str):
+            held = name == "cause" and fields["state"] in ("hold", "fault")  # what holds the palms is told in full
+            if isinstance(value, str) and not held:
                 assert len(value) < PLOTTED_TEXT, name
         numbers.append(fields["seq"])
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
