@@ -238,7 +238,7 @@ class Bench(Stack):
     def ready(self):
         """From wherever it is to `ready`."""
         self.until(lambda _: True, "the first message")
-        if self.heard.state == "fault":
+        if self.heard.state == "fault" or "arm-fault" in self.heard.active:  # a plug that was out leaves the latter
             wait(lambda: self.client.ask("reset")["ok"], "a reset", pause_s=0.1)
         elif self.heard.state in ("tracking", "hold"):
             self.client.do("stop")
