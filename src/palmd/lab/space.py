@@ -12,7 +12,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
 from palmd.model import rotation
-from palmd.model.spherical import evaluator
+from palmd.model.spherical import evaluator, order_of
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import SimulatedBody
@@ -74,7 +74,7 @@ def errors(answer: BodyReconstruction, truth: dict[str, Any]) -> tuple[float, fl
     """(RMS error of h (m), mean of (error/sd)²) within `NEAR_DEG` of the contact curves, after the best rotation."""
     if answer.coefficients is None or answer.h_sd is None:
         return math.nan, math.nan
-    rows = evaluator(math.isqrt(len(answer.coefficients)) - 1)
+    rows = evaluator(order_of(len(answer.coefficients)))
     directions, height = np.array(truth["directions"]), np.array(truth["h_m"])
     lasted = np.array(truth["t"]) <= answer.t[-1]
     felt = np.array(truth["normals_body"])[lasted].reshape(-1, 3)

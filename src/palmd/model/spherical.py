@@ -25,6 +25,11 @@ BEND_RAD = 1e-4  # of the difference that second derivatives are taken by
 Number = TypeVar("Number", SX, FloatArray)
 
 
+def order_of(coefficients: int) -> int:
+    """The degree up to which so many coefficients go, as `count` has them."""
+    return math.isqrt(coefficients) - 1
+
+
 def count(order: int) -> int:
     """How many coefficients there are up to degree `order`."""
     return (order + 1) ** 2

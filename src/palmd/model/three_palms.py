@@ -25,8 +25,6 @@ BODY = 9
 """λ (6, rows of the lower triangle), damping (m²/s), μ, ln u_d (ln m/s)."""
 PALM_INPUTS = 36
 """Normals, their first and second derivatives, spins: 3 palms × 3 each, palm by palm."""
-BLOCK = 16
-"""Instants that one call of a kernel serves."""
 
 Vectors = list[SX]
 

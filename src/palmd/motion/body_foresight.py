@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from palmd.events import FloatArray
 from palmd.model import body_rollout
 from palmd.model.body_rollout import MOVE_INPUTS, ROUGH_ORDER, ROUGH_STEP_S, STEP_S, TOLD
 from palmd.model.compiled import LANES
-from palmd.model.spherical import count
+from palmd.model.spherical import count, order_of
 from palmd.model.three_palms import BODY
 from palmd.system.three_palms import room_on_pads
 
@@ -120,6 +119,6 @@ class BodyForesight:
 
 def _order(p: FloatArray) -> int:
     """The degree of the outline that these are parameters of."""
-    order = math.isqrt(len(p) - BODY) - 1
+    order = order_of(len(p) - BODY)
     assert len(p) == count(order) + BODY, "other parameters than those of the model"
     return order

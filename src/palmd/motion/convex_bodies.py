@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import bends
+from palmd.model.spherical import bends, order_of
 
 HALVINGS = 3  # of the directions in which a draw is to be convex: 642
 LEAST_RADIUS = 0.1  # of curvature anywhere, as a share of the body's mean radius
@@ -26,7 +26,7 @@ def _bends(order: int) -> FloatArray:
 
 def least_radii(c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(D,) the smaller radius of curvature (m) in each direction, and (D, n) the rows that tell it of c."""
-    along = _bends(round(np.sqrt(len(c))) - 1)
+    along = _bends(order_of(len(c)))
     first, second, mixed = (along @ c).T
     angle = 0.5 * np.arctan2(2.0 * mixed, first - second) + 0.5 * np.pi  # of the axis along which it is
     weights = np.stack([np.cos(angle) ** 2, np.sin(angle) ** 2, np.sin(2.0 * angle)], axis=1)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.observer.outline import wrapped
+from palmd.observer.record import IntArray
 
-IntArray = npt.NDArray[np.intp]
 ComplexArray = npt.NDArray[np.complex128]
 STEPPED = 0.999  # of how much two radii may differ, by their distance
 

@@ -12,6 +12,7 @@ from palmd.observer.cornered import discs, seats
 from palmd.observer.damped import minimised
 from palmd.observer.lying import SEAT, SHARED, RideReadings
 from palmd.observer.places import Places, Seat, believed
+from palmd.observer.record import IntArray
 
 ROUNDS = 3  # in which is looked for what rocks
 STEP_M = 1e-7
@@ -27,13 +28,11 @@ class Shared:
 
 @dataclass(frozen=True, slots=True)
 class CorneredFit:
-    """The outline p, the shared numbers, how each ride is explained, and where it lies: its side and corner."""
+    """The outline p, the shared numbers, where each ride has its place, and how it is explained."""
 
     places: Places
     lyings: tuple[RideReadings, ...]
     residuals: tuple[FloatArray, ...]
-    sides: tuple[int, ...]
-    corners: tuple[int, ...]
     p: FloatArray
     shared: FloatArray
     covariance: FloatArray
@@ -44,9 +43,21 @@ class CorneredFit:
         """Of each reading."""
         return float(np.mean(np.concatenate(self.residuals) ** 2))
 
+    @property
+    def sides(self) -> IntArray:
+        """Of each ride, on which it lies."""
+        sides: IntArray = self.places.sides[self.places.used == 1]
+        return sides
+
+    @property
+    def corners(self) -> IntArray:
+        """Of each ride, which is opposite."""
+        corners: IntArray = self.places.corners[self.places.used == 1]
+        return corners
+
     def seat(self, which: int) -> FloatArray:
         """Y, ρ, a, H (m) of a ride."""
-        side, corner = (np.array([each[which]]) for each in (self.sides, self.corners))
+        side, corner = (each[[which]] for each in (self.sides, self.corners))
         seat: FloatArray = seats(self.p, side, corner, [self.lyings[which].ride.palm])[0]
         return seat
 
@@ -113,6 +124,5 @@ def fitted(found: Sequence[Seat], whole: Sequence[RideReadings], places: Places,
     told = least.p[-SHARED:]
     residuals = tuple(each.residuals(seat, told) for each, seat in zip(lyings, problem.seats(least.p), strict=True))
     return CorneredFit(
-        places.of(used), tuple(lyings), residuals, tuple(problem.sides.tolist()), tuple(problem.corners.tolist()),
-        least.p[:-SHARED], told, covariance, least.settled,
+        places.of(used), tuple(lyings), residuals, least.p[:-SHARED], told, covariance, least.settled
     )  # fmt: skip

@@ -11,17 +11,17 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, C
-from palmd.observer.cornered import IntArray, discs, side_normals, supported, turned
+from palmd.observer.cornered import discs, side_normals, supported, turned
 from palmd.observer.cornered_fit import CorneredFit, Shared, fitted
 from palmd.observer.likeness import likeness, root_of
 from palmd.observer.lying import Carried, RideReadings, balance
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
-from palmd.observer.places import STAYS_S, TRIM_S, Places, Seat, anchor_of, certain, placed, seat_of
+from palmd.observer.places import STAYS_S, Places, Seat, anchor_of, certain, placed, seat_of
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.record import Record, joined, lasting
+from palmd.observer.record import IntArray, Record, lasting
 from palmd.observer.ridden import trimmed
-from palmd.observer.rides import Ride, rides_of, same
+from palmd.observer.rides import TRIM_S, Ride, same
 from palmd.observer.search import Search
 from palmd.observer.sided_fits import LEAST_S, LN_GYRATION, LN_GYRATION_SD
 from palmd.observer.validity import SHARP_M
@@ -40,14 +40,16 @@ DOUBT, DIFFERENT_M = 30.0, 1e-4  # of twice the log-likelihood, that a rival lac
 MODEL_SD_M, OVERCONFIDENCE = 1e-5, 1.5  # of an outline besides, as sides give and corners roll
 
 
-def cornered_reconstruction(search: Search, records: Sequence[Record], begun: float) -> Reconstruction | None:
-    """The outline on whose sides the object of `records` has lain; None where there is any doubt.
+def cornered_reconstruction(
+    search: Search, record: Record, ridden: Sequence[Ride], begun: float
+) -> Reconstruction | None:
+    """The outline on whose sides the object has lain; None where there is any doubt.
 
-    records: of the segment of `search`, and of others in which the same object may have ridden, in order of time.
+    record, ridden: the segment of `search`, and others in which the same object may have ridden, and all rides of them.
     """
     if not declared_exact(search.rig):
         return None
-    rides, record = _apart([ride for each in records for ride in rides_of(each)]), joined(records)
+    rides = _apart(ridden)
     if len(same(rides)) < LEAST_SEATS or not any(ride.rolls for ride in rides):
         return None
     shared = _believed(search, float(search.prior.mean[C.SHAPE]), GYRATION_SD)
@@ -143,7 +145,7 @@ def _told(
 def _motion(fit: CorneredFit, whole: Record) -> tuple[Record, FloatArray, FloatArray]:
     """The parts of `whole` in which it lies, ψ (rad) and its rate at the nodes: those of the palm that it lies on."""
     stays = list[tuple[float, float, int, int]]()
-    for lying, side in zip(fit.lyings, fit.sides, strict=True):
+    for lying, side in zip(fit.lyings, fit.sides.tolist(), strict=True):
         start, end, palm = float(lying.t[0]), float(lying.t[-1]), lying.ride.palm
         before = stays[-1] if stays else None
         if before is not None and before[2:] == (palm, side) and lying.ride.start - before[1] < STAYS_S + 2 * TRIM_S:
@@ -193,7 +195,7 @@ def _weighed(fit: CorneredFit, whole: Record, search: Search) -> MassEstimator:
 def _sides(fit: CorneredFit, p: FloatArray, covariance: FloatArray) -> FloatArray:
     """Normal (rad), length and its one-sigma (m) of each side whose corners both were felt."""
     centres, _ = discs(p)
-    felt, normals, count = set(fit.corners), side_normals(p), len(centres)
+    felt, normals, count = set(fit.corners.tolist()), side_normals(p), len(centres)
     rows = list[tuple[float, float, float]]()
     for side in sorted(side for side in range(count) if {side, (side + 1) % count} <= felt):
         end = (side + 1) % count

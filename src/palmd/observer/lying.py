@@ -16,14 +16,13 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.observer.record import Record
-from palmd.observer.rides import Ride
+from palmd.observer.rides import Ride, unexplained
 from palmd.system.mechanism import JOINTS, OPENING, PALMS
 
 SEAT, SHARED = 4, 3
 """How many numbers: Y, ρ, a, H (m); and ln of the radius of gyration (m), μ, ln of the dither's speed (m/s)."""
 STEPS = (*(1e-6,) * SEAT, *(1e-4,) * SHARED)  # for slopes
-WINDOW_S, WINDOW_SIGMAS, MOST = 0.2, 4.0, 10.0  # in which χ² tells that it rocks; a residual's share of it
-ABOUT_S = 0.1  # before and after, that is left out too
+WINDOW_SIGMAS, MOST = 4.0, 10.0  # of χ² in a window, beyond which it rocks; a residual's share of it
 LEAST_READINGS = 16  # of either pad
 
 Marks = npt.NDArray[np.bool_]
@@ -140,11 +139,8 @@ class RideReadings:
         """Which of the readings are explained, and none about them is not: elsewhere the object rocks or tips."""
         residuals, kept = self.residuals(seat, shared), np.ones(len(self.t), dtype=np.bool_)
         for mine in (self.on_ridden, ~self.on_ridden):
-            t, sums = self.t[mine], np.concatenate([[0.0], np.cumsum(np.minimum(residuals[mine] ** 2, MOST**2))])
-            first, last = np.arange(len(t)), np.searchsorted(t, t + WINDOW_S)
-            count = last - first
-            wrong = sums[last] - sums[first] > count + WINDOW_SIGMAS * np.sqrt(2.0 * count)
-            for start, end in zip(t[wrong] - ABOUT_S, t[last[wrong] - 1] + ABOUT_S, strict=True):
+            squares = np.minimum(residuals[mine] ** 2, MOST**2)
+            for start, end in unexplained(self.t[mine], squares, WINDOW_SIGMAS):
                 kept &= (self.t < start) | (self.t > end)
         return kept
 

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.observer.cornered import IntArray, beyond, discs, regular, seats, side_normals
+from palmd.observer.cornered import beyond, discs, regular, seats, side_normals
 from palmd.observer.damped import minimised
 from palmd.observer.lying import SEAT, RideReadings
 from palmd.observer.outline import wrapped
+from palmd.observer.record import IntArray
 from palmd.observer.rides import Ride
 
-TRIM_S = 0.1  # of both ends of a ride
 MOST_ROCKS = 3  # times that what rocks is looked for
 HEIGHT, HEIGHT_SD_M, AWAY_SD_M = 0.9, 8e-3, 15e-3  # of one ride: H in mean radii, and what it and a are off by at first
 FORM_SD_M = (3e-5, 5e-5, 1.5e-4, 1e-4)  # that Y, ρ, a, H of one ride may be off by besides their noise

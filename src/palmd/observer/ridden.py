@@ -22,14 +22,13 @@ from palmd.observer.factor import Prior
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles, wrapped
 from palmd.observer.record import Record
-from palmd.observer.rides import Ride
+from palmd.observer.rides import TRIM_S, Ride, unexplained
 from palmd.system.mechanism import OPENING, PALMS, normal_directions
 
-TRIM_S = 0.1  # of both ends of a ride, where the object tips or still rocks
 SPAN, LONGER = (2.0, 98.0), 1.5  # percentiles of e that the side reaches over, and by how much it does
 MOST_OUT = 0.95  # of half its length, where a contact may stand at first
 MEAN_OF = 5  # readings
-WINDOW_S, WINDOW_SIGMAS = 0.2, 5.0  # in which the χ² of a pad's readings tells that nothing explains them
+WINDOW_SIGMAS = 5.0  # of χ² in a window, beyond which nothing explains its readings
 FELT = 25  # normals of a corner
 STEP_RAD = 1e-4  # of a normal, for slopes
 CORNER_SD_M, SLOPE_SD_M = 3e-5, 1e-4  # of an outline at first, where a corner was felt,
@@ -48,14 +47,10 @@ def calm(record: Record, residuals: FloatArray) -> list[tuple[float, float]]:
 
     A long ride hides it among all its readings. residuals: of its contacts, in sigmas.
     """
-    t, wrong = record.contact_t, list[tuple[float, float]]()
+    wrong = list[tuple[float, float]]()
     for pad in PALMS:
         mine = record.contact_pad == pad
-        at, sums = t[mine], np.concatenate([[0.0], np.cumsum(residuals[mine] ** 2)])
-        first, last = np.arange(len(at)), np.searchsorted(at, at + WINDOW_S)
-        count = last - first
-        bad = sums[last] - sums[first] > count + WINDOW_SIGMAS * np.sqrt(2.0 * count)
-        wrong += [(start - TRIM_S, end + TRIM_S) for start, end in zip(at[bad], at[last[bad] - 1], strict=True)]
+        wrong += unexplained(record.contact_t[mine], residuals[mine] ** 2, WINDOW_SIGMAS)
     wrong.sort()
     parts = list[tuple[float, float]]()
     for start, end in record.spans:

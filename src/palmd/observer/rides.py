@@ -23,6 +23,8 @@ ROLLS_SIGMAS = 10.0  # of χ², beyond which readings contradict a ride for cert
 EVERY = 4  # of a pad's readings, from which on a ride is looked for
 SAME_M, SAME = 2e-5, 16.0  # what Y and ρ of the same ride differ by besides their noise, and its squared distance
 CORNER_M = 5e-3  # of ρ, at most, of a corner
+TRIM_S = 0.1  # of both ends of a ride, where the object tips or still rocks
+WINDOW_S = 0.2  # in which the χ² of a pad's readings tells that nothing explains them
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,3 +142,15 @@ def corner_of(rides: Sequence[Ride]) -> FloatArray:
     sides = [weight @ ride.corner for weight, ride in zip(weights, rides, strict=True)]
     corner: FloatArray = np.linalg.solve(np.sum(weights, axis=0), np.sum(sides, axis=0))
     return corner
+
+
+def unexplained(t: FloatArray, squares: FloatArray, sigmas: float) -> list[tuple[float, float]]:
+    """From when to when (s) a pad's readings contradict what explains them in a window, and `TRIM_S` about it.
+
+    t, squares: of each, its time (s) and its residual squared, in one-sigmas; sigmas: of their sum, that contradict.
+    """
+    sums = np.concatenate([[0.0], np.cumsum(squares)])
+    first, last = np.arange(len(t)), np.searchsorted(t, t + WINDOW_S)
+    count = last - first
+    bad = sums[last] - sums[first] > count + sigmas * np.sqrt(2.0 * count)
+    return list(zip((t[bad] - TRIM_S).tolist(), (t[last[bad] - 1] + TRIM_S).tolist(), strict=True))

@@ -61,7 +61,7 @@ def sharp_reconstruction(
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.lasts:.1f} s")
 
-    told = cornered_reconstruction(search, sided.records, begun)
+    told = cornered_reconstruction(search, sided.record, sided.rides, begun)
     if told is not None:
         return told
 

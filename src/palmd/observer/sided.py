@@ -70,8 +70,9 @@ class SidedSearch:
     def __init__(self, search: Search, seed: int = 0, others: Sequence[Search] = ()):
         self._search, self._seed = search, seed
         self._all = in_order(search, others)
-        self.records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
-        self.record = joined(self.records)
+        self._records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
+        self.record = joined(self._records)
+        self.rides = [ride for each in self._records for ride in rides_of(each)]
         self.fits = SidedFits(self.record, search.prior)
         self._from, self._to = search.segment.start, search.segment.end
         for each in (*reversed(self._all), *self._all):  # nobody takes an object away in so short a time
@@ -87,7 +88,7 @@ class SidedSearch:
         On one side, with one corner on the other palm. Best first: the same minimum twice, or another. Only what has
         ridden in the segment itself is told, else it may be another object.
         """
-        by_length = sorted((ride for each in self.records for ride in rides_of(each)), key=lambda ride: -ride.lasts)
+        by_length = sorted(self.rides, key=lambda ride: -ride.lasts)
         groups = [rides for rides in same(by_length) if any(ride.rolls for ride in rides)]
         apart = _told_apart(groups)
         near = [apart[i] for i in sorted(_neighbours(apart))]
@@ -115,7 +116,7 @@ class SidedSearch:
         Where nothing follows the object from one side to another, a new search begins, as long as `WORK` lasts and what
         is left may be longer than what was found.
         """
-        whole, found = self.records[self._all.index(self._search)], list[tuple[Candidate, ...]]()
+        whole, found = self._records[self._all.index(self._search)], list[tuple[Candidate, ...]]()
         begin, longest = 0, LEAST_S
         while begin < len(whole.dt) and whole.t[-1] - whole.t[begin] > longest and self.fits.work < WORK:
             explained = self._explained(whole.between(begin, len(whole.dt)), log)

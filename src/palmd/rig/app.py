@@ -295,7 +295,7 @@ class RigProcess:
             line.unplug()
         else:
             line.plug()
-            self._waiter.watch(line.fileno, terminal=not isinstance(line, SocketLine))
+            self._waiter.watch(line.fileno, edges=line.edges)
 
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1

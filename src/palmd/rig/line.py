@@ -68,6 +68,8 @@ class PtyLine:
     at another baud than the device's come out as noise.
     """
 
+    edges = True  # of its descriptor tell what has come
+
     def __init__(self, link: Path, baud: int | None, rng: np.random.Generator) -> None:
         """Without a `baud` it stands for a device that is no serial line."""
         self.path = link
@@ -155,6 +157,8 @@ class SocketLine:
     A pseudo-terminal's wait for a thread of the kernel, tenths of a second where other programs want the processors. A
     socket has no baud and no break. One host at a time, others wait for it to go. Bytes without a host are lost.
     """
+
+    edges = False
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -254,12 +258,12 @@ class LineWaiter:
         self._edges = select.epoll()
         self._unopened: set[int] = set()
 
-    def watch(self, fd: int, *, terminal: bool = True) -> None:
-        """Take a descriptor in, of a pseudo-`terminal` or of what has no edges; of −1 there is nothing to wait for."""
+    def watch(self, fd: int, *, edges: bool = True) -> None:
+        """Take a descriptor in, told by its `edges`, as a pseudo-terminal is, or not; of −1 there is nothing."""
         if fd < 0:
             return
-        self._edges.register(fd, _EVENTS | (select.EPOLLET if terminal else 0))
-        if terminal:
+        self._edges.register(fd, _EVENTS | (select.EPOLLET if edges else 0))
+        if edges:
             self._unopened.add(fd)
 
     def forget(self, fd: int) -> None:

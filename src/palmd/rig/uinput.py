@@ -41,6 +41,8 @@ class UinputLine:
     The kernel dates what is written itself, drops what says nothing new, and has no `SYN_DROPPED` from outside.
     """
 
+    edges = True
+
     def __init__(self, link: Path) -> None:
         self.path = link
         self.bytes_sent = self.bytes_lost = self.bytes_heard = 0

@@ -20,8 +20,8 @@ from palmd.observer.followed import followed
 from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
-from palmd.observer.ridden import TRIM_S, calm, kept, narrowed, normal_at_first, turning
-from palmd.observer.rides import Ride, rides_of, same
+from palmd.observer.ridden import calm, kept, narrowed, normal_at_first, turning
+from palmd.observer.rides import TRIM_S, Ride, rides_of, same
 from palmd.observer.search import Search, overfits
 from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
 from palmd.observer.sided import CALM, LEAST_GROWTH_S, SidedSearch

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.spherical import Y00, bends, evaluator
+from palmd.model.spherical import Y00, bends, evaluator, order_of
 from palmd.model.three_palms import MOMENT
 
 ORDER = 12
@@ -31,11 +31,11 @@ def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
     normals = palms[:, :9].reshape(-1, 3, 3)
     u = -np.einsum("tji,tnj->tni", R, normals)
     n = len(p) - 9
-    h = (evaluator(math.isqrt(n) - 1)(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
+    h = (evaluator(order_of(n))(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
     return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
 
 
 def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
     """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
-    bend = bends(math.isqrt(len(c)) - 1, u) @ c
+    bend = bends(order_of(len(c)), u) @ c
     return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))

@@ -15,6 +15,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import rotation
+from palmd.model.spherical import order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import compiled_filter, kernels
 from palmd.observer.three_palms.compiled_filter import READING, STATES
@@ -62,7 +63,7 @@ class BodyFilter:
         self.P: FloatArray = np.array(answer.covariance, order="C")
         self._body: FloatArray = np.concatenate([answer.R.ravel(), answer.omega, [1.0], answer.p])
         self._rig = rig
-        self._order = math.isqrt(len(answer.p) - BODY) - 1
+        self._order = order_of(len(answer.p) - BODY)
         self._shape = slice(STATES, STATES + len(answer.p) - BODY)
         self._does = steps(self._order, rig) if compiled else None
 

@@ -212,8 +212,7 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
     def near(each: Grown) -> bool:
         return each.intervals == first.intervals and each.cost < first.cost + BEHIND
 
-    finer = sorted((_finer(task, each) for each in ended if near(each)), key=lambda each: each.cost)
-    return [*finer, *(each for each in ended if not near(each))]
+    return [_finer(task, each) if near(each) else each for each in ended]
 
 
 def _finer(task: Task, now: Grown) -> Grown:

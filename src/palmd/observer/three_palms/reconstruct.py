@@ -14,7 +14,7 @@ import numpy.typing as npt
 from palmd.blas import one_thread
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
-from palmd.model.spherical import Y00, evaluator
+from palmd.model.spherical import Y00, evaluator, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import centres_of, inertia
@@ -23,7 +23,6 @@ from palmd.observer.three_palms.growth import MOST_COST, MOST_LAMBDA, SURE, Grow
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
-from palmd.observer.three_palms.smoother import order_of
 from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
@@ -102,7 +101,8 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     """What the best of the rivals says, and whether it may be believed."""
     first = ended[0]
     fit, record, p = first.whole, first.record, first.motion.p
-    n, order = len(p) - BODY, order_of(len(p))
+    n = len(p) - BODY
+    order = order_of(n)
     directions, triangles = icosphere()
     point_rows = _everywhere(order)[1]
     try:
@@ -152,7 +152,8 @@ def surface(
     centre_sd: of the centre of mass besides (m), from which all heights count.
     """
     directions, _ = icosphere()
-    n, order = len(p) - BODY, order_of(len(p))
+    n = len(p) - BODY
+    order = order_of(n)
     rows, point_rows = _everywhere(order)
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))

@@ -13,7 +13,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import rotation
-from palmd.model.spherical import count
+from palmd.model.spherical import count, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.arrow import STATES, Arrow
@@ -89,11 +89,6 @@ class BodyFit:
     iterations: int
 
 
-def order_of(parameters: int) -> int:
-    """The degree of the outline that so many parameters hold."""
-    return int(np.sqrt(parameters - BODY)) - 1
-
-
 def at_readings(record: BodyRecord, R: FloatArray, omega: FloatArray) -> FloatArray:
     """(S, 3, 3) rotations at the readings' times, between nodes that turn as R and omega (K + 1, …) say."""
     return _between(record, R, omega, *_turns(R, omega))
@@ -121,7 +116,7 @@ class BodySmoother:
 
     def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, gravity: float) -> None:
         self._record, self._prior, self._noise, self._gravity = record, prior, noise, gravity
-        order = order_of(len(prior.mean))
+        order = order_of(len(prior.mean) - BODY)
         self._shape = slice(0, count(order))
         self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
         self._of_width: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
