@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -72,7 +73,6 @@ class SidedSearch:
         self._all = in_order(search, others)
         self._records = [_laid_out(each, each.segment.start, each.segment.end, SPACING_S) for each in self._all]
         self.record = joined(self._records)
-        self.rides = [ride for each in self._records for ride in rides_of(each)]
         self.fits = SidedFits(self.record, search.prior)
         self._from, self._to = search.segment.start, search.segment.end
         for each in (*reversed(self._all), *self._all):  # nobody takes an object away in so short a time
@@ -81,6 +81,11 @@ class SidedSearch:
                 self._from = segment.start
             if 0.0 < segment.start - self._to < SUSPICIOUS_GAP_S:
                 self._to = segment.end
+
+    @cached_property
+    def rides(self) -> list[Ride]:
+        """All of them, wherever the object has ridden."""
+        return [ride for each in self._records for ride in rides_of(each)]
 
     def ridden(self) -> Iterator[tuple[Candidate, ...]]:
         """What explains rides, wherever they last long enough: on several sides together, then on one at a time.
