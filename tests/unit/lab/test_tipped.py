@@ -20,17 +20,17 @@ PLAN = Path(__file__).parents[3] / "config" / "plans" / "tip.yaml"
 
 @pytest.fixture(scope="module")
 def tipped():
-    """What is told of it without the searches for other objects, and the truth."""
+    """The first segment's search, all that was felt on sides, and the truth."""
     task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=load_plan(PLAN))
     log, truth, _ = thing_logs.simulated(task)
     search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]
-    return search, SidedSearch(search, 0, others).records, truth
+    return search, SidedSearch(search, 0, others), truth
 
 
 def test_most_of_it_is_told_to_a_few_hundredths_of_a_millimetre(tipped, monkeypatch):
     monkeypatch.setattr(places, "CORNERS", (6, 5))  # others take their time
-    search, records, truth = tipped
-    told = cornered_reconstruction(search, records, 0.0)
+    search, sided, truth = tipped
+    told = cornered_reconstruction(search, sided.record, sided.rides, 0.0)
     assert told is not None
     score = score_outline(told.theta, told.h, told.touched, np.array(truth["h_m"]))
     assert score.max_error < 1.5e-4
@@ -42,6 +42,7 @@ def test_most_of_it_is_told_to_a_few_hundredths_of_a_millimetre(tipped, monkeypa
 
 def test_nothing_is_told_of_readings_that_no_one_outline_explains(tipped, monkeypatch):
     monkeypatch.setattr(places, "CORNERS", (6,))
-    search, records, _ = tipped
-    bent = [replace(each, contact_value=each.contact_value + 1e-3 * np.sin(each.contact_t / 5.0)) for each in records]
-    assert cornered_reconstruction(search, bent, 0.0) is None
+    search, sided, _ = tipped
+    record = sided.record
+    bent = replace(record, contact_value=record.contact_value + 1e-3 * np.sin(record.contact_t / 5.0))
+    assert cornered_reconstruction(search, bent, sided.rides, 0.0) is None
