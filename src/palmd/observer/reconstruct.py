@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,25 +92,18 @@ def reconstruct(
         return _nothing("there is no second in which both pads and the arm report", begun)
     search = _search(found[0], rig)
     attempts = attempts_on(search)
-    first = _part(search, seed, attempts[:BEFORE_OTHERS])
-    in_doubt = first is None or bool(first.reason)
-    shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S)) if in_doubt else []
-    swapped = bool(shorter) and shorter[0].lasts < found[0].lasts  # perhaps, in a gap
-    asked = first is None and not swapped and not rig.curved
-    besides = _besides(found, rig) if in_doubt and not rig.curved else []
-    unlike = _unlike(search, besides, seed, begun, say) if asked else None
-    if unlike is not None and (_whole(unlike, found[0]) or _sharp(unlike, search, besides)):
-        return unlike
-    main = _part(search, seed, attempts[BEFORE_OTHERS:], first)
+    main = _part(search, seed, attempts[:BEFORE_OTHERS])
     if main is None or main.reason:
-        apart = _part_of(_search(shorter[0], rig), seed) if swapped else None
-        if apart is not None and not apart.reason:
-            main, found = apart, shorter
-    if (main is None or main.reason not in ("", AMBIGUOUS)) and not rig.curved:
-        if not asked:
-            unlike = _unlike(search, besides, seed, begun, say)
-        if unlike is not None:
-            return unlike
+        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
+        swapped = shorter if shorter and shorter[0].lasts < found[0].lasts else []  # perhaps, in a gap
+        apart = _search(swapped[0], rig) if swapped else None
+        unlike = _Unlike(search, _besides(found, rig), seed, begun, say)
+        told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
+        if isinstance(told, Reconstruction):
+            return told
+        main = told
+        if main is not None and apart is not None and main.segment is apart.segment:
+            found = swapped
     if main is None:
         return _nothing(NOTHING_MOVES if still(Search(found[0], rig).record) else NO_ANSWER + _if_concave(rig), begun)
     main = _found_again(main, seed)
@@ -118,6 +112,60 @@ def reconstruct(
     parts = [main, *(_part_of(_search(segment, rig), seed) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
+
+
+def _in_doubt(
+    search: Search, first: _Part | None, attempts: Numbered, apart: Search | None, unlike: _Unlike, seed: int
+) -> _Part | Reconstruction | None:
+    """What explains the longest segment, of which the `first` searches told nothing sure; None if nothing does.
+
+    attempts: those that are left for a smooth outline. apart: the segment without what another object may have touched,
+    if one has perhaps taken the other's place.
+    """
+    if first is None and apart is None and unlike.enough:
+        return unlike.told
+    main = _part(search, seed, attempts, first)
+    if apart is not None and (main is None or main.reason):
+        other = _part_of(apart, seed)
+        if other is not None and not other.reason:
+            return other
+    in_vain = main is None or main.reason not in ("", AMBIGUOUS)
+    return unlike.told if in_vain and unlike.told is not None else main
+
+
+class _Unlike:
+    """What is no smooth outline on palms that never stick: looked for when first asked for, and once.
+
+    others: segments in which what rides in that of `search` may ride as well.
+    """
+
+    def __init__(
+        self, search: Search, others: Sequence[Search], seed: int, begun: float, say: Callable[[str], None] | None
+    ):
+        self._search, self._others = search, others
+        self._seed, self._begun, self._say = seed, begun, say
+
+    @cached_property
+    def told(self) -> Reconstruction | None:
+        """A dry one, else one with flat sides; None if neither, and on palms that are not flat."""
+        search, seed, begun = self._search, self._seed, self._begun
+        if search.rig.curved:
+            return None
+        told = dry_reconstruction(search, seed, begun)
+        return told or sharp_reconstruction(search, seed, begun, self._say, self._others)
+
+    @property
+    def enough(self) -> bool:
+        """Whether no smooth outline need be looked for: all is explained, or is not without flat sides."""
+        return self.told is not None and (self._whole(self.told) or self._sharp(self.told))
+
+    def _whole(self, told: Reconstruction) -> bool:
+        segment = self._search.segment
+        there = lasting([span for span in told.spans if segment.start <= span[0] <= segment.end])
+        return there > WHOLE * segment.lasts and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
+
+    def _sharp(self, told: Reconstruction) -> bool:
+        return len(told.sides) > 0 and not explained_smoothly(self._search, told, self._others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,27 +231,6 @@ def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:
     lasted = np.cumsum([segment.lasts for segment in found[:MOST_PARTS]])
     within = int(np.searchsorted(lasted, MOST_RIDDEN_S, side="right"))
     return [_search(segment, rig) for segment in found[1:within]]
-
-
-def _unlike(
-    search: Search, others: Sequence[Search], seed: int, begun: float, say: Callable[[str], None] | None
-) -> Reconstruction | None:
-    """What is no smooth outline on palms that never stick: a dry one, else one with flat sides; None if neither.
-
-    What rides in `others` as well is told of these too.
-    """
-    return dry_reconstruction(search, seed, begun) or sharp_reconstruction(search, seed, begun, say, others)
-
-
-def _whole(told: Reconstruction, segment: DataSegment) -> bool:
-    """Whether it explains all of a segment so well that to look for anything else would be a waste."""
-    there = lasting([span for span in told.spans if segment.start <= span[0] <= segment.end])
-    return there > WHOLE * segment.lasts and consistent(told.chi2, len(segment.pads), SECOND_OPINION_SIGMAS)
-
-
-def _sharp(told: Reconstruction, search: Search, others: Sequence[Search]) -> bool:
-    """Whether it has flat sides without which its motion is not explained: no smooth outline need be looked for."""
-    return len(told.sides) > 0 and not explained_smoothly(search, told, others)
 
 
 def attempts_on(search: Search) -> Numbered:
