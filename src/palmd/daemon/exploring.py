@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 ASK_S, AHEAD_S = 0.3, 0.7  # how often the next move is asked for, from so long before the end of the one in hand on
 CHECK_S = 1.0  # how often before that, whether the one in hand is still safe
 STALE_S = 1.0  # after which an answer is about the past
+STALE_STANDING_S = 10.0  # the same while the palms stand where it is about: so long it may take on a busy machine
 LEAD_S = 0.05  # before the end of a move, when the next one is settled
 LOST_S = 0.5  # without knowing the object, after which a move is not gone on with
 BLIND_S = 1.0  # of standing without knowing it, before the object is rocked
@@ -194,7 +195,7 @@ class Exploring(Explores):
     ) -> None:
         """Let an answer have its effect, if it is still about what is going on."""
         blind = answer.object_count is None
-        if answer.run != self._run or t - answer.t > STALE_S:
+        if answer.run != self._run or t - answer.t > (STALE_STANDING_S if at_rest else STALE_S):
             self.dropped += 1
             return
         changed = senses.known if blind else answer.object_count != senses.object_count
