@@ -24,9 +24,9 @@ from palmd.motion.segments import Move
 log = logging.getLogger(__name__)
 
 ASK_S, AHEAD_S = 0.3, 0.7  # how often the next move is asked for, from so long before the end of the one in hand on
+AHEAD_MOST_S = 3.0  # the same where decisions take so long
 CHECK_S = 1.0  # how often before that, whether the one in hand is still safe
-STALE_S = 1.0  # after which an answer is about the past
-STALE_STANDING_S = 10.0  # the same while the palms stand where it is about: so long it may take on a busy machine
+STALE_S = 10.0  # after which an answer is about the past, even if what it is to follow is still the last move
 LEAD_S = 0.05  # before the end of a move, when the next one is settled
 LOST_S = 0.5  # without knowing the object, after which a move is not gone on with
 BLIND_S = 1.0  # of standing without knowing it, before the object is rocked
@@ -111,6 +111,7 @@ class Exploring(Explores):
         self._run = 0
         self._next: tuple[Move, bool] | None = None  # and whether it rocks
         self._rocking = self._halting = self._ending = False
+        self._ahead = AHEAD_S
         self._t_known = self._t_moved = self._t_heard = self._t_ask = -math.inf
 
     @property
@@ -195,7 +196,7 @@ class Exploring(Explores):
     ) -> None:
         """Let an answer have its effect, if it is still about what is going on."""
         blind = answer.object_count is None
-        if answer.run != self._run or t - answer.t > (STALE_STANDING_S if at_rest else STALE_S):
+        if answer.run != self._run or t - answer.t > STALE_S:
             self.dropped += 1
             return
         changed = senses.known if blind else answer.object_count != senses.object_count
@@ -217,6 +218,7 @@ class Exploring(Explores):
             self._halt(decision.reason)
         elif decision.kind == "move" and not self._ending:
             move = decision.move
+            self._ahead = min(max(AHEAD_S, t - answer.t + ASK_S), AHEAD_MOST_S)
             if move is not None and move.start == exploration.last.end:
                 self._next = move, blind or decision.blind
 
@@ -224,7 +226,7 @@ class Exploring(Explores):
         move, elapsed = exploration.under_way(tau)
         if t < self._t_ask or move is not exploration.last:
             return
-        to_go = exploration.end - tau - AHEAD_S
+        to_go = exploration.end - tau - self._ahead
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
         outlook = senses.look() if senses.known else None
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)

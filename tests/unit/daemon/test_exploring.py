@@ -262,9 +262,24 @@ def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
 def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
     stage = Stage()
     stage.source.latency = STALE_S + 0.05
-    assert stands(stage, 3.0)
+    assert stands(stage, STALE_S + 3.0)
     assert stage.exploring.dropped > 5
     assert stage.exploring.silent
+
+
+def test_who_decides_slowly_is_asked_sooner_and_followed() -> None:
+    """A busy machine: decisions that take longer than moves are still about where those end."""
+    stage = Stage()
+    stage.source.latency = 1.5
+    begun: list[float] = []
+    for _ in stage.go(12.0):
+        exploration = stage.setpoints.exploration
+        if exploration is not None and exploration[1] < exploration[0].end and stage.t - sum(begun[-1:]) > 0.9:
+            begun.append(stage.t)
+    assert len(begun) > 5
+    assert stage.exploring.dropped == 0
+    asked = [q for q in stage.source.questions if q.choose and q.t > begun[1]]
+    assert min(q.under_way.elapsed for q in asked) < 0.05  # as soon as a move begins
 
 
 def test_a_decision_about_another_object_or_from_elsewhere_is_not_followed() -> None:
