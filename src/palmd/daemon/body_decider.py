@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
+from palmd.model.convex_bodies import convex
 from palmd.model.icosphere import icosphere
 from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyDraws, BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
-from palmd.motion.convex_bodies import convex
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import rotation
+from palmd.model.convex_bodies import convex
 from palmd.model.three_palms import BODY
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
-from palmd.motion.convex_bodies import convex
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at

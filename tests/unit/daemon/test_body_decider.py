@@ -11,11 +11,11 @@ from palmd.daemon import body_decider
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
+from palmd.model.convex_bodies import least_radii
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import count
 from palmd.motion import body_explorer
 from palmd.motion.body_explorer import LEAST_FORCE
-from palmd.motion.convex_bodies import least_radii
 from palmd.motion.decisions import UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits

@@ -22,7 +22,7 @@ from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
-from palmd.observer.three_palms.reconstruct import felt_directions, near
+from palmd.observer.three_palms.reconstruct import near
 from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
@@ -475,7 +475,7 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
     lived.smoother._answer(task, [erring])
     told = lived.smoother._answer(task, ended)
-    assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
+    assert (told.touched > 0).tolist() == near(ended[0].felt).tolist()
 
 
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
