@@ -89,7 +89,7 @@ class BodyDecider:
         if move is None:
             return self._waits(question, outlook, "no safe motion found yet", coverage)
         self._stood = math.inf
-        return Decision("move", move, "", coverage, 1.0)
+        return Decision("move", move, "", coverage, 1.0, then=explorer.then if outlook.claimed else None)
 
     def _waits(self, question: Question, outlook: BodyOutlook, reason: str, coverage: float) -> Decision:
         """No move is safe by what is believed, so that the palms stand; not for ever, as nothing is learnt so."""

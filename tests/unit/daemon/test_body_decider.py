@@ -55,7 +55,10 @@ def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(outlook):
     assert answer.object_count == 1
     assert answer.decision.kind == "move"
     assert answer.decision.move.start == end
+    assert answer.decision.then.start == answer.decision.move.end
     assert math.isfinite(answer.decision.coverage)
+    believed = BodyDecider(RIG).answer(question(dataclasses.replace(outlook, claimed=False)))
+    assert (believed.decision.kind, believed.decision.then) == ("move", None)  # one by one, until it is claimed
 
 
 def test_who_is_only_asked_whether_it_may_go_on_says_so(outlook):
