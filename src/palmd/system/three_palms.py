@@ -154,8 +154,10 @@ class BodyOutlook:
     R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m)
     of turns in the world, omega and p. touched: which of the directions lie within 4 degrees of where a palm has been
     until the smoother's answer; since: (K, 3 palms, 3) outward normals in the body where it has been touched after
-    that. `begun` (s) tells frames of the body apart: each record has its own. What is not `claimed`, or contradicted a
-    little since, is not known to be right. mass: kg, NaN where no force was read.
+    that. `begun` (s) tells records of the body apart: each has its own frame, which `turn` (3, 3) leads into that of the
+    first record of the same `frame`, where the records' frames are known by each other; what is said here is in the
+    record's own. What is not `claimed`, or contradicted a little since, is not known to be right. mass: kg, NaN where
+    no force was read.
     """
 
     t: float
@@ -169,6 +171,8 @@ class BodyOutlook:
     covariance: FloatArray
     touched: npt.NDArray[np.bool_]
     since: FloatArray
+    frame: int
+    turn: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
