@@ -119,7 +119,7 @@ class BodyDecider:
         return self._foresight, self._explorer
 
     def _carried(self, outlook: BodyOutlook) -> npt.NDArray[np.bool_]:
-        """(D,) what earlier records have touched while they were claimed, in the frame of a new one; none in another."""
+        """(D,) what earlier records touched while they were claimed, in the frame of a new one; none in another."""
         last, frame = self._turn, (outlook.object_count, outlook.frame)
         same, self._frame, self._turn = frame == self._frame, frame, outlook.turn
         if not same:
