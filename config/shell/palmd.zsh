@@ -330,6 +330,7 @@ _shtab_palmd_bench_space_options=(
   "--live[in the emulated rig, by the shipped plan, judged tick by tick]"
   "--exploring[how much of each the palms show when the body is known to who plans, within wider limits than shipped]"
   "--blind[with --exploring\: in the emulated rig, by the shipped plan that explores, nothing known beforehand]"
+  "--pace[with --live and --blind\: answers and decisions come after X times the processor time that they take here (1.3 to 1.5\: two cores of their own)\; default\: after fixed times, the same on any machine]:X:"
   {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
 )
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
+from palmd.model.convex_bodies import convex
 from palmd.model.icosphere import icosphere
 from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyDraws, BodyExplorer
 from palmd.motion.body_foresight import Bearings, BodyForesight
 from palmd.motion.body_swing import Swing
-from palmd.motion.convex_bodies import convex
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
@@ -36,7 +37,9 @@ class BodyDecider:
         self._random = np.random.default_rng(seed)
         self._directions = icosphere(HALVINGS)[0]
         self._run: int | None = None
-        self._known: tuple[int, float] | None = None  # which object, in what frame
+        self._known: tuple[int, float] | None = None  # which object, by which record
+        self._frame: tuple[int, int] | None = None  # the same, in which frame, and how the record's lies in that
+        self._turn, self._sure = np.eye(3), np.zeros(len(self._directions), np.bool_)
         self._explorer: BodyExplorer | None = None
         self._swing: Move | None = None  # the last one of a body of which something is believed
         self._stood = math.inf  # since when no move of it has been safe
@@ -45,7 +48,7 @@ class BodyDecider:
         """The answer to a question; a new task, and a body in a new frame, begin with a new explorer."""
         task, outlook, move = question.task, question.outlook, question.under_way.move
         if task.run != self._run:
-            self._run, self._begun, self._known = task.run, question.t, None
+            self._run, self._begun, self._known, self._frame = task.run, question.t, None, None
             self._stood = math.inf
         if outlook is None:
             swing = Swing(task.limits).next(move.end, self._random)
@@ -62,6 +65,8 @@ class BodyDecider:
         if outlook.claimed:
             self._shown |= since
         touched = explorer.covered(felt, TOUCHED_RAD) | since | self._shown
+        if outlook.claimed:
+            self._sure = touched
         coverage = float(touched.mean())
         if coverage >= task.goal.coverage and outlook.claimed:
             return Decision("done", None, f"{coverage:.0%} of all directions have been touched", coverage, 1.0)
@@ -89,7 +94,7 @@ class BodyDecider:
         if move is None:
             return self._waits(question, outlook, "no safe motion found yet", coverage)
         self._stood = math.inf
-        return Decision("move", move, "", coverage, 1.0)
+        return Decision("move", move, "", coverage, 1.0, then=explorer.then if outlook.claimed else None)
 
     def _waits(self, question: Question, outlook: BodyOutlook, reason: str, coverage: float) -> Decision:
         """No move is safe by what is believed, so that the palms stand; not for ever, as nothing is learnt so."""
@@ -107,8 +112,17 @@ class BodyDecider:
         if self._explorer is None or known != self._known:
             self._known, self._was_claimed = known, outlook.claimed
             # What has been touched while it was claimed: answers tell it by less, in steps of their directions.
-            self._shown = np.zeros(len(self._directions), np.bool_)
+            self._shown = self._sure = self._carried(outlook)
             self._foresight = BodyForesight(p, self._rig.gravity, self._rig.pad.side)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(p)
         return self._foresight, self._explorer
+
+    def _carried(self, outlook: BodyOutlook) -> npt.NDArray[np.bool_]:
+        """(D,) what earlier records touched while they were claimed, in the frame of a new one; none in another."""
+        last, frame = self._turn, (outlook.object_count, outlook.frame)
+        same, self._frame, self._turn = frame == self._frame, frame, outlook.turn
+        if not same:
+            return np.zeros(len(self._directions), np.bool_)
+        before = self._directions @ (last.T @ outlook.turn).T
+        return np.asarray(self._sure[(before @ self._directions.T).argmax(axis=1)], np.bool_)

@@ -24,8 +24,10 @@ from palmd.motion.segments import Move
 log = logging.getLogger(__name__)
 
 ASK_S, AHEAD_S = 0.3, 0.7  # how often the next move is asked for, from so long before the end of the one in hand on
+AHEAD_MOST_S = 3.0  # the same where decisions take so long
 CHECK_S = 1.0  # how often before that, whether the one in hand is still safe
-STALE_S = 1.0  # after which an answer is about the past
+MORE_S = 0.5  # of standing for a decision, beyond which two moves are made of one
+STALE_S = 10.0  # after which an answer is about the past, even if what it is to follow is still the last move
 LEAD_S = 0.05  # before the end of a move, when the next one is settled
 LOST_S = 0.5  # without knowing the object, after which a move is not gone on with
 BLIND_S = 1.0  # of standing without knowing it, before the object is rocked
@@ -108,8 +110,9 @@ class Exploring(Explores):
         super().__init__(setpoints)
         self._source = source
         self._run = 0
-        self._next: tuple[Move, bool] | None = None  # and whether it rocks
+        self._next: tuple[tuple[Move, ...], bool] | None = None  # and whether they rock
         self._rocking = self._halting = self._ending = False
+        self._ahead = AHEAD_S
         self._t_known = self._t_moved = self._t_heard = self._t_ask = -math.inf
 
     @property
@@ -154,8 +157,9 @@ class Exploring(Explores):
             log.info("the exploration is over: %s", self._reason)
             return
         if self._next is not None and exploration.end - tau <= LEAD_S:
-            move, self._rocking = self._next
-            exploration.append(move, tau)
+            moves, self._rocking = self._next
+            for move in moves:
+                exploration.append(move, tau)
             self._next = None
         self._ask(source, exploration, tau, t, senses)
         self.silent = t - self._t_heard > SILENT_S
@@ -215,15 +219,17 @@ class Exploring(Explores):
         elif decision.kind == "unsafe" and not at_rest:
             self._halt(decision.reason)
         elif decision.kind == "move" and not self._ending:
-            move = decision.move
+            move, took = decision.move, t - answer.t
+            self._ahead = min(max(AHEAD_S, took + ASK_S), AHEAD_MOST_S)
             if move is not None and move.start == exploration.last.end:
-                self._next = move, blind or decision.blind
+                further = (decision.then,) if decision.then is not None and took > move.duration + MORE_S else ()
+                self._next = (move, *further), blind or decision.blind
 
     def _ask(self, source: Source, exploration: Exploration, tau: float, t: float, senses: Senses) -> None:
         move, elapsed = exploration.under_way(tau)
         if t < self._t_ask or move is not exploration.last:
             return
-        to_go = exploration.end - tau - AHEAD_S
+        to_go = exploration.end - tau - self._ahead
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
         outlook = senses.look() if senses.known else None
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)

@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -47,18 +48,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --exploring: in the emulated rig, by the shipped plan that explores, nothing known beforehand",
     )
+    add("--pace", type=float, metavar="X",
+        help="with --live and --blind: answers and decisions come after X times the processor time that they take here"
+        " (1.3 to 1.5: two cores of their own); default: after fixed times, the same on any machine")  # fmt: skip
     add("-o", "--output", type=Path, default=Path("space.jsonl"), metavar="FILE",
         help="a JSON line for each run (default: %(default)s)")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then."""
+    if arguments.pace is not None and not arguments.pace > 0.0:
+        raise CliError(BAD_INPUT, f"--pace must be more than 0, got {arguments.pace:g}")
+    if arguments.pace is not None and not (arguments.live or arguments.blind):
+        raise CliError(BAD_INPUT, "--pace says how --live or --exploring --blind is done: give that, too")
     if arguments.live:
-        return _one_by_one(arguments, lived, told)
+        return _one_by_one(arguments, partial(lived, pace=arguments.pace), told)
     if arguments.blind and not arguments.exploring:
         raise CliError(BAD_INPUT, "--blind says how --exploring is done: give that, too")
     if arguments.blind:
-        return _one_by_one(arguments, lived_exploring, told_blind)
+        return _one_by_one(arguments, partial(lived_exploring, pace=arguments.pace), told_blind)
     if arguments.exploring:
         return _one_by_one(arguments, explored, told_of_exploring)
     kinds = tuple(KINDS) if arguments.kind == ALL else (arguments.kind,)

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from palmd.blas import one_thread
-from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
+from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
 from palmd.console.shipped import shipped
+from palmd.daemon.body_decider import BodyDecider
 from palmd.harness.three_palms_comparison import matrix, surface_error
 from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.jsonvalues import or_none
+from palmd.lab.paced import PacedExplorer, PacedGrowing
 from palmd.lab.space_exploring import GOAL, HALVINGS, MARKS_S
 from palmd.model.icosphere import icosphere
 from palmd.motion.body_explorer import NEAR_RAD
@@ -95,24 +97,29 @@ class TrueCoverage:
 
 
 @one_thread()
-def lived(seed: int, seconds: float) -> SpaceLiveRow:
-    """The plan that swings."""
-    return _lived(seed, seconds, "sway.yaml")
+def lived(seed: int, seconds: float, pace: float | None = None) -> SpaceLiveRow:
+    """The plan that swings; what is thought comes after `pace` times its processor time, or after fixed times."""
+    return _lived(seed, seconds, "sway.yaml", pace)
 
 
 @one_thread()
-def lived_exploring(seed: int, seconds: float) -> SpaceLiveRow:
-    """The plan that explores, blind."""
-    return _lived(seed, seconds, "explore.yaml")
+def lived_exploring(seed: int, seconds: float, pace: float | None = None) -> SpaceLiveRow:
+    """The plan that explores, blind; see `lived`."""
+    return _lived(seed, seconds, "explore.yaml", pace)
 
 
-def _lived(seed: int, seconds: float, plan: str) -> SpaceLiveRow:
+def _lived(seed: int, seconds: float, plan: str, pace: float | None) -> SpaceLiveRow:
     """The shipped configuration and this plan, with the body and the noise of this seed."""
     config = load_any_config(shipped("three_palms.yaml"))
     if not isinstance(config, ThreePalmsConfig):
         raise TypeError("the shipped configuration is not of three palms in space")
     spec = parse(read_document(shipped("plans") / "three_palms" / plan), TiltPlanSpec)
-    rig = ThreePalmsWireless(config, spec, seed)
+    if pace is None:
+        rig = ThreePalmsWireless(config, spec, seed)
+    else:
+        known = three_palms_rig(config)
+        paced = PacedGrowing(known, pace), PacedExplorer(BodyDecider(known, seed), pace)
+        rig = ThreePalmsWireless(config, spec, seed, *paced)
     rig.start()
     begun, settled = rig.t, math.nan
     ticks, valid, squares = 0, 0, []

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import rotation
+from palmd.model.convex_bodies import convex
 from palmd.model.three_palms import BODY
 from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
-from palmd.motion.convex_bodies import convex
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at
@@ -112,6 +112,7 @@ class BodyExplorer:
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
+        self.then: Move | None = None  # what may follow the last decided move, as surely as that
         self._low, self._high = np.array(limits.angles).T
         self._least_force, self._most_rad_s, self._shortest_s = LEAST_FORCE, math.inf, SHORTEST_S
 
@@ -147,6 +148,7 @@ class BodyExplorer:
         draws = _sure(self._foresight.known) if drawn is None else drawn
         way = self._surest(now, ways, draws)
         self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
+        self.then = way[1] if len(way) > 1 else None
         return way[0] if way else None
 
     def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:

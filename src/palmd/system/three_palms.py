@@ -154,8 +154,9 @@ class BodyOutlook:
     R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m)
     of turns in the world, omega and p. touched: which of the directions lie within 4 degrees of where a palm has been
     until the smoother's answer; since: (K, 3 palms, 3) outward normals in the body where it has been touched after
-    that. `begun` (s) tells frames of the body apart: each record has its own. What is not `claimed`, or contradicted a
-    little since, is not known to be right. mass: kg, NaN where no force was read.
+    that. `begun` (s) tells records of the body apart. Each has its own frame, in which all is told here; `turn` (3, 3)
+    leads from it into that of the first record whose `frame` is the same: by where two of them say it lies. What is
+    not `claimed`, or contradicted a little since, is not known to be right. mass: kg, NaN where no force was read.
     """
 
     t: float
@@ -169,6 +170,8 @@ class BodyOutlook:
     covariance: FloatArray
     touched: npt.NDArray[np.bool_]
     since: FloatArray
+    frame: int
+    turn: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

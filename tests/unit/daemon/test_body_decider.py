@@ -11,11 +11,12 @@ from palmd.daemon import body_decider
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
 from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
+from palmd.model.convex_bodies import least_radii
 from palmd.model.icosphere import icosphere
+from palmd.model.rotation import exp
 from palmd.model.spherical import count
 from palmd.motion import body_explorer
 from palmd.motion.body_explorer import LEAST_FORCE
-from palmd.motion.convex_bodies import least_radii
 from palmd.motion.decisions import UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -36,7 +37,7 @@ def outlook():
     p = known_parameters(stand.plant.body, stand.plant.rubbing)
     none = np.zeros(len(icosphere()[0]), np.bool_)
     sure = 1e-14 * np.eye(6 + len(p))
-    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)))
+    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)), 1, np.eye(3))
 
 
 def question(outlook, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
@@ -55,7 +56,10 @@ def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(outlook):
     assert answer.object_count == 1
     assert answer.decision.kind == "move"
     assert answer.decision.move.start == end
+    assert answer.decision.then.start == answer.decision.move.end
     assert math.isfinite(answer.decision.coverage)
+    believed = BodyDecider(RIG).answer(question(dataclasses.replace(outlook, claimed=False)))
+    assert (believed.decision.kind, believed.decision.then) == ("move", None)  # one by one, until it is claimed
 
 
 def test_who_is_only_asked_whether_it_may_go_on_says_so(outlook):
@@ -92,9 +96,27 @@ def test_what_was_felt_while_it_was_claimed_counts_on(outlook):
         decider = BodyDecider(RIG)
         return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks]
 
-    share, on, elsewhere = shares(felt, outlook, dataclasses.replace(outlook, begun=3.0))
+    share, on, elsewhere = shares(felt, outlook, dataclasses.replace(outlook, begun=3.0, frame=2))
     assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
     assert shares(dataclasses.replace(felt, claimed=False), outlook) == [share, 0.0]
+
+
+def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_next_record(outlook):
+    one, turn = np.array([0.0, 0.0, 1.0]), exp(np.array([0.0, 1.1, 0.0]))
+    felt = dataclasses.replace(outlook, since=np.tile(one, (1, 3, 1)))
+    again = dataclasses.replace(outlook, begun=3.0, turn=turn)  # what was touched lies there at turn.T @ one
+    there = dataclasses.replace(again, since=np.tile(turn.T @ one, (1, 3, 1)))
+    elsewhere = dataclasses.replace(again, since=np.tile(one, (1, 3, 1)))
+
+    def share(*outlooks):
+        decider = BodyDecider(RIG)
+        return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks][-1]
+
+    once = share(felt)
+    assert share(felt, again) == pytest.approx(once, rel=0.25)
+    assert share(felt, there) < 1.4 * once
+    assert share(felt, elsewhere) > 1.7 * once
+    assert share(felt, again, outlook) == pytest.approx(once, rel=0.4)  # and back
 
 
 def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(outlook, monkeypatch):

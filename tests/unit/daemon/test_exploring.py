@@ -21,6 +21,7 @@ from palmd.daemon.exploring import (
     CHECK_S,
     LEAD_S,
     LOST_S,
+    MORE_S,
     OVERTIME_S,
     SILENT_S,
     STALE_S,
@@ -262,9 +263,49 @@ def test_without_decisions_it_finishes_the_move_stands_and_says_so() -> None:
 def test_an_answer_that_comes_too_late_is_dropped_and_counted() -> None:
     stage = Stage()
     stage.source.latency = STALE_S + 0.05
-    assert stands(stage, 3.0)
+    assert stands(stage, STALE_S + 3.0)
     assert stage.exploring.dropped > 5
     assert stage.exploring.silent
+
+
+def begun(stage: Stage, seconds: float) -> list[tuple[float, Move]]:
+    """When each move began, of a stretch of so many seconds."""
+    found: list[tuple[float, Move]] = []
+    for _ in stage.go(seconds):
+        exploration = stage.setpoints.exploration
+        if exploration is not None and (not found or exploration[0].under_way(exploration[1])[0] is not found[-1][1]):
+            found.append((stage.t, exploration[0].under_way(exploration[1])[0]))
+    return found
+
+
+def test_who_decides_slowly_is_asked_sooner_and_followed() -> None:
+    """A busy machine: decisions that take longer than moves are still about where those end."""
+    stage = Stage()
+    stage.source.latency = 1.5
+    times = [t for t, _ in begun(stage, 12.0)]
+    assert stage.exploring.dropped == 0
+    asked = [q for q in stage.source.questions if q.choose and q.t > times[2]]
+    assert min(q.under_way.elapsed for q in asked) < 0.05  # as soon as a move begins
+    gaps = [b - a for a, b in itertools.pairwise(times[2:])]
+    assert max(gaps) < 1.5 + ASK_S + 0.1
+
+
+def test_two_moves_are_made_of_a_decision_that_palms_would_stand_for() -> None:
+    def two(question: Question) -> Decision:
+        first = onwards(question).move
+        assert first is not None
+        return Decision("move", first, then=Move(first.end, first.start, 0.8))
+
+    slow, quick = Stage(two), Stage(two)
+    slow.source.latency = 0.8 + MORE_S + 0.1
+    quick.source.latency = 0.8 + MORE_S - 0.1
+    for stage, apace in ((slow, True), (quick, False)):
+        times, moves_made = zip(*begun(stage, 10.0), strict=True)
+        assert all(b.start == a.end for a, b in itertools.pairwise(moves_made))
+        gaps = [b - a for a, b in itertools.pairwise(times[1:])]
+        assert len(gaps) > 5
+        assert (min(gaps) < 0.8 + 2 * LEAD_S) is apace
+    assert slow.exploring.dropped == 0
 
 
 def test_a_decision_about_another_object_or_from_elsewhere_is_not_followed() -> None:

@@ -16,13 +16,13 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, growth, live, reconstruct
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.body import ORDER
+from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
-from palmd.observer.three_palms.reconstruct import felt_directions, near
+from palmd.observer.three_palms.reconstruct import near
 from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
@@ -417,6 +417,12 @@ def go_on(lived, observer, begin, end, without=None):
     return observer.estimate(end)
 
 
+def ticked(lived, observer, begin, end):
+    """The same tick by tick."""
+    for k in range(round((end - begin) / 0.01)):
+        go_on(lived, observer, begin + 0.01 * k, begin + 0.01 * (k + 1))
+
+
 def test_a_pad_that_is_silent_for_a_moment_interrupts_the_claim_and_nothing_else(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
     assert lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)[-1].valid
@@ -469,13 +475,50 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     assert not observer.foresees
 
 
+def turned(answer, G, begun):
+    """The same belief of another record, whose frame lies at G in the first one's."""
+    n = count(ORDER)
+    h_of = evaluator(ORDER)
+    p = parameters(lambda u: h_of(u @ G.T)[0] @ answer.p[:n], G.T @ inertia(answer.p) @ G, ORDER)
+    p[n + 6 :] = answer.p[n + 6 :]
+    sd = np.array([1e-3] * 3 + [0.02] * 3 + [1e-6] * len(p))
+    return replace(answer, R=answer.R @ G, p=p, covariance=np.diag(sd**2), begun=begun)
+
+
+def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_that_foretells(lived):
+    at, G = lived.END + 0.2, exp(np.array([0.4, -0.9, 0.3]))
+    lost = replace(lived.answer, hypotheses=0, claimed=False, reason="what explained the readings does so no more")
+    for foretells in (True, False):
+        observer = BodyObserver(lived.rig, stub := Stub())
+        lived.told(observer, stub, at, lived.END + 0.05)
+        first = observer.outlook(at)
+        stub.next = lost
+        said = go_on(lived, observer, at, at + 0.05)
+        assert (said.valid, said.reason, observer.outlook(at + 0.05)) == (False, lost.reason, None)
+        if not foretells:
+            observer._before._body[12] = 1.1 * live.NIS_FORESEEN
+        stub.next = turned(lived.answer, G, lived.answer.begun + 1.0)
+        go_on(lived, observer, at + 0.05, at + 0.06)
+        assert observer.outlook(at + 0.06) is None  # not of one record by the filter of another
+        ticked(lived, observer, at + 0.06, at + 0.16)
+        told = observer.outlook(at + 0.16)
+        assert told.begun > first.begun
+        assert told.frame - first.frame == (0 if foretells else 1)
+        assert np.abs(told.turn - (G if foretells else np.eye(3))).max() < 5e-3
+    stub.next = turned(lived.answer, np.eye(3), lived.answer.begun + 2.0)  # one follows the other at once
+    ticked(lived, observer, at + 0.16, at + 0.3)
+    again = observer.outlook(at + 0.3)
+    assert (again.frame, again.begun) == (told.frame, lived.answer.begun + 2.0)
+    assert np.abs(again.turn - G.T).max() < 5e-3
+
+
 def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     task, ended = lived.raced
     motion = ended[0].motion
     erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
     lived.smoother._answer(task, [erring])
     told = lived.smoother._answer(task, ended)
-    assert (told.touched > 0).tolist() == near(felt_directions(ended[0])).tolist()
+    assert (told.touched > 0).tolist() == near(ended[0].felt).tolist()
 
 
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):

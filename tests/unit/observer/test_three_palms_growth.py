@@ -14,7 +14,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs, growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
-from palmd.observer.three_palms.body import ORDER
+from palmd.observer.three_palms.body import ORDER, curvatures
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.search import Task
@@ -326,10 +326,40 @@ def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():
     np.testing.assert_allclose(drawn, 0.02 * directions, atol=1e-12)
 
 
+def hollow(task, share):
+    """A rival that is hollow where it was touched, its parameters known to `share` of what is believed beforehand."""
+    now, random = started(task), np.random.default_rng(2)
+    p = now.motion.p.copy()
+    fine = slice(count(8), count(ORDER))
+    p[fine] += random.normal(size=count(ORDER) - count(8)) * 2.5e-3 * Y00 * p[0]
+    known = np.diag(np.diag(now.prior.information)) / share**2
+    prior = replace(now.prior, mean=p, information=known)
+    return replace(now, motion=replace(now.motion, p=p), ahead=prior)
+
+
+@pytest.mark.parametrize(("share", "allowed"), [(1.0, True), (0.03, False)])
+def test_a_hollow_is_no_body_only_where_what_is_known_allows_of_no_convex_one(task, share, allowed):
+    now = hollow(task, share)
+    covariance = np.linalg.inv(now.ahead.information)
+    x = np.concatenate([np.zeros(6), now.motion.p])
+    assert curvatures(x[6 : 6 + count(ORDER)], now.felt).min() < -1e-3
+    told, chi2 = now.made_convex(x, covariance)
+    assert now.plausible == allowed == (chi2 < growth.HOLLOW_CHI2)
+    assert bool(doubt(task, [now], np.full(3, 1e-5), chi2))
+    assert not allowed or curvatures(told[6 : 6 + count(ORDER)], now.felt[:: growth.CURVATURE_EVERY]).min() > 0.0
+
+
+def test_what_is_convex_where_it_was_touched_is_told_as_it_is(task):
+    now = started(task)
+    told, chi2 = now.made_convex(now.motion.p, np.eye(len(now.motion.p)))
+    assert chi2 == 0.0
+    assert np.array_equal(told, now.motion.p)
+
+
 def test_an_answer_is_refused_beside_another_that_costs_as_little(task):
     now = started(task)
     spun = replace(now, motion=replace(now.motion, omega=now.motion.omega + 0.2))
     short = replace(task, end=float(now.record.t[-1]))
-    assert "another motion" in doubt(short, [now, spun], np.full(3, 1e-5))
-    assert not doubt(short, [now, replace(spun, cost=now.cost + 30.0)], np.full(3, 1e-5))
-    assert not doubt(short, [now, replace(now, cost=now.cost + 1.0)], np.full(3, 1e-5))
+    assert "another motion" in doubt(short, [now, spun], np.full(3, 1e-5), 0.0)
+    assert not doubt(short, [now, replace(spun, cost=now.cost + 30.0)], np.full(3, 1e-5), 0.0)
+    assert not doubt(short, [now, replace(now, cost=now.cost + 1.0)], np.full(3, 1e-5), 0.0)

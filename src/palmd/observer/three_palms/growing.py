@@ -17,6 +17,7 @@ import numpy as np
 from palmd.blas import one_thread
 from palmd.config.pads import PRESSURE_GAIN_STD
 from palmd.events import Event, FloatArray, PadSample, PalmSample
+from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
@@ -34,7 +35,7 @@ from palmd.observer.three_palms.growth import (
     smoothed,
 )
 from palmd.observer.three_palms.path import joint_path
-from palmd.observer.three_palms.reconstruct import doubt, felt_directions, inertia_sd, mass_of, near, surface
+from palmd.observer.three_palms.reconstruct import doubt, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Task, rivals
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
@@ -130,7 +131,7 @@ class GrowingBody:
         elif first.intervals * SPACING_S > LONGEST_S:
             self._folded = True
             more = first.intervals - round(KEPT_S / SPACING_S)
-            self._before |= near(felt_directions(first)[: len(PALMS) * more])
+            self._before |= near(first.felt[: len(PALMS) * more])
             self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more)]
             self._heard.forget(self._start - CONTACTS_S)
         return said
@@ -256,13 +257,14 @@ class GrowingBody:
             covariance: FloatArray = np.asarray(np.linalg.inv(first.ahead.information), np.float64)
         except np.linalg.LinAlgError:
             return _unknown(task, self._begun, "the fit is not a minimum")
-        belief = first.ahead
-        touched = self._before | near(felt_directions(first))  # as it is known now: earlier answers may have erred
+        x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
+        turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
+        touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
         centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained)
-        h, h_sd = surface(belief.mean, covariance[6:, 6:], touched, first.whole.chi2, centre_sd)
+        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         covariance = beliefs.with_centre(covariance, STATES, centre_sd)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
-        reason = doubt(task, ended, h_sd[touched], proven=proven)
+        reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)
         if not reason and not first.found_twice:
             reason = "no second start has come to the same motion yet"
         if not reason and self._owed:
@@ -272,9 +274,9 @@ class GrowingBody:
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
             t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,
-            hypotheses=len(self._running), R=belief.R, omega=belief.spin, p=belief.mean,
+            hypotheses=len(self._running), R=turned, omega=spin, p=p,
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
-            inertia_sd=inertia_sd(belief.mean, covariance[6:, 6:]).ravel(),
+            inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
         )  # fmt: skip
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import rotation
-from palmd.model.spherical import Y00
+from palmd.model.convex_bodies import bending, convex, least_radii
+from palmd.model.spherical import Y00, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import FINE, ORDER, centres_of, curvatures, inertia
+from palmd.observer.three_palms.body import FINE, ORDER, centres_of, inertia
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
@@ -64,6 +65,8 @@ MOST_COST = 1.12
 MOST_LAMBDA = 0.5
 """Of the inertia's λ: beyond it the inertia stands in for something else."""
 CURVATURE_EVERY = 5  # contacts
+HOLLOW_CHI2 = 9.0
+"""Of the move to the nearest convex body, above which what is known of a body does not allow of one."""
 WINDOWS_S = (0.5, 0.2, 0.1)
 """How far it goes on at once; shorter where it is foretold badly."""
 TURN_A_WINDOW = 1.0  # rad
@@ -153,19 +156,43 @@ class Grown:
     @property
     def plausible(self) -> bool:
         """Whether a body may be so: its inertia, and its surface where a palm has touched."""
-        return self.largest_lambda <= MOST_LAMBDA and self.least_radius() > 0.0
+        return self.largest_lambda <= MOST_LAMBDA and self.may_be_convex
 
     @property
     def largest_lambda(self) -> float:
         """Of the numbers that tell its inertia, which are 0 for a dense ball."""
         return float(np.abs(self.motion.p[-BODY:-3]).max())
 
-    def least_radius(self) -> float:
-        """The smallest radius of curvature where a palm has touched (m); not more than 0 where the body is hollow."""
-        R, p = self.motion.R, self.motion.p
+    @property
+    def felt(self) -> FloatArray:
+        """(3 K + 3, 3) outward normals, in the body's frame, where a palm touched it at a node."""
         normals = self.record.node_palms[:, :9].reshape(-1, 3, 3)
-        u = -np.einsum("tji,tnj->tni", R, normals).reshape(-1, 3)[::CURVATURE_EVERY]
-        return float(curvatures(p[: len(p) - BODY], u).min())
+        return np.asarray(-np.einsum("tji,tnj->tni", self.motion.R, normals).reshape(-1, 3), np.float64)
+
+    @property
+    def may_be_convex(self) -> bool:
+        """Whether what is known of it allows of a convex body, wherever a palm has touched it."""
+        try:
+            covariance = np.linalg.inv(self.ahead.information)[STATES:, STATES:]
+        except np.linalg.LinAlgError:
+            return False
+        return bool(self.made_convex(self.motion.p, np.asarray(covariance, np.float64))[1] <= HOLLOW_CHI2)
+
+    def made_convex(self, x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
+        """What is believed of it, x (m,) and its covariance (m, m), convex wherever a palm has touched; χ² of the move.
+
+        x: parameters, or states before them. It is moved as little as its covariance allows, and not at all where it is
+        convex; χ² is infinite where that does not make it so.
+        """
+        n = len(self.motion.p) - BODY
+        shape = slice(len(x) - BODY - n, len(x) - BODY)
+        along = bending(order_of(n), self.felt[::CURVATURE_EVERY])
+        if least_radii(x[shape], along)[0].min() > 0.0:
+            return x, 0.0
+        moved = convex(x, covariance, shape, along)
+        if least_radii(moved[shape], along)[0].min() <= 0.0:
+            return moved, math.inf
+        return moved, float((moved - x) @ np.linalg.solve(covariance, moved - x))
 
     def same_as(self, other: Grown) -> bool:
         """Whether both have come to the same motion of the same body."""

@@ -69,6 +69,9 @@ class BodyObserver:
         self._answer: BodyAnswer | None = None
         self._filter: BodyFilter | None = None
         self._next: BodyFilter | None = None  # catches up
+        self._before: BodyFilter | None = None  # of a record that was given up: by it the next one's frame is known
+        # Which frame, of which record, and from that record's own into that of the first one in it.
+        self._frame, self._frame_of, self._turn = 0, -math.inf, np.eye(3)
         self._shape_of: BodyAnswer | None = None
         self._foresees = False
         self._seen: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / SEEN_S))  # normals in the body
@@ -166,7 +169,7 @@ class BodyObserver:
         felt = [normals for at, normals in self._seen if at > answer.t]
         return BodyOutlook(
             t, self.object_count, answer.begun, not self._doubt(t), answer.mass, now.R, now.omega, now.p, now.P,
-            answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3),
+            answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3), self._frame, self._turn,
         )  # fmt: skip
 
     def identify(self, t: float) -> None:
@@ -191,7 +194,7 @@ class BodyObserver:
     def _part(self, t: float) -> None:
         """A palm has been let go at t (s): what was known of the motion ends."""
         self._begun = max(t, self._begun)
-        self._filter = self._next = self._answer = None
+        self._filter = self._next = self._before = self._answer = None
         for each in (self._pending, self._kept, self._seen):
             each.clear()
 
@@ -199,10 +202,11 @@ class BodyObserver:
         forgotten = bool(self._kept) and self._kept[0].t > answer.t
         if answer.begun < self._begun or (answer.hypotheses and forgotten):
             return
+        if not answer.hypotheses or (self._answer is not None and answer.begun != self._answer.begun):
+            self._before, self._filter, self._next = self._filter or self._before, None, None
+            self._seen.clear()
         self._answer = answer
         if not answer.hypotheses:
-            self._filter = self._next = None
-            self._seen.clear()
             return
         if self._next is None or self._filter is not None or self._next.t < answer.t:
             self._next = BodyFilter(answer, self._rig)
@@ -219,6 +223,10 @@ class BodyObserver:
             return
         if self._filter is not None:
             self._carry(self._filter, new, until)
+        if self._before is not None:
+            self._carry(self._before, new, until)
+            if not self._before.nis < NIS_FORESEEN:
+                self._before = None
         if self._next is not None:
             self._catch_up(self._next, until, A_TICK + len(new))
 
@@ -228,6 +236,16 @@ class BodyObserver:
         self._carry(behind, some, until if all_of_it else some[-1].t)
         if all_of_it:
             self._filter, self._next = behind, None
+            if self._answer is not None and self._answer.begun != self._frame_of:
+                self._place_frame(self._answer.begun, behind)
+
+    def _place_frame(self, begun: float, first: BodyFilter) -> None:
+        """A record's first filter is at the present: its frame is known by the record before, or it is another."""
+        if self._before is None:
+            self._frame, self._turn = self._frame + 1, np.eye(3)
+        else:
+            self._turn = self._turn @ self._before.R.T @ first.R
+        self._frame_of, self._before = begun, None
 
     def _carry(self, filtered: BodyFilter, readings: Sequence[PlaneReading], until: float) -> None:
         if self._joints is not None:

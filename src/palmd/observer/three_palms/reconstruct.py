@@ -19,7 +19,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.growth import MOST_COST, MOST_LAMBDA, SURE, Grown, best
+from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
@@ -109,14 +109,14 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
         return _nothing("the fit is not a minimum", begun, fit.chi2)
-    R = fit.motion.R
-    felt = felt_directions(first)
+    p, hollow = first.made_convex(p, covariance)
+    R, felt = fit.motion.R, first.felt
     touched = near(felt)
     h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained))
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
-        converged=not (reason := doubt(task, ended, sd[touched])),
+        converged=not (reason := doubt(task, ended, sd[touched], hollow)),
         reason=reason, chi2=fit.chi2, directions=directions, triangles=triangles,
         h=h, h_sd=sd, touched=touched, coefficients=p[:n],
         points=within(point_rows @ p[:n], directions, h),
@@ -125,12 +125,6 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(order)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
-
-
-def felt_directions(rival: Grown) -> FloatArray:
-    """(3 K + 3, 3) outward normals, in the body's frame, where a palm touched it at a node."""
-    normals = rival.record.node_palms[:, :9].reshape(-1, 3, 3)
-    return np.asarray(-np.einsum("tji,tnj->tni", rival.motion.R, normals).reshape(-1, 3), np.float64)
 
 
 def near(felt: FloatArray) -> npt.NDArray[np.bool_]:
@@ -189,10 +183,11 @@ def without_turns(rows: FloatArray, turns: FloatArray, touched: npt.NDArray[np.b
     return np.asarray(rows - turns @ undone, np.float64)
 
 
-def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = False) -> str:
+def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, hollow: float, *, proven: bool = False) -> str:
     """Why the first of the rivals is not to be believed; empty if it is.
 
-    proven: it has foretold for long what came: what more it costs is truncation.
+    sd: (T,) one-sigma of what was touched (m). hollow: χ² of what makes it convex there. proven: it has foretold for
+    long what came: what more it costs is truncation.
     """
     first = ended[0]
     most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)
@@ -206,7 +201,7 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, *, proven: bool = 
         return "another motion explains the readings as well"
     if first.largest_lambda > MOST_LAMBDA:
         return "only an inertia that no such body has explains the readings"
-    if first.least_radius() <= 0.0:
+    if hollow > HOLLOW_CHI2:
         return "only a hollow body explains the readings"
     if float(np.sqrt(np.mean(sd**2))) > SHARP_M:
         return "the readings tell too little of the shape"

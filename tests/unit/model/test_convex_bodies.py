@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from palmd.model.convex_bodies import LEAST_RADIUS, convex, least_radii
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import BodyDraws
-from palmd.motion.convex_bodies import LEAST_RADIUS, convex, least_radii
 from palmd.observer.three_palms.beliefs import shape_variance
 from palmd.observer.three_palms.body import ORDER, curvatures
 
