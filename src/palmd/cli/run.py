@@ -17,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
+
     def recorder() -> None:
         start_beside(["record", str(arguments.config)])
 
