@@ -48,7 +48,7 @@ class BusError(Exception):
 
 @dataclass(slots=True)
 class BusCounters:
-    """What has passed on the bus since the start; `replies_lost` found nobody to take them.
+    """What has passed on the bus since the start, or is held back; `replies_lost` found nobody to take them.
 
     `forbidden` commands came from clients that may only watch, `crowded` ones while too many others waited,
     `turned_away` connections with keys that nobody knows, `unproven` ones with no key, or with another server's.
@@ -105,6 +105,7 @@ class Bus:
         self._seq[topic.name] = seq + 1
         payload = self._pack(stamp(fields, timestamp, t, seq))
         self._outbox.append((topic.frame, payload, b"%.6f" % timestamp))
+        self.counters.published += 1
         if t >= self._t_held:
             self._let_out(SENT_AT_ONCE)
 
@@ -112,7 +113,6 @@ class Bus:
         for _ in range(min(most, len(self._outbox))):
             with contextlib.suppress(zmq.Again):
                 self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
-                self.counters.published += 1
 
     def receive(self) -> list[Request]:
         """The valid commands whose turn it is, a few at most; what is malformed or may not be is answered here."""

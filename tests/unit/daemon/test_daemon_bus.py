@@ -356,17 +356,18 @@ def test_what_is_held_back_leaves_a_few_messages_at_a_time(rig):
         tick(rig)
     subscriber = subscribed(rig)
     tick(rig, time.monotonic() + 61.0)
-    assert len(messages(subscriber)) == daemon_bus.SENT_AT_ONCE == rig.bus.counters.published
+    assert len(messages(subscriber)) == daemon_bus.SENT_AT_ONCE
+    assert rig.bus.counters.published == 5 * daemon_bus.SENT_AT_ONCE + 1
 
 
 def test_nothing_is_held_back_for_longer_than_asked_nor_lost_at_the_end(rig):
     """From when the addresses were open: what the daemon did meanwhile was time enough."""
     rig.bus._t_open -= 61.0
+    subscriber = subscribed(rig)
     rig.bus.hold_back("recorder", 60.0, since_open=True)
     tick(rig)
-    assert rig.bus.counters.published == 1
+    assert messages(subscriber) == [0]
     rig.bus.hold_back("recorder", 60.0)
-    subscriber = subscribed(rig)
     tick(rig)
     rig.bus.close()
     assert messages(subscriber) == [1]
