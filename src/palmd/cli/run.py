@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 from pathlib import Path
 
 from palmd.harness.processes import start_beside
@@ -16,9 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
-    from palmd.daemon import app
 
     def recorder() -> None:
         start_beside(["record", str(arguments.config)])
 
-    return app.run(arguments.config) if arguments.no_record else app.run(arguments.config, recorder)
+    gc.disable()  # what a start makes stays; the loop has its collector once it is frozen
+    try:
+        from palmd.daemon import app
+
+        return app.run(arguments.config) if arguments.no_record else app.run(arguments.config, recorder)
+    finally:
+        gc.enable()

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
 RECORDER_START_S = 2.0
-"""How long the first tick waits for a recorder to speak: an observer can be replayed from its first event only."""
+"""How long the first messages wait for a recorder to speak: an observer can be replayed from its first event only."""
 NEIGHBOUR_S = 0.5
 """Likewise, for one that somebody else may have started: it listens already, and finds an open bus within 0.1 s."""
 
@@ -122,9 +122,9 @@ def _run(
         processor=ProcessorTime(),
     )
     if recorded:
-        bus.await_command("recorder", RECORDER_START_S)
+        bus.hold_back("recorder", RECORDER_START_S)
     else:
-        bus.await_command("recorder", NEIGHBOUR_S, since_open=True)
+        bus.hold_back("recorder", NEIGHBOUR_S, since_open=True)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED

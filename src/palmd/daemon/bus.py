@@ -25,6 +25,10 @@ HIGH_WATER = 100
 PUBLISHED_HIGH_WATER = 10_000
 """Messages kept for a subscriber that does not take them: some 20 s of all topics, which is 10 MB."""
 LAST_WORDS_MS = 100
+SENT_AT_ONCE = 8
+"""Messages with each that is published, of those that were kept: half a second of them takes some ten ticks."""
+CAUGHT_UP_S = 0.1
+"""After the awaited command, in which its sender's subscription comes too: it has a connection of its own."""
 COMMANDS_PER_TICK = 4
 TAKEN_PER_TICK = 128
 """Messages taken off the socket: more than clients can connect, ask and go in a tick, for each of those that have gone
@@ -44,7 +48,7 @@ class BusError(Exception):
 
 @dataclass(slots=True)
 class BusCounters:
-    """What has passed on the bus since the start; `replies_lost` found nobody to take them.
+    """What has passed on the bus since the start, or is held back; `replies_lost` found nobody to take them.
 
     `forbidden` commands came from clients that may only watch, `crowded` ones while too many others waited,
     `turned_away` connections with keys that nobody knows, `unproven` ones with no key, or with another server's.
@@ -77,7 +81,8 @@ class Bus:
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._pack = FieldsPacker()
-        self._early: list[Request] = []  # what came before the loop
+        self._outbox: deque[tuple[bytes, bytes, bytes]] = deque()
+        self._awaited, self._t_held = "", -math.inf  # by which command, and until when (s) all in it is kept
         self._waiting: deque[Request] = deque()
         self._dropping = False  # the rest of a message that is far too long
         self._frames_left = FRAMES_PER_TICK
@@ -95,19 +100,27 @@ class Bus:
         self._t_open = time.monotonic()
 
     def publish(self, topic: Topic, fields: Fields, t: float, timestamp: float) -> None:
-        """Send one message, or drop it; `t` is the tick's time, `timestamp` Unix time (s)."""
+        """Send one message, or drop it, or keep it (`hold_back`); `t` is the tick's time, `timestamp` Unix time (s)."""
         seq = self._seq.get(topic.name, 0)
         self._seq[topic.name] = seq + 1
         payload = self._pack(stamp(fields, timestamp, t, seq))
-        with contextlib.suppress(zmq.Again):
-            self._publisher.send_multipart((topic.frame, payload, b"%.6f" % timestamp), zmq.NOBLOCK)
-            self.counters.published += 1
+        self._outbox.append((topic.frame, payload, b"%.6f" % timestamp))
+        self.counters.published += 1
+        if t >= self._t_held:
+            self._let_out(SENT_AT_ONCE)
+
+    def _let_out(self, most: int) -> None:
+        for _ in range(min(most, len(self._outbox))):
+            with contextlib.suppress(zmq.Again):
+                self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
 
     def receive(self) -> list[Request]:
         """The valid commands whose turn it is, a few at most; what is malformed or may not be is answered here."""
-        requests, self._early = self._early, []
         self._take_in()
-        return requests + [self._waiting.popleft() for _ in range(min(COMMANDS_PER_TICK, len(self._waiting)))]
+        requests = [self._waiting.popleft() for _ in range(min(COMMANDS_PER_TICK, len(self._waiting)))]
+        if self._awaited and any(request.name == self._awaited for request in requests):
+            self._awaited, self._t_held = "", min(self._t_held, time.monotonic() + CAUGHT_UP_S)
+        return requests
 
     def _take_in(self) -> None:
         """Have what has come wait for its turn.
@@ -188,19 +201,14 @@ class Bus:
                 return frames
         return None
 
-    def await_command(self, name: str, seconds: float, *, since_open: bool = False) -> None:
-        """Wait until a command of that name has come, at most so long: for before the loop begins.
+    def hold_back(self, name: str, seconds: float, *, since_open: bool = False) -> None:
+        """Keep what is published, up to `CAUGHT_UP_S` after a command of that name has come, at most so long.
 
-        So long from now on, or `since_open`: from when the addresses could be found. What comes meanwhile is kept for
-        `receive`.
+        So long from now on, or `since_open`: from when the addresses could be found. For a recorder, which is to miss
+        nothing: the loop need not wait for it. What was kept leaves in its order, a few messages with each new one.
         """
-        t_end = (self._t_open if since_open else time.monotonic()) + seconds
-        while all(request.name != name for request in self._early):
-            left_s = t_end - time.monotonic()
-            wait_ms = 0 if self._waiting else math.ceil(left_s * 1e3)
-            if left_s <= 0.0 or not (self._commands.poll(wait_ms) or self._waiting):
-                return
-            self._early = self.receive()
+        self._awaited = name
+        self._t_held = (self._t_open if since_open else time.monotonic()) + seconds
 
     def reply(self, reply: Reply) -> None:
         """Answer a request; lost when the client has gone."""
@@ -215,6 +223,7 @@ class Bus:
 
     def close(self) -> None:
         """Let go of the addresses; what was published last has `LAST_WORDS_MS` to leave, the rest is dropped."""
+        self._let_out(len(self._outbox))
         for socket in self._sockets:
             socket.close()
         if self._door is not None:

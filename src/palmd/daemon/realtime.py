@@ -67,9 +67,10 @@ def user() -> str:
 
 
 def freeze_collector() -> None:
-    """Take everything made so far out of the collector's sight. Once all is set up."""
+    """Take everything made so far out of the collector's sight, and let it begin. Once all is set up."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 def rss_mb() -> float:

@@ -18,6 +18,13 @@ from palmd.model.symbolic import ca
 PART = 200
 """Instructions in one piece: compilers take time by the square of what they must hold in registers at once."""
 
+ABREAST, NEAR = 2, 2000
+"""Registers full of columns that go through a piece before the next one, in kernels of so many registers at most.
+
+A kernel's code is longer than the nearest memory for it, so that else it is fetched anew for each; what is kept of more
+columns, or by larger kernels, is longer than that for numbers.
+"""
+
 _HEADER = Path(__file__).with_name("lanes.h")
 
 
@@ -99,11 +106,17 @@ def _functions(kernel: Kernel) -> str:
         + "\n}\n"
         for name, part in zip(names, parts, strict=True)
     ]
-    calls = "\n    ".join(f"{name}(in, out, at, w);" for name in names)
+    size = max(f.sz_w(), 1)
+    abreast, call = 1, "{}(in, out, at, w);"
+    if kernel.columns and size <= NEAR:
+        abreast, loop = ABREAST, f"for (long i = 0; i < {ABREAST} && at + i * WIDE < columns; i++)"
+        call = f"{loop} {{}}(in, out, at + i * WIDE, w + i * {size});"
+    step = "WIDE" if abreast == 1 else f"{abreast} * WIDE"
+    calls = "\n    ".join(map(call.format, names))
     return "".join(pieces) + (
         f"void {EXPORTED}{kernel.name}(const double *const *in, double *const *out, long columns) {{\n"
-        f"  lane w[{max(f.sz_w(), 1)}];\n"
-        f"  for (long at = 0; at < columns; at += WIDE) {{\n    {calls}\n  }}\n}}\n"
+        f"  lane w[{abreast * size}];\n"
+        f"  for (long at = 0; at < columns; at += {step}) {{\n    {calls}\n  }}\n}}\n"
     )
 
 

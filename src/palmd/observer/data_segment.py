@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
+from palmd.observer.middle import median
 from palmd.system.mechanism import PALMS
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm
@@ -44,7 +45,7 @@ class DataSegment:
             return self.start
         t = np.array([sample.t_sample for sample in self.palms])
         apart = np.diff(t)
-        ends = t[1:][apart > max(STARVED_S, STARVED * np.median(apart))]
+        ends = t[1:][apart > max(STARVED_S, STARVED * median(apart))]
         return max(float(ends[-1]) + LEAD_S, self.start) if len(ends) else self.start
 
     def until(self, t: float) -> DataSegment:

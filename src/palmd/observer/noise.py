@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import FloatArray, PadSample
+from palmd.observer.middle import median
 from palmd.observer.reduction import GATE
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import PALMS
@@ -45,7 +46,7 @@ def scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
     if len(pressed) < LEAST_READINGS:
         return pad
     t, force = np.array([(sample.t_sample, sample.force) for sample in pressed]).T
-    told = _scatter(t, force / np.sqrt(pad.force_variance(np.full(len(force), np.median(force)))))
+    told = _scatter(t, force / np.sqrt(pad.force_variance(np.full(len(force), median(force)))))
     return replace(pad, force_scale_std=pad.force_scale_std * min(told, MOST)) if told > DEADBAND else pad
 
 
@@ -56,7 +57,7 @@ def _scatter(t: FloatArray, values: FloatArray) -> float:
     apart = times[:, :, None] - times[:, None, :] + np.eye(ROW)
     weights = 1.0 / apart.prod(axis=2)
     squares = (weights * values).sum(axis=1) ** 2 / (weights**2).sum(axis=1)
-    variance = float(np.median(squares)) / _NORMAL_MEDIAN
+    variance = median(squares) / _NORMAL_MEDIAN
     for _ in range(REFINEMENTS):
         variance = float(squares[squares <= GATE * variance].mean()) if variance > 0.0 else 0.0
     return math.sqrt(variance)

@@ -17,6 +17,7 @@ from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
+from palmd.observer.middle import median
 from palmd.observer.record import Record
 from palmd.observer.reduction import IntArray, ReadingRows, Reduced, StepRows, Weighed, arithmetic
 
@@ -283,7 +284,7 @@ def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) ->
         return root, 0.0
     nis = (defect * root) ** 2
     # far from the answer all defects are large: only what stands out from the others is a blow
-    gate = noise.gate * max(1.0, _median(nis.ravel()) / 0.455)
+    gate = noise.gate * max(1.0, median(nis.ravel()) / 0.455)
     beyond = nis > gate
     pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
     cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
@@ -328,15 +329,6 @@ class _Readings:
     def rows(self, weighed: Weighed) -> ReadingRows:
         """As last `predicted`, linearised."""
         return ReadingRows(self.step, self._gradient[: len(self.step)], weighed.residual, weighed.root)
-
-
-def _median(values: FloatArray) -> float:
-    """As NumPy's, several times faster: that looks after NaN, which make the cost infinite here all the same."""
-    half = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, half)[half])
-    ordered = np.partition(values, half)
-    return float(ordered[:half].max() + ordered[half]) / 2
 
 
 def _padded(count: int) -> int:

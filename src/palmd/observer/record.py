@@ -12,6 +12,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import CURVATURE_INPUTS, rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
+from palmd.observer.middle import median
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.palms import RESTING_RAD_S, repetitions
 from palmd.system.description import RigDescription
@@ -108,7 +109,7 @@ class Record:
     def pressed_by(self, force: FloatArray) -> Record:
         """The same, contacts pressed by `force` (N, of each); scaled as the pads tell that, and not where none does."""
         scales = [
-            np.median(self.contact_force[mine] / force[mine])
+            median(self.contact_force[mine] / force[mine])
             for pad in PALMS
             if (mine := (self.contact_pad == pad) & (self.contact_force > 0.0) & (force > LEAST_FORCE_N)).any()
         ]
@@ -242,5 +243,6 @@ def _running_median(force: FloatArray, pad: FloatArray, width: int = 15) -> Floa
         mine = np.flatnonzero((pad == number) & np.isfinite(force))
         if len(mine):
             padded = np.pad(force[mine], width // 2, mode="edge")
-            level[mine] = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+            windows = np.lib.stride_tricks.sliding_window_view(padded, width)
+            level[mine] = np.partition(windows, width // 2, axis=1)[:, width // 2]
     return level

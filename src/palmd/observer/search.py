@@ -44,6 +44,7 @@ GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
 HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
 TURNS: FloatArray = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])  # with φ1, with φ1 + φ2, not at all
+MOTIONS = (0, 1, 2)  # of these
 RIDE_ITERATIONS = 30  # that one of these motions is worth
 ASTRAY_SIGMAS, ASTRAY_READINGS = 8.0, 5  # a prediction that misses so many readings in a row by so much is lost
 RIVAL = 25.0  # twice the difference in log-likelihood up to which a rival is carried along
@@ -96,6 +97,14 @@ class Attempt(NamedTuple):
     free: bool = False
     later_s: float = 0.0
     work: float = math.inf
+
+
+class Likeliest(NamedTuple):
+    """What is likeliest, whether the readings decide, and which motions explain them, of those that were tried."""
+
+    finding: Minima
+    decided: bool
+    motions: tuple[int, ...]
 
 
 class Search:
@@ -277,8 +286,11 @@ class Search:
     def _minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
         return minima(self.library, record, self.known, guesses, self.noise, rejections)
 
-    def likeliest(self, finding: Minima) -> tuple[Minima, bool]:
+    def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
         """`finding` or, where likelier, what turns as a palm does, or not at all; and whether the readings decide.
+
+        `motions`: those of `MOTIONS` that are tried. What has not explained a shorter part of the same readings does
+        not explain more of them either.
 
         Readings that hardly tell how an object turns are explained a little better by one of many motions, about which
         everything looks sharp, than by the right one, about which little does. So it is the evidence that is compared:
@@ -287,25 +299,28 @@ class Search:
         smoother, best = Smoother(self.library, finding.record, self.known), finding.fits[0]
         posterior = smoother.posterior_if_any(best)
         if posterior is None:
-            return finding, False
-        most, rival = -math.inf, best
-        for start in self._riding(best.guess.p):
-            fit = smoother.fit(start, self.noise, RIDE_ITERATIONS)
-            if not explained(fit, finding.record) or _difference(fit, best) <= DIFFERENT_M:
+            return Likeliest(finding, False, tuple(motions))
+        most, rival, able = -math.inf, best, list[int]()
+        for motion in motions:
+            fit = smoother.fit(self._riding(best.guess.p, motion), self.noise, RIDE_ITERATIONS)
+            if not explained(fit, finding.record):
                 continue
-            found = smoother.posterior_if_any(fit)
+            able.append(motion)
+            found = None if _difference(fit, best) <= DIFFERENT_M else smoother.posterior_if_any(fit)
             if found is not None and found.evidence > most:
                 most, rival = found.evidence, fit
         decided = most < posterior.evidence - LIKELIER
-        return (Minima(finding.record, (rival,)) if most > posterior.evidence + LIKELIER else finding), decided
+        if most > posterior.evidence + LIKELIER:
+            finding = Minima(finding.record, (rival,))
+        return Likeliest(finding, decided, tuple(able))
 
-    def _riding(self, p: FloatArray) -> list[Guess]:
+    def _riding(self, p: FloatArray, motion: int) -> Guess:
         """A circle that turns with palm 1, with palm 2, as what lies on a flat side does, or not at all."""
         begun = p.copy()
         begun[C.SHAPE :] = self.prior.mean[C.SHAPE :]
         angles, rates, _ = np.split(self.record.palms, 3, axis=1)
         moved = np.stack([angles - angles[0], rates], axis=1)
-        return [Guess(moved @ with_palms, begun) for with_palms in TURNS]
+        return Guess(moved @ TURNS[motion], begun)
 
     def merged(self, one: Minima | None, other: Minima | None) -> Minima | None:
         """What two searches of the whole segment have found between them."""

@@ -11,7 +11,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
+from palmd.observer.search import MOTIONS, Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import declared_exact
 
@@ -58,6 +58,7 @@ class Seeker:
         self._challenge_s = 0.0
         self._exact = declared_exact(rig)
         self._rolls = False
+        self._motions: tuple[FloatArray, tuple[int, ...]] | None = None  # that explained it, under which belief
         self._survived = self._challenges = 0
         self._failed = 0
         self._doubtful = True
@@ -82,7 +83,7 @@ class Seeker:
         if self._guesses and segment.start == self._start:
             finding = search.resumed(self._guesses)
         else:
-            self._challenge_s, self._survived, self._rolls = 0.0, 0, False
+            self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
         if finding is None and hint is not None:
             finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
         challenged = seconds >= self._challenge_s or not self.sure
@@ -99,7 +100,7 @@ class Seeker:
             finding = merged
             self._challenge_s = CHALLENGE * seconds
             if finding is not None and self._exact and not self._rig.curved:
-                finding, self._rolls = search.likeliest(finding)
+                finding = self._likeliest(search, finding)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -115,6 +116,14 @@ class Seeker:
                 self.needs_from = max(segment.end - KEPT_S, self.needs_from)
             return None
         return answer
+
+    def _likeliest(self, search: Search, finding: Minima) -> Minima:
+        """As `Search.likeliest`, without the motions that have not explained what there was before."""
+        before, sd = self._motions, search.belief.sd
+        motions = before[1] if before is not None and before[0] is sd else MOTIONS
+        found = search.likeliest(finding, motions)
+        self._rolls, self._motions = found.decided, (sd, found.motions)
+        return found.finding
 
     def _attempt(self, found: bool) -> Attempt:
         """The next blind search; what has been `found` is set against those that begin with unequal palms."""

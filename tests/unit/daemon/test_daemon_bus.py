@@ -308,20 +308,66 @@ def test_an_impossible_address_is_told(tmp_path):
         Bus("ipc:///no/such/folder/x", f"ipc://{tmp_path}/c")
 
 
-def test_what_comes_before_the_awaited_command_is_kept(rig):
-    curious, recorder = rig.client(zmq.DEALER, rig.command), rig.client(zmq.DEALER, rig.command)
-    curious.send(call(id=1, cmd="status"))
-    rig.bus.await_command("recorder", 0.1)
+def messages(client, wait_ms=TIMEOUT_MS):
+    """The numbers of all that comes until nothing does."""
+    seqs = []
+    while client.poll(200 if seqs else wait_ms):
+        seqs.append(msgpack.unpackb(client.recv_multipart()[1])["seq"])
+    return seqs
+
+
+def subscribed(rig):
+    """A client that hears all that leaves from now on, whatever is held back."""
+    client = rig.client(zmq.SUB, rig.publish)
+    client.subscribe(b"")
+    until_subscribed(client, lambda: rig.bus._publisher.send_multipart((b"", b"", b"")))
+    while client.poll(100):
+        client.recv_multipart()
+    return client
+
+
+def tick(rig, t=None):
+    rig.bus.publish(STATE, {"state": "idle"}, time.monotonic() if t is None else t, 0.0)
+
+
+def test_a_recorder_that_comes_while_all_is_held_back_misses_nothing(rig):
+    """The loop publishes, reads and answers meanwhile; nothing leaves before the recorder has spoken."""
+    rig.bus.hold_back("recorder", 60.0)
+    for _ in range(2 * daemon_bus.SENT_AT_ONCE):
+        tick(rig)
+    subscriber = subscribed(rig)
+    recorder = rig.client(zmq.DEALER, rig.command)
+    recorder.send(call(id=1, cmd="status"))
+    assert [request.name for request in rig.received()] == ["status"]
+    tick(rig)
+    assert not subscriber.poll(300)
     recorder.send(call(id=2, cmd="recorder", args={"bytes": 0, "messages": 0, "lost": 0}))
-    rig.bus.await_command("recorder", 60.0)  # ends long before: the test's own time is short
-    assert [request.name for request in rig.bus.receive()] == ["status", "recorder"]
-    assert rig.bus.receive() == []
-
-
-def test_whoever_could_have_found_the_bus_for_long_is_awaited_no_longer(rig):
-    """What the daemon did meanwhile was time enough."""
-    begun, rig.bus._t_open = time.monotonic(), rig.bus._t_open - 61.0
-    rig.bus.await_command("recorder", 60.0, since_open=True)
-    assert time.monotonic() - begun < 30.0
-    rig.client(zmq.DEALER, rig.command).send(call(id=1, cmd="recorder", args={"bytes": 0, "messages": 0, "lost": 0}))
     assert [request.name for request in rig.received()] == ["recorder"]
+    soon = time.monotonic() + daemon_bus.CAUGHT_UP_S
+    for _ in range(3):
+        tick(rig, soon)
+    assert messages(subscriber) == list(range(2 * daemon_bus.SENT_AT_ONCE + 4))
+
+
+def test_what_is_held_back_leaves_a_few_messages_at_a_time(rig):
+    """Else a tick would have to send half a second's."""
+    rig.bus.hold_back("recorder", 60.0)
+    for _ in range(5 * daemon_bus.SENT_AT_ONCE):
+        tick(rig)
+    subscriber = subscribed(rig)
+    tick(rig, time.monotonic() + 61.0)
+    assert len(messages(subscriber)) == daemon_bus.SENT_AT_ONCE
+    assert rig.bus.counters.published == 5 * daemon_bus.SENT_AT_ONCE + 1
+
+
+def test_nothing_is_held_back_for_longer_than_asked_nor_lost_at_the_end(rig):
+    """From when the addresses were open: what the daemon did meanwhile was time enough."""
+    rig.bus._t_open -= 61.0
+    subscriber = subscribed(rig)
+    rig.bus.hold_back("recorder", 60.0, since_open=True)
+    tick(rig)
+    assert messages(subscriber) == [0]
+    rig.bus.hold_back("recorder", 60.0)
+    tick(rig)
+    rig.bus.close()
+    assert messages(subscriber) == [1]

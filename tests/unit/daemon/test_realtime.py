@@ -6,6 +6,8 @@ import ctypes
 import os
 import platform
 import struct
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -45,3 +47,10 @@ def test_where_no_priority_is_allowed_short_slices_are_asked_for(monkeypatch: py
     assert after[:5] == before[:5]  # an ordinary thread as nice as before
     if tuple(map(int, platform.release().split(".")[:2])) >= SLICES_SINCE:
         assert after[5] == round(realtime.SLICE_S * 1e9)
+
+
+def test_the_collector_that_rests_while_a_daemon_starts_looks_after_the_loop() -> None:
+    run = "import gc; from palmd.daemon.realtime import freeze_collector; gc.disable(); freeze_collector()"
+    told = "; print(gc.isenabled(), gc.get_freeze_count() > 0)"
+    said = subprocess.run([sys.executable, "-c", run + told], capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["True", "True"]

@@ -96,9 +96,13 @@ def test_what_is_no_number_stays_none(tmp_path: Path) -> None:
 
 def test_pieces_hand_on_what_later_ones_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernels, "PART", 3)
-    x, y, J = np.arange(24.0).reshape(8, 3), np.zeros((8, 3)), np.zeros((8, 3, 3))
-    toy(tmp_path).bind("f_block", [x, np.ones(1)], [y, J])()
-    assert y[5] == pytest.approx(np.asarray(_function()(x[5], 1.0)[0]).ravel(), rel=1e-15)
+    n = 4 * LANES
+    x, y, J = np.arange(3.0 * n).reshape(n, 3), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    toy(tmp_path).bind("f_block", [x, np.ones(1)], [y, J])(3 * LANES)  # of which some stand abreast, and one is left
+    for row, out in zip(x[: 3 * LANES], y, strict=False):
+        assert out == pytest.approx(np.asarray(_function()(row, 1.0)[0]).ravel(), rel=1e-15)
+    assert not y[3 * LANES :].any()
+    assert not J[3 * LANES :].any()
 
 
 def test_a_bound_call_keeps_its_arrays_alive_and_reads_them_anew_each_time(tmp_path: Path) -> None:

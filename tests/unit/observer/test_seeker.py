@@ -16,7 +16,7 @@ from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import Search, explained, minima
+from palmd.observer.search import MOTIONS, Likeliest, Search, explained, minima
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
 from palmd.record.eventlog import read_log
@@ -62,17 +62,39 @@ def test_a_wide_minimum_outweighs_one_of_less_cost_in_which_all_looks_sharp():
     """What readings hardly tell is explained best by one of many motions, which need not be the right one."""
     search, spun = spinning_disc()
     turn = float(np.ptp(spun.fits[0].guess.x[:, 0]))
-    likelier, decided = search.likeliest(spun)
+    likelier, decided, motions = search.likeliest(spun)
     assert turn > 4.0
     assert explained(spun.fits[0], spun.record)
     assert spun.fits[0].cost < likelier.fits[0].cost - 9.0
     assert np.ptp(likelier.fits[0].guess.x[:, 0]) < 1.0
     assert not decided
+    assert motions
+    assert search.likeliest(spun, ()) == (spun, True, ())
 
 
 def test_on_an_exact_rig_only_what_is_likelier_than_a_ride_is_sure(rig, monkeypatch):
-    monkeypatch.setattr(Search, "likeliest", lambda _, finding: (finding, False))
+    monkeypatch.setattr(Search, "likeliest", lambda _, finding, motions: Likeliest(finding, False, motions))
     assert sought(rig) == [False, False]
+
+
+def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig, monkeypatch):
+    """But it is where the readings begin anew, or something else is believed of the rig."""
+    tried = []
+
+    def likeliest(_, finding, motions):
+        tried.append(motions)
+        return Likeliest(finding, False, motions[1:])
+
+    monkeypatch.setattr(Search, "likeliest", likeliest)
+    whole = longest_segment(simulated(*RUN).events)
+    seek = Seeker(rig, seed=0)
+    for segment in (whole.until(whole.start + 2.0), whole, whole.since(whole.start + 1.0), whole):
+        seek.sought(segment, None)
+    assert tried == [MOTIONS, MOTIONS[1:], MOTIONS, MOTIONS]
+    search = Search(whole, rig)
+    seek._likeliest(search, None)
+    seek._likeliest(search.believing(search.belief.suspended()), None)
+    assert tried[-1] == MOTIONS
 
 
 def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, monkeypatch):
