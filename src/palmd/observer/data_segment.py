@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
-from palmd.observer.middle import median
+from palmd.observer.median import median
 from palmd.system.mechanism import PALMS
 
 PAD_GAP_S = 0.4  # a pad silent for longer: the object may have left the palm

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import FloatArray, PadSample
-from palmd.observer.middle import median
+from palmd.observer.median import median
 from palmd.observer.reduction import GATE
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import PALMS

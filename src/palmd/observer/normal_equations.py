@@ -17,7 +17,7 @@ from palmd.events import FloatArray
 from palmd.model.compiled import LANES, Library
 from palmd.model.smoothing import NODE
 from palmd.observer.factor import Factor, Terms, cholesky_solved
-from palmd.observer.middle import median
+from palmd.observer.median import median
 from palmd.observer.record import Record
 from palmd.observer.reduction import IntArray, ReadingRows, Reduced, StepRows, Weighed, arithmetic
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import CURVATURE_INPUTS, rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
-from palmd.observer.middle import median
+from palmd.observer.median import median
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.palms import RESTING_RAD_S, repetitions
 from palmd.system.description import RigDescription
