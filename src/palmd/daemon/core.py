@@ -401,6 +401,7 @@ class Core:
             object_count=self._observer.object_count,
             look=lambda: self._observer.outlook(t),
             sticking=self._system.sticking,
+            cornered=self._observer.cornered,
         )
 
     def _conditions(self, t: float, under_way: bool) -> set[str]:

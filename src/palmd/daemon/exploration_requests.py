@@ -11,6 +11,7 @@ from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.excitation import homewards, rock
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
+from palmd.motion.tipping import tip
 from palmd.system.description import RigDescription
 
 LATENCY_S = 0.3  # what a decision takes in a run without wires
@@ -30,7 +31,7 @@ class Question:
     """What the palms should do after the move that is under way at `t` (s); without an outlook, to get one.
 
     `outlook`: as the system's observer gives it. Without `choose`: only whether that move may go on. `sticking`: of an
-    object that sticks, where its contacts are (m).
+    object that sticks, where its contacts are (m). `cornered`: the object was felt to have a corner.
     """
 
     t: float
@@ -39,6 +40,7 @@ class Question:
     under_way: UnderWay
     choose: bool = True
     sticking: tuple[float, ...] | None = None
+    cornered: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,10 @@ class Source(Protocol):
 
 
 class Decider:
-    """Answers for two palms: explores, rocks while nothing is known, provokes what sticks. Not for the loop."""
+    """Answers for two palms: explores, rocks while nothing is known, makes what sticks slip, tips what has corners.
+
+    Not for the loop.
+    """
 
     def __init__(self, rig: RigDescription, seed: int = 0) -> None:
         self._rig = rig
@@ -90,12 +95,17 @@ class Decider:
             self._explorer = Explorer(self._rig, task.limits, task.goal, self._seed)
             self._centre: Angles | None = None  # of the rocking
             self._corners: tuple[Angles, ...] = ()  # that are still to come of the rounds that provoke slips
+            self._tips = False
+            self._aim: Angles | None = None  # the pose of the rounds that tip it which comes next
         if outlook is not None:
             assert isinstance(outlook, Outlook), "it is of two palms"
         stuck_at = None if outlook is not None and outlook.vouched_for else question.sticking
         if stuck_at is None:
             self._corners = ()
-        if stuck_at is not None:
+        self._tips = self._tips or question.cornered  # whatever is believed of it later
+        if self._tips:
+            decision = self._tipped(move.end, task.limits, question.choose)
+        elif stuck_at is not None:
             decision = self._provoked(stuck_at, move, task.limits, question.choose)
         elif outlook is not None:
             self._centre = None
@@ -120,6 +130,16 @@ class Decider:
         if move is None:
             return Decision("wait", reason="the object sticks, and there is no room to make it slip")
         return Decision("move", move, "the object sticks: it is made to slip along either palm in turn", blind=True)
+
+    def _tipped(self, here: Angles, limits: MotionLimits, choose: bool) -> Decision:
+        """The move from `here` (rad) of an object with corners: from side to side, whatever it is."""
+        if not choose:
+            return Decision("safe")
+        move = tip(here, self._aim, limits)
+        if move is None:
+            return Decision("wait", reason="the object has corners, and there is no room to tip it from side to side")
+        self._aim = move.end
+        return Decision("move", move, "the object has corners: it is tipped from side to side", blind=True)
 
     def _until_known(self, here: Angles, limits: MotionLimits) -> Decision:
         """The next move of the palms, which stand at `here` (rad), when it is not known where the object is."""

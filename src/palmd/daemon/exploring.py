@@ -38,7 +38,7 @@ SILENT_S = 2.0  # of standing with one, before it is said that no decision comes
 class Senses(NamedTuple):
     """What is known at a tick: whether the palms may move by themselves, whether both pads are touched,
     whether the object is known well enough to foresee motions and which it is; `look` gets the outlook, which costs
-    time. sticking: of an object that sticks, where its contacts are (m)."""
+    time. sticking: of an object that sticks, where its contacts are (m). cornered: whether a corner of it was felt."""
 
     tracking: bool
     touching: bool
@@ -46,6 +46,7 @@ class Senses(NamedTuple):
     object_count: int
     look: Callable[[], object]
     sticking: tuple[float, ...] | None = None
+    cornered: bool = False
 
 
 class Explores(ABC):
@@ -236,7 +237,8 @@ class Exploring(Explores):
         if outlook is None and (senses.known or not may_rock):
             return
         choose = self._next is None and to_go <= 0.0
-        source.ask(Question(t, self._task, outlook, UnderWay(move, elapsed), choose, senses.sticking))
+        under_way = UnderWay(move, elapsed)
+        source.ask(Question(t, self._task, outlook, under_way, choose, senses.sticking, senses.cornered))
 
     def _halt(self, reason: str) -> None:
         self._halting = True

@@ -16,7 +16,7 @@ class SilentObserver:
 
     name, backend = "silent", "none"
     object_count = late_dropped = improvements = 0
-    foresees = False
+    foresees = cornered = False
 
     def warm_up(self) -> None:
         """Nothing to warm."""

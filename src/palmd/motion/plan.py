@@ -197,12 +197,12 @@ def compile_plan(spec: PlanSpec, limits: MotionLimits, start: Angles | None = No
     return _Compiler(spec, limits).trajectory(start if start is not None else home(limits))
 
 
-def approach(start: Angles, end: Angles, limits: MotionLimits, least: float) -> Move:
-    """A gentle move that takes `least` (s) or more; raises PoseError if its way leaves the limits."""
+def approach(start: Angles, end: Angles, limits: MotionLimits, least: float, share: float = APPROACH_SHARE) -> Move:
+    """A move that takes `least` (s) or more, by that share of the limits; raises PoseError if its way leaves them."""
     if start == end:
         return Move(start, end, least)
     move, extremes = _way(start, end, limits)
-    gentle = [APPROACH_SHARE * bound.high for bound in limits.bounds]
+    gentle = [share * bound.high for bound in limits.bounds]
     return Move(start, end, max(least, move.duration * _slowing(limits.bounds, extremes, gentle)))
 
 

@@ -243,6 +243,12 @@ class BankObserver:
         """Whether the last estimate was good enough to choose motions by, though perhaps not valid yet."""
         return self._session.track is not None and self._session.track.predictable
 
+    @property
+    def cornered(self) -> bool:
+        """Whether it has lain on a palm and touched the other one with a corner (`Riding`)."""
+        track = self._session.track
+        return track is not None and track.riding.cornered
+
     def outlook(self, t: float) -> Outlook | None:
         """What is known of the object at `t` (s), for choosing motions; None unless it `foresees`."""
         fusion, track = self._fusion, self._session.track

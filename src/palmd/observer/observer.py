@@ -57,6 +57,10 @@ class LiveObserver(Protocol):
     def outlook(self, t: float) -> object:
         """What is known for choosing motions, None unless it `foresees`."""
 
+    @property
+    def cornered(self) -> bool:
+        """Whether the object has been felt to have a corner, so that no outlook is right about it."""
+
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is, None before anything is felt and where none are stored."""
 

@@ -79,6 +79,8 @@ def seat_of(lying: RideReadings, shared: FloatArray, shared_sd: FloatArray) -> S
         if still.sum() == len(kept.t):
             break
         kept = lying.only(still)
+    if not len(kept.t):
+        return None
     try:
         covariance = np.linalg.inv(found.information)[:SEAT, :SEAT] + np.diag(FORM_SD_M) ** 2
         return Seat(p[:SEAT], np.linalg.inv(np.linalg.cholesky(covariance)), kept)

@@ -178,6 +178,11 @@ class QuasistaticObserver:
         """Whether there is an outlook: never."""
         return False
 
+    @property
+    def cornered(self) -> bool:
+        """Never said: it knows smooth objects only."""
+        return False
+
     def outlook(self, t: float) -> Outlook | None:  # noqa: ARG002
         """None: what it knows is not enough to foresee a motion."""
         return None

@@ -35,6 +35,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
+from palmd.motion.tipping import tip
 
 STEP_S = 0.002
 CYCLE_STEPS, TICK_STEPS = 8, 5
@@ -96,6 +97,7 @@ class Stage:
         self.valid = self.touching = self.tracking = True
         self.object_count = 1
         self.sticking: tuple[float, ...] | None = None
+        self.cornered = False
         self.motions: list[PalmMotion] = []
         self.spec = PlanSpec.model_validate(
             {"name": "out", "segments": [{"explore": {"time_limit_s": time_limit_s, "coverage": 0.9}}]}
@@ -121,7 +123,7 @@ class Stage:
             self.steps += 1
             if self.steps % TICK_STEPS == 0:
                 known = self.tracking, self.touching, self.valid
-                senses = Senses(*known, self.object_count, self.look, self.sticking)
+                senses = Senses(*known, self.object_count, self.look, self.sticking, self.cornered)
                 self.exploring.step(self.t, senses)
             if self.steps % CYCLE_STEPS == 0:
                 assert self.setpoints.target(self.t) is not None
@@ -495,6 +497,35 @@ def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known
         decider._explorer.decide = lambda *_, **__: Decision("wait", reason="explores")  # type: ignore[method-assign]
         told.append(decider.answer(asked(stage, stage.look(), sticking)).decision)
     assert [decision.reason for decision in told] == ["explores", "explores"]
+
+
+def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
+    stage, decider = Stage(), Decider(rig_description(CONFIG))
+    guessed = replace(stage.look(), rig=np.zeros(15))
+    for outlook, cornered in ((guessed, True), (None, False), (guessed, False)):
+        question = replace(asked(stage, outlook, (0.02, 0.02)), cornered=cornered)
+        decision = decider.answer(question).decision
+        assert decision.blind
+        assert "corners" in decision.reason
+        assert decision.move == tip(HERE.angles, None, LIMITS)
+        assert decider.answer(replace(question, choose=False)).decision.kind == "safe"
+    first, ends = tip(HERE.angles, None, LIMITS), []
+    assert first is not None
+    for here in (first.at(1.0).angles, first.end):  # stopped on its way, and arrived
+        decision = decider.answer(replace(question, under_way=UnderWay(Move(here, here, 0.0), 9.0))).decision
+        assert decision.move is not None
+        ends.append(decision.move.end)
+    assert ends[0] == first.end != ends[1]
+    other = replace(asked(stage, None, None), task=replace(question.task, run=2))
+    assert "corners" not in decider.answer(other).decision.reason
+
+
+def test_that_a_corner_was_felt_is_passed_on() -> None:
+    stage = Stage()
+    for cornered in (False, True):
+        stage.cornered = cornered
+        list(stage.go(2.0))
+        assert stage.source.questions[-1].cornered == cornered
 
 
 def test_it_goes_from_corner_to_corner_each_once() -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 
+import numpy as np
 import pytest
 from outcomes import conclude, outcome, take
 
@@ -13,7 +14,9 @@ from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless, WirelessError
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
+from palmd.observer import Simulated
 from palmd.rig.fault_injection import order
+from palmd.rig.real_things import thing
 from palmd.rig.world import default_config
 
 ROCK = PlanSpec.model_validate(
@@ -218,3 +221,12 @@ def test_what_never_settled_has_no_numbers():
     found = outcome(scorer, run.world)
     assert not found.settled
     assert all(math.isnan(x) for x in (found.valid, found.wrong, found.r_rms, found.e_h, found.rho_error))
+
+
+def test_what_is_felt_to_have_a_corner_is_tipped():
+    config = default_config()
+    body = thing("nut", np.random.default_rng(1)).body
+    run = Wireless(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)
+    run.start()
+    list(run.run(3.0))
+    assert "corners" in run.core.exploring.reason

@@ -1,11 +1,11 @@
 """A thing with corners that is tipped in the emulated rig is told by where it lies, and more of it than one side."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from palmd.config.two_palms import PlanSpec
 from palmd.lab import thing_logs
 from palmd.observer import places
 from palmd.observer.cornered_reconstruct import cornered_reconstruction
@@ -13,15 +13,24 @@ from palmd.observer.data_segment import data_segments
 from palmd.observer.search import Search
 from palmd.observer.sided import SidedSearch
 from palmd.score import score_outline
-from palmd.yamlfile import load_plan
 
-PLAN = Path(__file__).parents[3] / "config" / "plans" / "tip.yaml"
+POSES_DEG = ((118, 50, 2.5), (54, 114, 2.0), (12, 114, 1.5), (12, 46, 2.0))  # φ1, φ2, and in what time (s)
+ROUND = PlanSpec.model_validate(
+    {
+        "name": "round",
+        "repeat": "forever",
+        "segments": [
+            {"move": {"phi1_deg": first, "phi2_deg": opening}, "duration_s": duration}
+            for first, opening, duration in POSES_DEG
+        ],
+    }
+)
 
 
 @pytest.fixture(scope="module")
 def tipped():
     """The first segment's search, all that was felt on sides, and the truth."""
-    task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=load_plan(PLAN))
+    task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND)
     log, truth, _ = thing_logs.simulated(task)
     search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]
     return search, SidedSearch(search, 0, others), truth

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from palmd.observer import places
 from palmd.observer.lying import Carried, RideReadings, balance
 from palmd.observer.rides import Ride
 
@@ -84,3 +85,15 @@ def test_what_rocks_is_left_out_and_nothing_else():
     assert not kept[t < 0.35].any()
     assert kept[t > 0.7].all()
     assert len(lying.only(kept).t) == kept.sum()
+
+
+def test_a_ride_of_which_nothing_lies_still_in_the_end_tells_no_seat(monkeypatch):
+    monkeypatch.setattr(places, "MOST_ROCKS", 1)
+    t = np.arange(0.0, 1.0, 0.01)
+    on_ridden = np.arange(len(t)) % 2 == 0
+    carried = Carried.by(0, palms(t), RIG)
+    there = balance(SEAT, SHARED, carried)
+    s = np.where(on_ridden, there.ridden, there.other) + 4e-3 * np.sin(60 * t)
+    ride = Ride(0, 0.0, 1.0, SEAT[:2], 1e-10 * np.eye(2), rolls=True)
+    rocking = RideReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
+    assert places.seat_of(rocking, SHARED, np.array([0.2, 0.1, 0.4])) is None

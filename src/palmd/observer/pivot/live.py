@@ -168,6 +168,11 @@ class PivotObserver:
         """Whether the gripper's place is known."""
         return self._gripper is not None
 
+    @property
+    def cornered(self) -> bool:
+        """Never said: it knows smooth objects only."""
+        return False
+
     def outlook(self, t: float) -> Touching | None:
         """What a gripper that drags must go by."""
         if self._gripper is None:

@@ -160,6 +160,11 @@ class BodyObserver:
         """Whether what is believed, claimed or not, still tells about what the readings are."""
         return self._foresees
 
+    @property
+    def cornered(self) -> bool:
+        """Never said: it knows smooth objects only."""
+        return False
+
     def outlook(self, t: float) -> BodyOutlook | None:
         """What is believed of the body at `t` (s); None unless it `foresees`."""
         answer, filtered = self._answer, self._filter
