@@ -56,6 +56,7 @@ FOUND_S = 9.0
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 STRANGE = 3.0
 """One-sigmas by which the cost of a whole record is too high, from which on finer harmonics are asked for."""
+RUBS = 0.02  # coefficient of friction, above which a body moves with the palms
 FINE_TRIES = 8  # iterations with these, which explain half of what was left, or they are not what it takes
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
@@ -282,14 +283,12 @@ def _starts(task: Task) -> Iterator[tuple[list[Grown], float]]:
     for seconds in WHOLE_STARTS_S:
         ways = islice(beliefs.hypotheses(), WAYS if seconds > min(WHOLE_STARTS_S) else None)
         yield _likely(anew(task, task.record(seconds), ways)), FORKS_A_LAP
-    spinning, slippery = (
-        task.record(SPINNING_S),
-        [way for way in beliefs.hypotheses() if way.mu == beliefs.FRICTIONLESS],
-    )
-    found = [each for way in slippery for each in anew(task, spinning, [way])]
-    yield _likely(apart(sorted(found, key=lambda each: each.cost))), math.inf
     for seconds in STARTS_S:
         yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS]), math.inf
+    spinning = task.record(SPINNING_S)
+    slippery = [way for way in beliefs.hypotheses() if way.mu == beliefs.FRICTIONLESS]
+    found = [each for way in slippery for each in anew(task, spinning, [way])]
+    yield _likely(apart(sorted(found, key=lambda each: each.cost))), math.inf
 
 
 def _likely(found: list[Grown]) -> list[Grown]:
@@ -458,14 +457,10 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: 
         early = now.intervals * SPACING_S < FORKS_S
         if now.since_whole > (AGAIN_EARLY if early else AGAIN):
             now = _sure(task, smoothed(task, now))
-            if now.astray:
-                break
         further = _window(task, now, WINDOWS_S[0], until)
         surprising = FORKED if early else FORETOLD
         if further.surprise > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
             now = _sure(task, smoothed(task, now))
-            if now.astray:
-                break
             further = _window(task, now, WINDOWS_S[0], until)
         if further.surprise > surprising:
             if early and forks > 0:
@@ -480,10 +475,13 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: 
 
 
 def _sure(task: Task, now: Grown) -> Grown:
-    """The rival, all of which is fitted, with finer harmonics where they pay; astray where nothing explains it."""
+    """The rival, all of which is fitted, with finer harmonics where they pay; astray where nothing explains it.
+
+    Finer ones are for what spins: where a palm rubs they bend, for a while, to what a wrong motion leaves unexplained.
+    """
     if not task.finest or now.strange < STRANGE:
         return now
-    now = _finer(task, now) if now.wants_finer else now
+    now = _finer(task, now) if now.wants_finer and now.motion.p[-2] < RUBS else now
     return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 
