@@ -481,7 +481,7 @@ def _sure(task: Task, now: Grown) -> Grown:
     """
     if not task.finest or now.strange < STRANGE:
         return now
-    now = _finer(task, now) if now.wants_finer and now.motion.p[-2] < RUBS else now
+    now = _finer(task, now) if now.motion.p[-2] < RUBS else now
     return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 
