@@ -22,9 +22,8 @@ CENTRE_SD = 0.07  # of the centre of mass from the middle, in radii
 ELLIPSE_SD = 0.08  # RMS over the sphere of all harmonics of degree 2, in radii
 FALL = 2.2  # with which power of the degree it falls from there
 BEYOND_8 = 2.5e-3  # RMS of all degrees above 8, in radii; a smooth body has less
-LEFT_WHERE_TOUCHED = 0.5
 CENTRE_LEFT = 0.75
-"""Share of it by which heights move together where little was touched: it misleads how high the centre of mass is."""
+"""Share of what is beyond by which heights move together where little was touched: it misleads the centre's height."""
 EXPLAINED_CHI2, UNEXPLAINED_CHI2 = 1.15, 1.35
 """Up to which readings are explained to their noise, and from which on they tell nothing of what is left out."""
 NUMBERS_ALIKE = 30.0
@@ -52,14 +51,16 @@ def shape_variance(radius: float, order: int) -> FloatArray:
 def beyond_sd(radius: float, order: int, touched: Bools, chi2: float = 1.0) -> FloatArray:
     """(D,) one-sigma of the outline's height from the degrees above `order`, by whether a palm `touched` there (m).
 
-    Readings along a contact curve tell the sum of all degrees there, and leave of what is beyond only a share: more of
-    it, the less they are explained (`chi2` per number read). It moves the centre of mass besides, from which heights
-    count, as the mean of as many values as lobes of the next degree lie on what was touched.
+    Readings along a contact curve tell the sum of all degrees there, which lower ones can follow the better, the less
+    was touched: they leave of what is beyond the root of the share touched, and more of it, the less the readings are
+    explained (`chi2` per number read). It moves the centre of mass besides, from which heights count, as the mean of as
+    many values as lobes of the next degree lie on what was touched.
     """
     everywhere = BEYOND_8 * radius * (8.0 / order) ** (FALL + 0.5)
     missed = min(max((chi2 - EXPLAINED_CHI2) / (UNEXPLAINED_CHI2 - EXPLAINED_CHI2), 0.0), 1.0)
-    left = LEFT_WHERE_TOUCHED + missed * (1.0 - LEFT_WHERE_TOUCHED)
-    lobes = max(float(touched.mean()) * (order + 2) ** 2, 1.0)
+    share = float(touched.mean())
+    left = missed + (1.0 - missed) * math.sqrt(share)
+    lobes = max(share * (order + 2) ** 2, 1.0)
     sd: FloatArray = np.where(touched, math.hypot(left, CENTRE_LEFT / math.sqrt(lobes)) * everywhere, everywhere)
     return sd
 

@@ -22,7 +22,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import FINE, ORDER, centres_of, inertia
+from palmd.observer.three_palms.body import ORDER, centres_of, inertia
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
@@ -39,13 +39,15 @@ from palmd.observer.three_palms.search import (
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
-WHOLE_STARTS_S = (2.0, math.inf, 8.0, 5.0)
+WHOLE_STARTS_S = (2.0, 5.0, 8.0, math.inf)
 """Of a record, that are explained as a whole at once; from the first second alone, in many ways, where that fails.
 
 What is calm is told soonest from its beginning; a tumble leads who grows from there astray, but not who explains all.
 """
 WAYS = 4
 """Hypotheses that longer starts are tried with; the shortest is tried with all."""
+SPINNING_S = 0.7
+"""Of a record, that is explained as a whole by each way without friction: who spins fast has come far in 2 s."""
 STARTS_S = (1.3, 0.8)
 LAP_S = 1.5
 """After how long a time rivals are compared."""
@@ -54,6 +56,8 @@ FOUND_S = 9.0
 BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
 STRANGE = 3.0
 """One-sigmas by which the cost of a whole record is too high, from which on finer harmonics are asked for."""
+RUBS = 0.02  # coefficient of friction, above which a body moves with the palms
+FINE_TRIES = 8  # iterations with these, which explain half of what was left, or they are not what it takes
 SAME_COST, SAME_RAD_S = 3.0, 0.02
 TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
 HOPELESS_WHOLE = 1.7  # cost per number read after these, above which a start of a whole record leads nowhere
@@ -75,7 +79,7 @@ FORETOLD = 1.35
 FORKED, FORKS_S = 1.15, 3.0
 """The same of a window in the first seconds, where what is behind allows of more than one way on."""
 FORK_S = 0.4
-FORKED_STARTS = 2
+FORKED_STARTS, FORKS_A_LAP = 2, 1
 TRIES = (4, 12)
 """Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
@@ -92,7 +96,8 @@ class Grown:
 
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
     met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
-    folded: how many numbers were read before the record, and what they cost. refined: finer harmonics have been tried.
+    folded: how many numbers were read before the record, and what they cost. refined: how many intervals it had when
+    finer harmonics were tried. astray: nothing explains all of it.
     """
 
     prior: BodyPrior
@@ -105,7 +110,8 @@ class Grown:
     met: int = 1
     confirmed: int = 0
     folded: tuple[int, float] = (0, 0.0)
-    refined: bool = False
+    refined: int = 0
+    astray: bool = False
 
     @property
     def intervals(self) -> int:
@@ -119,14 +125,23 @@ class Grown:
 
     @property
     def unexplained(self) -> float:
-        """What it cost more than 1 for each number that was ever read; 0 where all is explained."""
-        numbers, cost = self.folded
-        return max((cost + self.cost) / (numbers + self.record.numbers) - 1.0, 0.0)
+        """What it cost more than 1 and its one-sigma for each number that was ever read; 0 where all is explained."""
+        numbers, cost = self.folded[0] + self.record.numbers, self.folded[1] + self.cost
+        return max(cost / numbers - 1.0 - math.sqrt(2.0 / numbers), 0.0)
 
     @property
     def strange(self) -> float:
         """By how many of its one-sigmas the cost is more than it should be."""
-        return (self.per_number - 1.0) * math.sqrt(self.record.numbers / 2)
+        return self.beyond(1.0)
+
+    def beyond(self, per_number: float) -> float:
+        """By how many of its one-sigmas the cost is above so much per number read."""
+        return (self.per_number - per_number) * math.sqrt(self.record.numbers / 2)
+
+    @property
+    def wants_finer(self) -> bool:
+        """Whether its cost tells that harmonics leave something out."""
+        return self.strange >= STRANGE and self.per_number <= HOPELESS
 
     @property
     def since_whole(self) -> float:
@@ -146,6 +161,8 @@ class Grown:
     @property
     def lost(self) -> bool:
         """Whether what it foretells has nothing to do with what is read any more."""
+        if self.astray:
+            return True
         length, cost = 0, 0.0
         for intervals, surprise in reversed(self.windows):
             length, cost = length + intervals, cost + intervals * surprise
@@ -214,8 +231,8 @@ class Grown:
 def best(task: Task) -> list[Grown]:
     """Rivals followed to the end or to where they are lost: who got furthest first, then bodies, then the cheapest."""
     ended: list[Grown] = []
-    for running in _starts(task):
-        ended += raced(task, running)
+    for running, forks in _starts(task):
+        ended += raced(task, running, forks=forks)
         ended.sort(key=_rank)
         if ended and ended[0].intervals == task.intervals(task.end - task.start):
             ended = sorted(sharpened(task, ended), key=_rank)
@@ -231,8 +248,8 @@ def _rank(rival: Grown) -> tuple[int, bool, float]:
 
 
 def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
-    """Those that explain all of the record about as cheaply as the first, up to degree `FINE` where that pays."""
-    if not ended or ended[0].strange < STRANGE or ended[0].per_number > HOPELESS:
+    """Those that explain all of the record about as cheaply as the first, with finer harmonics where that pays."""
+    if not ended or not ended[0].wants_finer:
         return ended
     first = ended[0]
 
@@ -243,26 +260,40 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
 
 
 def _finer(task: Task, now: Grown) -> Grown:
-    if now.refined:
-        return now
+    """With an outline up to the finest degree, where that pays; all of it is fitted."""
     p = now.motion.p
-    prior = beliefs.prior(Y00 * float(now.prior.mean[0]), FINE, task.spin_sd)
+    if now.refined == now.intervals or order_of(len(p) - BODY) >= task.finest:
+        return now
+    now = replace(now, refined=now.intervals)
+    prior = beliefs.prior(Y00 * float(now.prior.mean[0]), task.finest, task.spin_sd)
     smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
-    fit = smoother.fit(replace(now.motion, p=beliefs.raised(p, FINE)))
+    fit = smoother.fit(replace(now.motion, p=beliefs.raised(p, task.finest)), FINE_TRIES)
     if fit.cost > now.cost - BEHIND:
-        return replace(now, refined=True)
-    found = replace(now, prior=prior, motion=fit.motion, cost=fit.cost, whole=fit, windows=(), refined=True)
-    return replace(found, ahead=smoother.ahead(fit))
+        return now
+    if now.cost - fit.cost > fit.cost - now.record.numbers:  # it explains most of what was left
+        fit = smoother.fit(fit.motion)
+    return replace(now, prior=prior, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, windows=())
 
 
-def _starts(task: Task) -> Iterator[list[Grown]]:
-    """What rivals are followed from, one set after the other, each sought only when it is asked for."""
+def _starts(task: Task) -> Iterator[tuple[list[Grown], float]]:
+    """What rivals are followed from, one set after the other, each sought only when it is asked for.
+
+    With each, in how many windows a lap they are forked: what leads on from seconds as a whole needs no more than one.
+    """
     for seconds in WHOLE_STARTS_S:
         ways = islice(beliefs.hypotheses(), WAYS if seconds > min(WHOLE_STARTS_S) else None)
-        found = [each for each in anew(task, task.record(seconds), ways) if each.per_number < SURE]
-        yield [each for each in found if each.cost < found[0].cost + BEHIND]
+        yield _likely(anew(task, task.record(seconds), ways)), FORKS_A_LAP
     for seconds in STARTS_S:
-        yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS])
+        yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS]), math.inf
+    spinning = task.record(SPINNING_S)
+    slippery = [way for way in beliefs.hypotheses() if way.mu == beliefs.FRICTIONLESS]
+    found = [each for way in slippery for each in anew(task, spinning, [way])]
+    yield _likely(apart(sorted(found, key=lambda each: each.cost))), math.inf
+
+
+def _likely(found: list[Grown]) -> list[Grown]:
+    """Of starts, the cheapest first, those that explain their record, about as cheaply."""
+    return [each for each in found if each.per_number < SURE and each.cost < found[0].cost + BEHIND]
 
 
 def begun_in_ways(task: Task, found: list[Rival], forks: float = math.inf) -> list[Grown]:
@@ -329,7 +360,8 @@ def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     """All of it fitted as a whole."""
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
     # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
-    newest, before = now.motion.p, beliefs.raised(now.whole.motion.p, ORDER)
+    newest = now.motion.p
+    before = beliefs.raised(now.whole.motion.p, order_of(len(newest) - BODY))
     bodies = [newest] if np.array_equal(newest, before) else [newest, before]
     starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
     fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
@@ -424,11 +456,11 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: 
     while now.intervals < until and not now.lost and now.cost <= most:
         early = now.intervals * SPACING_S < FORKS_S
         if now.since_whole > (AGAIN_EARLY if early else AGAIN):
-            now = smoothed(task, now)
+            now = _sure(task, smoothed(task, now))
         further = _window(task, now, WINDOWS_S[0], until)
         surprising = FORKED if early else FORETOLD
         if further.surprise > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
-            now = smoothed(task, now)
+            now = _sure(task, smoothed(task, now))
             further = _window(task, now, WINDOWS_S[0], until)
         if further.surprise > surprising:
             if early and forks > 0:
@@ -440,6 +472,17 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: 
                         break
         now = further
     return now
+
+
+def _sure(task: Task, now: Grown) -> Grown:
+    """The rival, all of which is fitted, with finer harmonics where they pay; astray where nothing explains it.
+
+    Finer ones are for what spins: where a palm rubs they bend, for a while, to what a wrong motion leaves unexplained.
+    """
+    if not task.finest or now.strange < STRANGE:
+        return now
+    now = _finer(task, now) if now.motion.p[-2] < RUBS else now
+    return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 
 def _forked(task: Task, now: Grown, until: int) -> Grown:

@@ -42,7 +42,11 @@ KEPT = 4
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is given: the joints' path, all readings with their smoothed course, and the rig."""
+    """What is given: the joints' path, all readings with their smoothed course, and the rig.
+
+    finest: degree up to which outlines may go where `ORDER` does not explain what is read, and whom nothing explains is
+    given up; 0 where neither is asked for.
+    """
 
     path: JointPath
     readings: PadReadings
@@ -50,6 +54,7 @@ class Task:
     rig: ThreePalmsRig
     start: float
     end: float
+    finest: int = 0
 
     def record(self, seconds: float) -> BodyRecord:
         """The first `seconds`."""
