@@ -25,10 +25,11 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at
 
-ROUNDS = 12  # of `COLUMNS` moves each, that a decision's tree grows by
+ROUNDS, MOST_ROUNDS = 10, 24  # of `COLUMNS` moves each, that a decision's tree grows by
+ENOUGH = 0.013  # of the sphere a second, as 0.8 in a minute takes: who has found that seeks no further
 HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
 LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
-AGAIN = 6  # of the last decision's sequences, that are gone on with
+AGAIN = 24  # of the last decision's sequences, that are gone on with
 LITTLE = 0.004  # of the sphere: where no sequence shows more, places count where the body has not been
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
@@ -45,6 +46,7 @@ SHORTEST_S = 0.15
 BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
 AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
+JUDGED, JUDGES = 12, 6  # of the sequences that show most, by how many of the bodies
 SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
@@ -77,17 +79,13 @@ class BodyDraws:
 
 @dataclass(frozen=True, slots=True)
 class _MoveSequence:
-    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take.
-
-    value: a second, places counted where it has not been.
-    """
+    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take."""
 
     bearings: Bearings
     touched: Bools
     seconds: float
     moves: tuple[Move, ...]
     gain: float
-    value: float
 
     @property
     def gained(self) -> float:
@@ -117,7 +115,8 @@ class BodyExplorer:
 
     def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
-        cosines = self._directions @ normals.reshape(-1, 3).T
+        some = normals.reshape(-1, 3)
+        cosines = self._directions @ some[np.isfinite(some[:, 0])].T
         return np.asarray((cosines > math.cos(within)).any(axis=1), np.bool_)
 
     def decide(
@@ -133,21 +132,61 @@ class BodyExplorer:
         self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
         self._rough.learn(self._foresight.known)
-        root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
+        root = _MoveSequence(now, touched, 0.0, (), 0.0)
         tree = [root, *self._followed(root)]
         untouched = self._directions[~touched] if not touched.all() else self._directions
-        for number in range(ROUNDS):
+        for number in range(MOST_ROUNDS):
+            if number >= ROUNDS and max(each.gained for each in tree) > ENOUGH:
+                break
             tree += self._grown(self._parents(tree, untouched) if number else [root] * COLUMNS, root)
         found = tree[1:]
-        if any(each.gain > LITTLE for each in found):
-            found.sort(key=lambda each: -each.gained)
-        else:
-            found.sort(key=lambda each: -each.value)
-        ways = list(dict.fromkeys(each.moves[:SURE_MOVES] for each in found))
+        promising = any(each.gain > LITTLE for each in found)
+        worth = [each.gained for each in found] if promising else self._with_places(found)
+        found = [found[k] for k in np.argsort(-np.array(worth), kind="stable").tolist()]
+        best: dict[tuple[Move, ...], _MoveSequence] = {}
+        for each in found:
+            best.setdefault(each.moves[:SURE_MOVES], each)
+        ways = list(best)
+        if promising and drawn is not None:
+            rates = self._foretold(now, [best[way] for way in ways[:JUDGED]], touched, drawn)
+            ways[:JUDGED] = [ways[k] for k in np.argsort(-rates, kind="stable").tolist()]
         draws = _sure(self._foresight.known) if drawn is None else drawn
         way = self._surest(now, ways, draws)
         self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
         return way[0] if way else None
+
+    def _foretold(
+        self, now: Bearings, sequences: Sequence[_MoveSequence], touched: Bools, draws: BodyDraws
+    ) -> FloatArray:
+        """(K,) what `JUDGES` of the bodies show of new a second, in the mean, on each sequence or its beginning.
+
+        The mean body promises what lies beyond edges that no other has. One that is lost shows nothing more.
+        """
+        rates, at_once = np.zeros(len(sequences)), COLUMNS // JUDGES
+        for begin in range(0, len(sequences), at_once):
+            some = sequences[begin : begin + at_once]
+            n = JUDGES * len(some)
+            turn, spin, p = (np.tile(each[:JUDGES], (len(some), 1)) for each in (draws.turn, draws.spin, draws.p))
+            first = Bearings(rotation.exp(turn) @ now.R, now.omega + spin, np.repeat(now.joints, n, axis=0))
+            there, held, seen = first, np.full(n, True), np.tile(touched, (n, 1))
+            seconds = np.zeros(len(some))
+            for k in range(max(len(each.moves) for each in some)):
+                going = np.array([len(each.moves) > k for each in some])
+                moves = [each.moves[min(k, len(each.moves) - 1)] for each in some]
+                durations = np.array([move.duration for move in moves])
+                ends = np.repeat([move.end for move in moves], JUDGES, axis=0)
+                foreseen = self._rough.of(there, ends, np.repeat(durations, JUDGES), p=p)
+                held &= (foreseen.least_force > 0.0) & (foreseen.room > 0.0)
+                for column in np.flatnonzero(held & np.repeat(going, JUDGES)).tolist():
+                    seen[column] |= self.covered(foreseen.normals[column, ::2])
+                seconds[going] += durations[going]
+                gains = (seen.mean(axis=1) - touched.mean()).reshape(-1, JUDGES).mean(axis=1)
+                rates[begin : begin + at_once] = np.maximum(
+                    rates[begin : begin + at_once], gains / (seconds + DECISION_S)
+                )
+                turned = np.where(held[:, None, None], foreseen.after.R, first.R)
+                there = Bearings(turned, np.where(held[:, None], foreseen.after.omega, 0.0), ends)
+        return rates
 
     def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:
         """The first of the ways that keeps the body, or the first beginning that does; empty where none is found.
@@ -259,18 +298,23 @@ class BodyExplorer:
             seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
             gain = np.count_nonzero(seen & ~root.touched) / len(seen)
-            value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
-            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
+            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain)
         return found
 
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 
-    def _novelty(self, rotation: FloatArray) -> float:
-        """How far a rotation is from all before (rad), no more than 1."""
-        return min(float(_chords(np.stack(self._been), rotation).min()), 1.0)
+    def _with_places(self, found: Sequence[_MoveSequence]) -> list[float]:
+        """What each shows of new a second, with how far it leads from all rotations before (1 rad at most)."""
+        led, been = (np.array(each).reshape(-1, 9) for each in ([each.bearings.R for each in found], self._been))
+        apart = np.sqrt(np.maximum(3.0 - led @ been.T, 0.0)).min(axis=1)  # as `_chords`
+        places = NOVELTY * np.minimum(apart, 1.0)
+        return [
+            (each.gain + place) / (each.seconds + DECISION_S)
+            for each, place in zip(found, places.tolist(), strict=True)
+        ]
 
     def _drawn(self, start: FloatArray) -> FloatArray:
         """Ends of moves from (N, 3): in corners, of one joint, near by, anywhere; where all palms bear the body."""
