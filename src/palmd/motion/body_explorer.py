@@ -46,6 +46,7 @@ SHORTEST_S = 0.15
 BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
 AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
+VAIN = 0.5  # of its worth, that a direction keeps which a move was to touch in vain, or which the best may not touch
 JUDGED, JUDGES = 12, 6  # of the sequences that show most, by how many of the bodies
 SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
@@ -109,6 +110,9 @@ class BodyExplorer:
         self._rough = BodyForesight(foresight.known, foresight.gravity, foresight.pad_side, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
+        # What each direction is worth, touched for the first time, and what the last moves were to touch of new.
+        self._worth = np.ones(len(directions))
+        self._promised: tuple[Bools, ...] = ()
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self._low, self._high = np.array(limits.angles).T
         self._least_force, self._most_rad_s, self._shortest_s = LEAST_FORCE, math.inf, SHORTEST_S
@@ -131,6 +135,7 @@ class BodyExplorer:
         """
         self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
+        self._judge(touched)
         self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0)
         tree = [root, *self._followed(root)]
@@ -152,8 +157,22 @@ class BodyExplorer:
             ways[:JUDGED] = [ways[k] for k in np.argsort(-rates, kind="stable").tolist()]
         draws = _sure(self._foresight.known) if drawn is None else drawn
         way = self._surest(now, ways, draws)
+        shown = {each.moves: each.touched & ~touched for each in found}
+        if ways and way != ways[0]:
+            self._worth[shown[ways[0]]] *= VAIN
+        if way:
+            self._promised = (*self._promised, shown[way[:1]])
         self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
         return way[0] if way else None
+
+    def _judge(self, touched: Bools) -> None:
+        """What the move before last was to touch and has not is worth less: it will be promised again.
+
+        The last move may still be under way, and what it is to touch is told as touched.
+        """
+        if len(self._promised) == 2:
+            self._worth[self._promised[0] & ~touched] *= VAIN
+            self._promised = self._promised[1:]
 
     def _foretold(
         self, now: Bearings, sequences: Sequence[_MoveSequence], touched: Bools, draws: BodyDraws
@@ -180,7 +199,7 @@ class BodyExplorer:
                 for column in np.flatnonzero(held & np.repeat(going, JUDGES)).tolist():
                     seen[column] |= self.covered(foreseen.normals[column, ::2])
                 seconds[going] += durations[going]
-                gains = (seen.mean(axis=1) - touched.mean()).reshape(-1, JUDGES).mean(axis=1)
+                gains = ((seen & ~touched) @ self._worth).reshape(-1, JUDGES).mean(axis=1) / len(touched)
                 rates[begin : begin + at_once] = np.maximum(
                     rates[begin : begin + at_once], gains / (seconds + DECISION_S)
                 )
@@ -297,7 +316,7 @@ class BodyExplorer:
             parent, after = parents[k], foreseen.after.some(np.array([k]))
             seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
-            gain = np.count_nonzero(seen & ~root.touched) / len(seen)
+            gain = float(self._worth[seen & ~root.touched].sum()) / len(seen)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain)
         return found
