@@ -47,7 +47,7 @@ BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
 AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
 VAIN = 0.5  # of its worth, that a direction keeps which a move was to touch in vain, or which the best may not touch
-JUDGED, JUDGES = 12, 6  # of the sequences that show most, by how many of the bodies
+JUDGED, JUDGES = 8, COLUMNS // 8  # of the sequences that show most, by how many of the bodies
 SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
@@ -152,10 +152,10 @@ class BodyExplorer:
         for each in found:
             best.setdefault(each.moves[:SURE_MOVES], each)
         ways = list(best)
-        if promising and drawn is not None:
-            rates = self._foretold(now, [best[way] for way in ways[:JUDGED]], touched, drawn)
-            ways[:JUDGED] = [ways[k] for k in np.argsort(-rates, kind="stable").tolist()]
         draws = _sure(self._foresight.known) if drawn is None else drawn
+        if promising:
+            rates = self._foretold(now, [best[way] for way in ways[:JUDGED]], touched, draws)
+            ways[:JUDGED] = [ways[k] for k in np.argsort(-rates, kind="stable").tolist()]
         way = self._surest(now, ways, draws)
         shown = {each.moves: each.touched & ~touched for each in found}
         if ways and way != ways[0]:
@@ -179,33 +179,37 @@ class BodyExplorer:
     ) -> FloatArray:
         """(K,) what `JUDGES` of the bodies show of new a second, in the mean, on each sequence or its beginning.
 
-        The mean body promises what lies beyond edges that no other has. One that is lost shows nothing more.
+        By all that is known: the rough tree, and the mean body, promise what others do not keep. One that is lost shows
+        nothing more.
         """
-        rates, at_once = np.zeros(len(sequences)), COLUMNS // JUDGES
-        for begin in range(0, len(sequences), at_once):
-            some = sequences[begin : begin + at_once]
-            n = JUDGES * len(some)
-            turn, spin, p = (np.tile(each[:JUDGES], (len(some), 1)) for each in (draws.turn, draws.spin, draws.p))
-            first = Bearings(rotation.exp(turn) @ now.R, now.omega + spin, np.repeat(now.joints, n, axis=0))
-            there, held, seen = first, np.full(n, True), np.tile(touched, (n, 1))
-            seconds = np.zeros(len(some))
-            for k in range(max(len(each.moves) for each in some)):
-                going = np.array([len(each.moves) > k for each in some])
-                moves = [each.moves[min(k, len(each.moves) - 1)] for each in some]
-                durations = np.array([move.duration for move in moves])
-                ends = np.repeat([move.end for move in moves], JUDGES, axis=0)
-                foreseen = self._rough.of(there, ends, np.repeat(durations, JUDGES), p=p)
-                held &= (foreseen.least_force > 0.0) & (foreseen.room > 0.0)
-                for column in np.flatnonzero(held & np.repeat(going, JUDGES)).tolist():
-                    seen[column] |= self.covered(foreseen.normals[column, ::2])
-                seconds[going] += durations[going]
-                gains = ((seen & ~touched) @ self._worth).reshape(-1, JUDGES).mean(axis=1) / len(touched)
-                rates[begin : begin + at_once] = np.maximum(
-                    rates[begin : begin + at_once], gains / (seconds + DECISION_S)
-                )
-                turned = np.where(held[:, None, None], foreseen.after.R, first.R)
-                there = Bearings(turned, np.where(held[:, None], foreseen.after.omega, 0.0), ends)
+        k, longest = len(sequences), max(len(each.moves) for each in sequences)
+        first, p = self._supposed(now, draws, JUDGES, k)
+        there, held, seen = first, np.full(k * JUDGES, True), np.tile(touched, (k * JUDGES, 1))
+        rates, seconds = np.zeros(k), np.zeros(k)
+        for n in range(longest):
+            going = np.array([len(each.moves) > n for each in sequences])
+            moves = [each.moves[min(n, len(each.moves) - 1)] for each in sequences]
+            durations = np.where(going, [move.duration for move in moves], SHORTEST_S)  # the others stand
+            ends = np.repeat([move.end for move in moves], JUDGES, axis=0)
+            foreseen = self._foresight.of(there, ends, np.repeat(durations, JUDGES), p=p)
+            held &= (foreseen.least_force > 0.0) & (foreseen.room > 0.0)
+            for column in np.flatnonzero(held & np.repeat(going, JUDGES)).tolist():
+                seen[column] |= self.covered(foreseen.normals[column, ::2])
+            seconds += going * durations
+            gains = ((seen & ~touched) @ self._worth).reshape(k, JUDGES).mean(axis=1) / len(touched)
+            rates = np.maximum(rates, gains / (seconds + DECISION_S))
+            rotations = np.where(held[:, None, None], foreseen.after.R, first.R)
+            there = Bearings(rotations, np.where(held[:, None], foreseen.after.omega, 0.0), ends)
         return rates
+
+    def _supposed(self, now: Bearings, draws: BodyDraws, bodies: int, times: int) -> tuple[Bearings, FloatArray]:
+        """The first `bodies` as they may be now, and parameters, `times` over; all but the known one off besides."""
+        n = bodies * times
+        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        off[::bodies], spun[::bodies] = 0.0, 0.0
+        turn, spin, p = (np.tile(each[:bodies], (times, 1)) for each in (draws.turn, draws.spin, draws.p))
+        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
+        return Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0)), p
 
     def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:
         """The first of the ways that keeps the body, or the first beginning that does; empty where none is found.
@@ -233,13 +237,8 @@ class BodyExplorer:
         tried: it has to be as safe as a move is to be, the others half so.
         """
         sure, going = [0] * len(ways), list(range(len(ways)))
-        n = BODIES * len(ways)
-        known = np.arange(n) % BODIES == 0
-        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        off[known], spun[known] = 0.0, 0.0
-        turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
-        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
-        there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
+        known = np.arange(BODIES * len(ways)) % BODIES == 0
+        there, p = self._supposed(now, draws, BODIES, len(ways))
         while going:
             moves = [ways[k][sure[k]] for k in going]
             ends = np.repeat([move.end for move in moves], BODIES, axis=0)

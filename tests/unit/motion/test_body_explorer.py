@@ -261,37 +261,58 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
 
 
-def test_what_a_sequence_shows_is_the_mean_of_the_bodies_and_of_what_is_lost_nothing_more():
+def test_what_a_sequence_shows_is_the_mean_of_the_bodies_and_of_what_is_lost_nothing_more(monkeypatch):
+    monkeypatch.setattr(body_explorer, "OFF_RAD", 0.0)
+    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    who._rough = who._foresight
     root = rooted(who, none)
     first = who._grown([root] * COLUMNS, root)
-    second = who._grown((first * COLUMNS)[:COLUMNS], root)
-    sequences = sorted([*first, *second], key=lambda each: -each.gained)[:10]  # in two goes, of one move and of two
+    found = [*first, *who._grown((first * COLUMNS)[:COLUMNS], root)]
+    sequences = sorted(found, key=lambda each: -each.gained)[: body_explorer.JUDGED]
     assert {len(each.moves) for each in sequences} == {1, 2}
+    begun = [max(each.gained for each in found if each.moves == one.moves[: len(each.moves)]) for one in sequences]
     known = body_explorer._sure(stand()[1])
     rates = who._foretold(bearings(1), sequences, none, known)
-    begun = [
-        max(each.gained for each in (*first, *second) if each.moves == one.moves[: len(each.moves)])
-        for one in sequences
-    ]
     np.testing.assert_allclose(rates, begun, rtol=1e-9)
-    half = np.arange(BODIES) % 2 == 1
-    wild = dataclasses.replace(known, spin=np.where(half[:, None], (60.0, 40.0, 0.0), 0.0))
-    np.testing.assert_allclose(who._foretold(bearings(1), sequences, none, wild), 0.5 * rates, rtol=1e-9)
+    third = np.arange(BODIES) % 3 == 1
+    wild = dataclasses.replace(known, spin=np.where(third[:, None], (60.0, 40.0, 0.0), 0.0))
+    np.testing.assert_allclose(who._foretold(bearings(1), sequences, none, wild), rates / 1.5, rtol=1e-9)
 
 
 def test_what_all_bodies_show_is_chosen_by(monkeypatch):
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    known, tried = body_explorer._sure(stand()[1]), []
+    who, none, tried = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_), []
     monkeypatch.setattr(who, "_surest", lambda *args: tried.append(list(args[1])) or args[1][0])
-    monkeypatch.setattr(who, "_foretold", lambda *args: np.arange(len(args[1]), dtype=float))
-    who.decide(bearings(1), none, drawn=known)
-    other = explorer()
-    monkeypatch.setattr(other, "_surest", lambda *args: tried.append(list(args[1])) or args[1][0])
-    other.decide(bearings(1), none)  # who knows the body goes by what it shows
+    for rates in (lambda *args: np.arange(len(args[1])) + 0.0, lambda *args: -np.arange(len(args[1])) - 0.0):
+        who._random, who._plans = np.random.default_rng(0), []
+        monkeypatch.setattr(who, "_foretold", rates)
+        who.decide(bearings(1), none)
     judged = body_explorer.JUDGED
     assert tried[0][:judged] == tried[1][:judged][::-1]
     assert tried[0][judged:] == tried[1][judged:]
+
+
+def test_what_was_promised_in_vain_is_worth_less(monkeypatch):
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    who.decide(bearings(1), none)
+    (promised,) = who._promised
+    assert promised.any()
+    who.decide(bearings(1), none)  # the move may still be under way
+    assert (who._worth == 1.0).all()
+    kept = promised & (np.arange(len(none)) % 2 == 0)
+    who.decide(bearings(1), kept)
+    np.testing.assert_array_equal(who._worth, np.where(promised & ~kept, body_explorer.VAIN, 1.0))
+    who, tried = explorer(), []
+    monkeypatch.setattr(who, "_surest", lambda *args: tried.append(args[1]) or args[1][1])
+    who.decide(bearings(1), none)  # the best is refused
+    after, refused = bearings(1), np.zeros(len(none), np.bool_)
+    for move in tried[0][0]:
+        foreseen = who._rough.of(after, np.array([move.end]), np.array([move.duration]))
+        after, refused = foreseen.after, refused | who.covered(foreseen.normals[0, ::2])
+    np.testing.assert_array_equal(who._worth, np.where(refused, body_explorer.VAIN, 1.0))
+    root = rooted(who, none)
+    assert all(each.gain <= each.touched.mean() for each in who._grown([root] * COLUMNS, root))
+    assert any(each.gain < each.touched.mean() for each in who._grown([root] * COLUMNS, root))
 
 
 def test_a_tree_grows_on_until_enough_is_promised(monkeypatch):
