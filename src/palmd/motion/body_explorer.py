@@ -179,12 +179,12 @@ class BodyExplorer:
     ) -> FloatArray:
         """(K,) what `JUDGES` of the bodies show of new a second, in the mean, on each sequence or its beginning.
 
-        By all that is known: the rough tree, and the mean body, promise what others do not keep. One that is lost shows
-        nothing more.
+        By all that is known: the rough tree, and the mean body, promise what others do not keep. Beyond a move that is
+        not safe for all of them nothing counts: it would be refused when the palms have come there.
         """
         k, longest = len(sequences), max(len(each.moves) for each in sequences)
         first, p = self._supposed(now, draws, JUDGES, k)
-        there, held, seen = first, np.full(k * JUDGES, True), np.tile(touched, (k * JUDGES, 1))
+        there, held, seen = first, np.full(k, True), np.tile(touched, (k * JUDGES, 1))
         rates, seconds = np.zeros(k), np.zeros(k)
         for n in range(longest):
             going = np.array([len(each.moves) > n for each in sequences])
@@ -192,14 +192,15 @@ class BodyExplorer:
             durations = np.where(going, [move.duration for move in moves], SHORTEST_S)  # the others stand
             ends = np.repeat([move.end for move in moves], JUDGES, axis=0)
             foreseen = self._foresight.of(there, ends, np.repeat(durations, JUDGES), p=p)
-            held &= (foreseen.least_force > 0.0) & (foreseen.room > 0.0)
-            for column in np.flatnonzero(held & np.repeat(going, JUDGES)).tolist():
+            held &= self._safe_for_all(foreseen, JUDGES)
+            for column in np.flatnonzero(np.repeat(held & going, JUDGES)).tolist():
                 seen[column] |= self.covered(foreseen.normals[column, ::2])
             seconds += going * durations
             gains = ((seen & ~touched) @ self._worth).reshape(k, JUDGES).mean(axis=1) / len(touched)
             rates = np.maximum(rates, gains / (seconds + DECISION_S))
-            rotations = np.where(held[:, None, None], foreseen.after.R, first.R)
-            there = Bearings(rotations, np.where(held[:, None], foreseen.after.omega, 0.0), ends)
+            still = np.repeat(held, JUDGES)[:, None]  # what is not held may be anywhere
+            rotations = np.where(still[..., None], foreseen.after.R, first.R)
+            there = Bearings(rotations, np.where(still, foreseen.after.omega, 0.0), ends)
         return rates
 
     def _supposed(self, now: Bearings, draws: BodyDraws, bodies: int, times: int) -> tuple[Bearings, FloatArray]:
@@ -233,21 +234,16 @@ class BodyExplorer:
     def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
         """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
 
-        Palms stand for a while after each. The first of the bodies is the known one, which the rough tree has not
-        tried: it has to be as safe as a move is to be, the others half so.
+        Palms stand for a while after each.
         """
         sure, going = [0] * len(ways), list(range(len(ways)))
-        known = np.arange(BODIES * len(ways)) % BODIES == 0
         there, p = self._supposed(now, draws, BODIES, len(ways))
         while going:
             moves = [ways[k][sure[k]] for k in going]
             ends = np.repeat([move.end for move in moves], BODIES, axis=0)
             durations = np.repeat([move.duration for move in moves], BODIES)
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
-            safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-            safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
-            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
+            held = self._safe_for_all(foreseen, BODIES)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
             further = np.array(
@@ -323,6 +319,17 @@ class BodyExplorer:
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
+
+    def _safe_for_all(self, foreseen: ForeseenMoves, bodies: int) -> Bools:
+        """(K,) whether moves are safe for each of so many bodies.
+
+        The first is the known one, which the rough tree has not tried: it has to be as safe as a move is to be, the
+        others half so.
+        """
+        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+        safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+        safe[::bodies] = self._safe(foreseen)[::bodies]
+        return np.asarray(safe.reshape(-1, bodies).all(axis=1), np.bool_)
 
     def _with_places(self, found: Sequence[_MoveSequence]) -> list[float]:
         """What each shows of new a second, with how far it leads from all rotations before (1 rad at most)."""

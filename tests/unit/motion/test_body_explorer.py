@@ -261,7 +261,7 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
 
 
-def test_what_a_sequence_shows_is_the_mean_of_the_bodies_and_of_what_is_lost_nothing_more(monkeypatch):
+def test_what_a_sequence_shows_is_the_mean_of_the_bodies_as_far_as_all_are_held(monkeypatch):
     monkeypatch.setattr(body_explorer, "OFF_RAD", 0.0)
     monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
@@ -275,9 +275,14 @@ def test_what_a_sequence_shows_is_the_mean_of_the_bodies_and_of_what_is_lost_not
     known = body_explorer._sure(stand()[1])
     rates = who._foretold(bearings(1), sequences, none, known)
     np.testing.assert_allclose(rates, begun, rtol=1e-9)
-    third = np.arange(BODIES) % 3 == 1
-    wild = dataclasses.replace(known, spin=np.where(third[:, None], (60.0, 40.0, 0.0), 0.0))
-    np.testing.assert_allclose(who._foretold(bearings(1), sequences, none, wild), rates / 1.5, rtol=1e-9)
+    third, single = np.arange(BODIES)[:, None] % 3 == 1, [each for each in sequences if len(each.moves) == 1][:1]
+    turned = dataclasses.replace(known, turn=np.where(third, (0.05, 0.0, 0.0), 0.0))
+    alone = dataclasses.replace(known, turn=np.tile((0.05, 0.0, 0.0), (BODIES, 1)))
+    each = [who._foretold(bearings(1), single, none, draws)[0] for draws in (known, turned, alone)]
+    assert each[1] == pytest.approx((2 * each[0] + each[2]) / 3, rel=1e-9)
+    assert each[2] != each[0]
+    wild = dataclasses.replace(known, spin=np.where(third, (60.0, 40.0, 0.0), 0.0))
+    assert not who._foretold(bearings(1), sequences, none, wild).any()  # a third of them would be lost
 
 
 def test_what_all_bodies_show_is_chosen_by(monkeypatch):
