@@ -49,7 +49,7 @@ TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
 VAIN = 0.5  # of its worth, that a direction keeps which a move was to touch in vain, or which the best may not touch
 JUDGED, JUDGES = 8, COLUMNS // 8  # of the sequences that show most, by how many of the bodies
 SURE_MOVES = 2  # that are tried so, one after the other
-PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
+PEAK = 4.0  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
 
