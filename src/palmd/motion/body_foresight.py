@@ -69,12 +69,15 @@ class BodyForesight:
     def learn(self, p: FloatArray) -> None:
         """Go by these parameters from now on, as far as its outline goes."""
         assert _order(p) >= self._order, "other parameters than those of the model"
-        self._known = np.concatenate([p[: count(self._order)], p[-BODY:]])
+        self._known = self._as_far(p)
 
     @property
     def known(self) -> FloatArray:
         """The parameters that it goes by."""
         return self._known
+
+    def _as_far(self, p: FloatArray) -> FloatArray:
+        return np.concatenate([p[..., : count(self._order)], p[..., -BODY:]], axis=-1)
 
     def of(
         self, begin: Bearings, ends: FloatArray, durations: FloatArray, elapsed: float = 0.0, stand: float = 0.0,
@@ -83,24 +86,25 @@ class BodyForesight:
         """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s.
 
         elapsed: for how long they have been under way when the body is so (s). stand: what the palms stand after (s).
-        p: parameters to go by this time, of all (m,) or of each (N, m).
+        p: parameters to go by this time, of all (m,) or of each (N, m), as far as its outline goes.
         """
         n = len(ends)
         steps = np.maximum(np.ceil((durations - elapsed + stand) / self._step_s - 1e-9).astype(np.intp), 1)
-        self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)
-        self._omega[:n] = begin.omega
-        self._move[:n] = np.column_stack([begin.joints, ends, durations, np.full(n, elapsed)])
-        self._p[:n] = self._known if p is None else p
+        longest = np.argsort(-steps, kind="stable")  # first, so that columns which have ended need not go on
+        self._R[:n] = np.swapaxes(begin.R, 1, 2).reshape(-1, 9)[longest]
+        self._omega[:n] = begin.omega[longest]
+        self._move[:n] = np.column_stack([begin.joints, ends, durations, np.full(n, elapsed)])[longest]
+        self._p[:n] = np.broadcast_to(self._known if p is None else self._as_far(p), self._p[:n].shape)[longest]
         for each in (self._R, self._omega, self._move, self._p):
             each[n:] = each[0]
         last = int(steps.max())
         turned, spun, path = (np.empty((last, n, size)) for size in (9, 3, TOLD))
-        columns = -(-n // LANES) * LANES
-        for k in range(last):
+        going = (steps > np.arange(last)[:, None]).sum(axis=1)
+        for k, columns in enumerate((-(-going // LANES) * LANES).tolist()):
             self._step(columns)
             self._R[:], self._omega[:] = self._R_after, self._omega_after
             self._move[:, 7] += self._step_s
-            turned[k], spun[k], path[k] = self._R[:n], self._omega[:n], self._told[:n]
+            turned[k, longest], spun[k, longest], path[k, longest] = self._R[:n], self._omega[:n], self._told[:n]
         over = np.arange(last)[:, None] >= steps
         path[over] = np.nan
         spin = np.where(over, 0.0, np.linalg.norm(spun, axis=2)).max(axis=0)

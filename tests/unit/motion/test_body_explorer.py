@@ -79,6 +79,22 @@ def test_what_is_foreseen_is_what_the_observers_equations_lead_to():
         assert np.array_equal(foreseen.after.joints[k], ends[k])
 
 
+def test_what_is_foreseen_of_a_move_does_not_depend_on_the_others_beside_it():
+    foresight, random = BodyForesight(stand()[1], GRAVITY, SIDE), np.random.default_rng(0)
+    ends = REST_POSE + random.uniform(-0.1, 0.1, (COLUMNS, 3))
+    durations = random.uniform(0.05, 0.6, COLUMNS)
+    p = stand()[1] * random.uniform(0.98, 1.02, (COLUMNS, 1))
+    together = foresight.of(bearings(COLUMNS, SPIN), ends, durations, 0.01, 0.02, p)
+    for k in (int(durations.argmin()), int(durations.argmax()), 5):
+        alone = foresight.of(bearings(1, SPIN), ends[k : k + 1], durations[k : k + 1], 0.01, 0.02, p[k])
+        for name in ("least_force", "room", "spin"):
+            assert getattr(together, name)[k] == getattr(alone, name)[0]
+        np.testing.assert_array_equal(together.after.some(np.array([k])).R, alone.after.R)
+        np.testing.assert_array_equal(together.after.omega[k], alone.after.omega[0])
+        told = together.normals[k]
+        np.testing.assert_array_equal(told[np.isfinite(told[:, 0, 0])], alone.normals[0])
+
+
 def test_a_body_at_rest_stays_and_its_palms_bear_its_weight():
     foreseen = BodyForesight(stand()[1], GRAVITY, SIDE).of(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
     share = GRAVITY * weight_shares(REST_POSE[None])[0]
@@ -111,7 +127,7 @@ def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
 def rooted(who, touched):
     begin = bearings(1)
     who._been.append(begin.R[0])
-    return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0, -math.inf)
+    return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0)
 
 
 def test_what_has_been_touched_is_worth_nothing_more():
@@ -123,7 +139,10 @@ def test_what_has_been_touched_is_worth_nothing_more():
     full = dataclasses.replace(root, touched=~none)
     again = who._grown([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
-    assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
+    worth = who._with_places(again)
+    places = [value * (each.seconds + DECISION_S) for value, each in zip(worth, again, strict=True)]
+    apart = [min(body_explorer._chords(each.bearings.R, root.bearings.R)[0], 1.0) for each in again]
+    np.testing.assert_allclose(places, body_explorer.NOVELTY * np.array(apart), atol=1e-9)  # of new places
 
 
 def test_the_rest_of_the_best_sequences_is_gone_on_with():
@@ -131,12 +150,12 @@ def test_the_rest_of_the_best_sequences_is_gone_on_with():
     move = who.decide(bearings(1), none)
     assert who._plans
     there = who._foresight.of(bearings(1), np.array([move.end]), np.array([move.duration])).after
-    root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
+    root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0)
     again = who._followed(root)
     assert who._plans[0] in [each.moves for each in again]
-    ends = {each.moves[-1].end: each for each in again}
+    by_moves = {each.moves: each for each in again}
     for each in again:  # each goes on from where its own beginning leads
-        parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
+        parent = root if len(each.moves) == 1 else by_moves[each.moves[:-1]]
         assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
         after = who._rough.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
         np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
@@ -240,6 +259,75 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     assert not each[0].any()  # what is believed itself
     spread = np.sqrt(np.diagonal(root @ root.T))
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
+
+
+def test_what_a_sequence_shows_is_the_mean_of_the_bodies_as_far_as_all_are_held(monkeypatch):
+    monkeypatch.setattr(body_explorer, "OFF_RAD", 0.0)
+    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    who._rough = who._foresight
+    root = rooted(who, none)
+    first = who._grown([root] * COLUMNS, root)
+    found = [*first, *who._grown((first * COLUMNS)[:COLUMNS], root)]
+    sequences = sorted(found, key=lambda each: -each.gained)[: body_explorer.JUDGED]
+    assert {len(each.moves) for each in sequences} == {1, 2}
+    begun = [max(each.gained for each in found if each.moves == one.moves[: len(each.moves)]) for one in sequences]
+    known = body_explorer._sure(stand()[1])
+    rates = who._foretold(bearings(1), sequences, none, known)
+    np.testing.assert_allclose(rates, begun, rtol=1e-9)
+    third, single = np.arange(BODIES)[:, None] % 3 == 1, [each for each in sequences if len(each.moves) == 1][:1]
+    turned = dataclasses.replace(known, turn=np.where(third, (0.05, 0.0, 0.0), 0.0))
+    alone = dataclasses.replace(known, turn=np.tile((0.05, 0.0, 0.0), (BODIES, 1)))
+    each = [who._foretold(bearings(1), single, none, draws)[0] for draws in (known, turned, alone)]
+    assert each[1] == pytest.approx((2 * each[0] + each[2]) / 3, rel=1e-9)
+    assert each[2] != each[0]
+    wild = dataclasses.replace(known, spin=np.where(third, (60.0, 40.0, 0.0), 0.0))
+    assert not who._foretold(bearings(1), sequences, none, wild).any()  # a third of them would be lost
+
+
+def test_what_all_bodies_show_is_chosen_by(monkeypatch):
+    who, none, tried = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_), []
+    monkeypatch.setattr(who, "_surest", lambda *args: tried.append(list(args[1])) or args[1][0])
+    for rates in (lambda *args: np.arange(len(args[1])) + 0.0, lambda *args: -np.arange(len(args[1])) - 0.0):
+        who._random, who._plans = np.random.default_rng(0), []
+        monkeypatch.setattr(who, "_foretold", rates)
+        who.decide(bearings(1), none)
+    judged = body_explorer.JUDGED
+    assert tried[0][:judged] == tried[1][:judged][::-1]
+    assert tried[0][judged:] == tried[1][judged:]
+
+
+def test_what_was_promised_in_vain_is_worth_less(monkeypatch):
+    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
+    who.decide(bearings(1), none)
+    (promised,) = who._promised
+    assert promised.any()
+    who.decide(bearings(1), none)  # the move may still be under way
+    assert (who._worth == 1.0).all()
+    kept = promised & (np.arange(len(none)) % 2 == 0)
+    who.decide(bearings(1), kept)
+    np.testing.assert_array_equal(who._worth, np.where(promised & ~kept, body_explorer.VAIN, 1.0))
+    who, tried = explorer(), []
+    monkeypatch.setattr(who, "_surest", lambda *args: tried.append(args[1]) or args[1][1])
+    who.decide(bearings(1), none)  # the best is refused
+    after, refused = bearings(1), np.zeros(len(none), np.bool_)
+    for move in tried[0][0]:
+        foreseen = who._rough.of(after, np.array([move.end]), np.array([move.duration]))
+        after, refused = foreseen.after, refused | who.covered(foreseen.normals[0, ::2])
+    np.testing.assert_array_equal(who._worth, np.where(refused, body_explorer.VAIN, 1.0))
+    root = rooted(who, none)
+    assert all(each.gain <= each.touched.mean() for each in who._grown([root] * COLUMNS, root))
+    assert any(each.gain < each.touched.mean() for each in who._grown([root] * COLUMNS, root))
+
+
+def test_a_tree_grows_on_until_enough_is_promised(monkeypatch):
+    none = np.zeros(len(icosphere(2)[0]), np.bool_)
+    grown, rounds = body_explorer.BodyExplorer._grown, []
+    monkeypatch.setattr(body_explorer.BodyExplorer, "_grown", lambda *args: rounds.append(1) or grown(*args))
+    explorer().decide(bearings(1), none)
+    assert len(rounds) == body_explorer.ROUNDS
+    explorer().decide(bearings(1), ~none)
+    assert len(rounds) == body_explorer.ROUNDS + body_explorer.MOST_ROUNDS
 
 
 def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
