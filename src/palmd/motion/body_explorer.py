@@ -46,10 +46,8 @@ SHORTEST_S = 0.15
 BODIES, OFF_RAD, OFF_RAD_S, STAND_S = 12, 0.03, 0.2, 0.8
 AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
-VAIN = 0.5  # of its worth, that a direction keeps which a move was to touch in vain, or which the best may not touch
-JUDGED, JUDGES = 8, COLUMNS // 8  # of the sequences that show most, by how many of the bodies
 SURE_MOVES = 2  # that are tried so, one after the other
-PEAK = 4.0  # times the mean of a stride, that it may spin the body by on the way
+PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
 SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
 
@@ -110,9 +108,6 @@ class BodyExplorer:
         self._rough = BodyForesight(foresight.known, foresight.gravity, foresight.pad_side, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
-        # What each direction is worth, touched for the first time, and what the last moves were to touch of new.
-        self._worth = np.ones(len(directions))
-        self._promised: tuple[Bools, ...] = ()
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
         self.then: Move | None = None  # what may follow the last decided move, as surely as that
         self._low, self._high = np.array(limits.angles).T
@@ -136,7 +131,6 @@ class BodyExplorer:
         """
         self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
-        self._judge(touched)
         self._rough.learn(self._foresight.known)
         root = _MoveSequence(now, touched, 0.0, (), 0.0)
         tree = [root, *self._followed(root)]
@@ -146,73 +140,14 @@ class BodyExplorer:
                 break
             tree += self._grown(self._parents(tree, untouched) if number else [root] * COLUMNS, root)
         found = tree[1:]
-        promising = any(each.gain > LITTLE for each in found)
-        worth = [each.gained for each in found] if promising else self._with_places(found)
+        worth = [each.gained for each in found] if any(each.gain > LITTLE for each in found) else self._placed(found)
         found = [found[k] for k in np.argsort(-np.array(worth), kind="stable").tolist()]
-        best: dict[tuple[Move, ...], _MoveSequence] = {}
-        for each in found:
-            best.setdefault(each.moves[:SURE_MOVES], each)
-        ways = list(best)
+        ways = list(dict.fromkeys(each.moves[:SURE_MOVES] for each in found))
         draws = _sure(self._foresight.known) if drawn is None else drawn
-        if promising:
-            rates = self._foretold(now, [best[way] for way in ways[:JUDGED]], touched, draws)
-            ways[:JUDGED] = [ways[k] for k in np.argsort(-rates, kind="stable").tolist()]
         way = self._surest(now, ways, draws)
-        shown = {each.moves: each.touched & ~touched for each in found}
-        if ways and way != ways[0]:
-            self._worth[shown[ways[0]]] *= VAIN
-        if way:
-            self._promised = (*self._promised, shown[way[:1]])
         self._plans = [each.moves[1:] for each in found if way and each.moves[: len(way)] == way][:AGAIN]
         self.then = way[1] if len(way) > 1 else None
         return way[0] if way else None
-
-    def _judge(self, touched: Bools) -> None:
-        """What the move before last was to touch and has not is worth less: it will be promised again.
-
-        The last move may still be under way, and what it is to touch is told as touched.
-        """
-        if len(self._promised) == 2:
-            self._worth[self._promised[0] & ~touched] *= VAIN
-            self._promised = self._promised[1:]
-
-    def _foretold(
-        self, now: Bearings, sequences: Sequence[_MoveSequence], touched: Bools, draws: BodyDraws
-    ) -> FloatArray:
-        """(K,) what `JUDGES` of the bodies show of new a second, in the mean, on each sequence or its beginning.
-
-        By all that is known: the rough tree, and the mean body, promise what others do not keep. Beyond a move that is
-        not safe for all of them nothing counts: it would be refused when the palms have come there.
-        """
-        k, longest = len(sequences), max(len(each.moves) for each in sequences)
-        first, p = self._supposed(now, draws, JUDGES, k)
-        there, held, seen = first, np.full(k, True), np.tile(touched, (k * JUDGES, 1))
-        rates, seconds = np.zeros(k), np.zeros(k)
-        for n in range(longest):
-            going = np.array([len(each.moves) > n for each in sequences])
-            moves = [each.moves[min(n, len(each.moves) - 1)] for each in sequences]
-            durations = np.where(going, [move.duration for move in moves], SHORTEST_S)  # the others stand
-            ends = np.repeat([move.end for move in moves], JUDGES, axis=0)
-            foreseen = self._foresight.of(there, ends, np.repeat(durations, JUDGES), p=p)
-            held &= self._safe_for_all(foreseen, JUDGES)
-            for column in np.flatnonzero(np.repeat(held & going, JUDGES)).tolist():
-                seen[column] |= self.covered(foreseen.normals[column, ::2])
-            seconds += going * durations
-            gains = ((seen & ~touched) @ self._worth).reshape(k, JUDGES).mean(axis=1) / len(touched)
-            rates = np.maximum(rates, gains / (seconds + DECISION_S))
-            still = np.repeat(held, JUDGES)[:, None]  # what is not held may be anywhere
-            rotations = np.where(still[..., None], foreseen.after.R, first.R)
-            there = Bearings(rotations, np.where(still, foreseen.after.omega, 0.0), ends)
-        return rates
-
-    def _supposed(self, now: Bearings, draws: BodyDraws, bodies: int, times: int) -> tuple[Bearings, FloatArray]:
-        """The first `bodies` as they may be now, and parameters, `times` over; all but the known one off besides."""
-        n = bodies * times
-        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
-        off[::bodies], spun[::bodies] = 0.0, 0.0
-        turn, spin, p = (np.tile(each[:bodies], (times, 1)) for each in (draws.turn, draws.spin, draws.p))
-        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
-        return Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0)), p
 
     def _surest(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> tuple[Move, ...]:
         """The first of the ways that keeps the body, or the first beginning that does; empty where none is found.
@@ -236,16 +171,26 @@ class BodyExplorer:
     def _held(self, now: Bearings, ways: Sequence[tuple[Move, ...]], draws: BodyDraws) -> list[int]:
         """How many moves of each of the ways, `AT_ONCE` at most, keep the body, whichever it is.
 
-        Palms stand for a while after each.
+        Palms stand for a while after each. The first of the bodies is the known one, which the rough tree has not
+        tried: it has to be as safe as a move is to be, the others half so.
         """
         sure, going = [0] * len(ways), list(range(len(ways)))
-        there, p = self._supposed(now, draws, BODIES, len(ways))
+        n = BODIES * len(ways)
+        known = np.arange(n) % BODIES == 0
+        off, spun = self._random.normal(0.0, (OFF_RAD, OFF_RAD_S), (n, 3, 2)).transpose(2, 0, 1)
+        off[known], spun[known] = 0.0, 0.0
+        turn, spin, p = (np.tile(each, (len(ways), 1)) for each in (draws.turn, draws.spin, draws.p))
+        turned = rotation.exp(off) @ rotation.exp(turn) @ now.R
+        there = Bearings(turned, now.omega + spin + spun, np.repeat(now.joints, n, axis=0))
         while going:
             moves = [ways[k][sure[k]] for k in going]
             ends = np.repeat([move.end for move in moves], BODIES, axis=0)
             durations = np.repeat([move.duration for move in moves], BODIES)
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
-            held = self._safe_for_all(foreseen, BODIES)
+            safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
+            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
+            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
             further = np.array(
@@ -313,7 +258,7 @@ class BodyExplorer:
             parent, after = parents[k], foreseen.after.some(np.array([k]))
             seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
-            gain = float(self._worth[seen & ~root.touched].sum()) / len(seen)
+            gain = np.count_nonzero(seen & ~root.touched) / len(seen)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain)
         return found
@@ -322,18 +267,7 @@ class BodyExplorer:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 
-    def _safe_for_all(self, foreseen: ForeseenMoves, bodies: int) -> Bools:
-        """(K,) whether moves are safe for each of so many bodies.
-
-        The first is the known one, which the rough tree has not tried: it has to be as safe as a move is to be, the
-        others half so.
-        """
-        safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-        safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
-        safe[::bodies] = self._safe(foreseen)[::bodies]
-        return np.asarray(safe.reshape(-1, bodies).all(axis=1), np.bool_)
-
-    def _with_places(self, found: Sequence[_MoveSequence]) -> list[float]:
+    def _placed(self, found: Sequence[_MoveSequence]) -> list[float]:
         """What each shows of new a second, with how far it leads from all rotations before (1 rad at most)."""
         led, been = (np.array(each).reshape(-1, 9) for each in ([each.bearings.R for each in found], self._been))
         apart = np.sqrt(np.maximum(3.0 - led @ been.T, 0.0)).min(axis=1)  # as `_chords`

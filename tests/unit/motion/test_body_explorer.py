@@ -139,7 +139,7 @@ def test_what_has_been_touched_is_worth_nothing_more():
     full = dataclasses.replace(root, touched=~none)
     again = who._grown([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
-    worth = who._with_places(again)
+    worth = who._placed(again)
     places = [value * (each.seconds + DECISION_S) for value, each in zip(worth, again, strict=True)]
     apart = [min(body_explorer._chords(each.bearings.R, root.bearings.R)[0], 1.0) for each in again]
     np.testing.assert_allclose(places, body_explorer.NOVELTY * np.array(apart), atol=1e-9)  # of new places
@@ -259,65 +259,6 @@ def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     assert not each[0].any()  # what is believed itself
     spread = np.sqrt(np.diagonal(root @ root.T))
     np.testing.assert_allclose((np.cov(each.T) - root @ root.T) / np.outer(spread, spread), 0.0, atol=0.1)
-
-
-def test_what_a_sequence_shows_is_the_mean_of_the_bodies_as_far_as_all_are_held(monkeypatch):
-    monkeypatch.setattr(body_explorer, "OFF_RAD", 0.0)
-    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    who._rough = who._foresight
-    root = rooted(who, none)
-    first = who._grown([root] * COLUMNS, root)
-    found = [*first, *who._grown((first * COLUMNS)[:COLUMNS], root)]
-    sequences = sorted(found, key=lambda each: -each.gained)[: body_explorer.JUDGED]
-    assert {len(each.moves) for each in sequences} == {1, 2}
-    begun = [max(each.gained for each in found if each.moves == one.moves[: len(each.moves)]) for one in sequences]
-    known = body_explorer._sure(stand()[1])
-    rates = who._foretold(bearings(1), sequences, none, known)
-    np.testing.assert_allclose(rates, begun, rtol=1e-9)
-    third, single = np.arange(BODIES)[:, None] % 3 == 1, [each for each in sequences if len(each.moves) == 1][:1]
-    turned = dataclasses.replace(known, turn=np.where(third, (0.05, 0.0, 0.0), 0.0))
-    alone = dataclasses.replace(known, turn=np.tile((0.05, 0.0, 0.0), (BODIES, 1)))
-    each = [who._foretold(bearings(1), single, none, draws)[0] for draws in (known, turned, alone)]
-    assert each[1] == pytest.approx((2 * each[0] + each[2]) / 3, rel=1e-9)
-    assert each[2] != each[0]
-    wild = dataclasses.replace(known, spin=np.where(third, (60.0, 40.0, 0.0), 0.0))
-    assert not who._foretold(bearings(1), sequences, none, wild).any()  # a third of them would be lost
-
-
-def test_what_all_bodies_show_is_chosen_by(monkeypatch):
-    who, none, tried = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_), []
-    monkeypatch.setattr(who, "_surest", lambda *args: tried.append(list(args[1])) or args[1][0])
-    for rates in (lambda *args: np.arange(len(args[1])) + 0.0, lambda *args: -np.arange(len(args[1])) - 0.0):
-        who._random, who._plans = np.random.default_rng(0), []
-        monkeypatch.setattr(who, "_foretold", rates)
-        who.decide(bearings(1), none)
-    judged = body_explorer.JUDGED
-    assert tried[0][:judged] == tried[1][:judged][::-1]
-    assert tried[0][judged:] == tried[1][judged:]
-
-
-def test_what_was_promised_in_vain_is_worth_less(monkeypatch):
-    who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
-    who.decide(bearings(1), none)
-    (promised,) = who._promised
-    assert promised.any()
-    who.decide(bearings(1), none)  # the move may still be under way
-    assert (who._worth == 1.0).all()
-    kept = promised & (np.arange(len(none)) % 2 == 0)
-    who.decide(bearings(1), kept)
-    np.testing.assert_array_equal(who._worth, np.where(promised & ~kept, body_explorer.VAIN, 1.0))
-    who, tried = explorer(), []
-    monkeypatch.setattr(who, "_surest", lambda *args: tried.append(args[1]) or args[1][1])
-    who.decide(bearings(1), none)  # the best is refused
-    after, refused = bearings(1), np.zeros(len(none), np.bool_)
-    for move in tried[0][0]:
-        foreseen = who._rough.of(after, np.array([move.end]), np.array([move.duration]))
-        after, refused = foreseen.after, refused | who.covered(foreseen.normals[0, ::2])
-    np.testing.assert_array_equal(who._worth, np.where(refused, body_explorer.VAIN, 1.0))
-    root = rooted(who, none)
-    assert all(each.gain <= each.touched.mean() for each in who._grown([root] * COLUMNS, root))
-    assert any(each.gain < each.touched.mean() for each in who._grown([root] * COLUMNS, root))
 
 
 def test_a_tree_grows_on_until_enough_is_promised(monkeypatch):
