@@ -25,11 +25,10 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at
 
-ROUNDS, MOST_ROUNDS = 10, 24  # of `COLUMNS` moves each, that a decision's tree grows by
-ENOUGH = 0.013  # of the sphere a second, as 0.8 in a minute takes: who has found that seeks no further
+ROUNDS = 12  # of `COLUMNS` moves each, that a decision's tree grows by
 HORIZON_S = 12.0  # of a sequence, beyond which it is not gone on with
 LIKELY = 12  # of the sequences that show most a second, from which half of the moves of a round go on
-AGAIN = 24  # of the last decision's sequences, that are gone on with
+AGAIN = 6  # of the last decision's sequences, that are gone on with
 LITTLE = 0.004  # of the sphere: where no sequence shows more, places count where the body has not been
 NEAR_RAD = math.radians(10.0)  # of a contact curve, where a direction counts as touched
 LEAST_SHARE = 0.12  # of the weight, that each palm bears where a move ends
@@ -78,13 +77,17 @@ class BodyDraws:
 
 @dataclass(frozen=True, slots=True)
 class _MoveSequence:
-    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take."""
+    """Some moves: where they lead, what has been touched then and is new of it (a share), how long they take.
+
+    value: a second, places counted where it has not been.
+    """
 
     bearings: Bearings
     touched: Bools
     seconds: float
     moves: tuple[Move, ...]
     gain: float
+    value: float
 
     @property
     def gained(self) -> float:
@@ -115,8 +118,7 @@ class BodyExplorer:
 
     def covered(self, normals: FloatArray, within: float = NEAR_RAD) -> Bools:
         """(D,) which directions lie near any of these (…, 3), of which those that are NaN are none."""
-        some = normals.reshape(-1, 3)
-        cosines = self._directions @ some[np.isfinite(some[:, 0])].T
+        cosines = self._directions @ normals.reshape(-1, 3).T
         return np.asarray((cosines > math.cos(within)).any(axis=1), np.bool_)
 
     def decide(
@@ -132,16 +134,16 @@ class BodyExplorer:
         self._least_force, self._most_rad_s, self._shortest_s = least_force, most_rad_s, shortest_s
         self._been.append(now.R[0])
         self._rough.learn(self._foresight.known)
-        root = _MoveSequence(now, touched, 0.0, (), 0.0)
+        root = _MoveSequence(now, touched, 0.0, (), 0.0, -math.inf)
         tree = [root, *self._followed(root)]
         untouched = self._directions[~touched] if not touched.all() else self._directions
-        for number in range(MOST_ROUNDS):
-            if number >= ROUNDS and max(each.gained for each in tree) > ENOUGH:
-                break
+        for number in range(ROUNDS):
             tree += self._grown(self._parents(tree, untouched) if number else [root] * COLUMNS, root)
         found = tree[1:]
-        worth = [each.gained for each in found] if any(each.gain > LITTLE for each in found) else self._placed(found)
-        found = [found[k] for k in np.argsort(-np.array(worth), kind="stable").tolist()]
+        if any(each.gain > LITTLE for each in found):
+            found.sort(key=lambda each: -each.gained)
+        else:
+            found.sort(key=lambda each: -each.value)
         ways = list(dict.fromkeys(each.moves[:SURE_MOVES] for each in found))
         draws = _sure(self._foresight.known) if drawn is None else drawn
         way = self._surest(now, ways, draws)
@@ -259,23 +261,18 @@ class BodyExplorer:
             seen = parent.touched | self.covered(foreseen.normals[k, ::2])
             seconds = parent.seconds + float(durations[k])
             gain = np.count_nonzero(seen & ~root.touched) / len(seen)
+            value = (gain + NOVELTY * self._novelty(after.R[0])) / (seconds + DECISION_S)
             move = Move(tuple(begin.joints[k].tolist()), tuple(ends[k].tolist()), float(durations[k]))
-            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain)
+            found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
         return found
 
     def _safe(self, foreseen: ForeseenMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 
-    def _placed(self, found: Sequence[_MoveSequence]) -> list[float]:
-        """What each shows of new a second, with how far it leads from all rotations before (1 rad at most)."""
-        led, been = (np.array(each).reshape(-1, 9) for each in ([each.bearings.R for each in found], self._been))
-        apart = np.sqrt(np.maximum(3.0 - led @ been.T, 0.0)).min(axis=1)  # as `_chords`
-        places = NOVELTY * np.minimum(apart, 1.0)
-        return [
-            (each.gain + place) / (each.seconds + DECISION_S)
-            for each, place in zip(found, places.tolist(), strict=True)
-        ]
+    def _novelty(self, rotation: FloatArray) -> float:
+        """How far a rotation is from all before (rad), no more than 1."""
+        return min(float(_chords(np.stack(self._been), rotation).min()), 1.0)
 
     def _drawn(self, start: FloatArray) -> FloatArray:
         """Ends of moves from (N, 3): in corners, of one joint, near by, anywhere; where all palms bear the body."""
