@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -57,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Interrupted, it ends with what is finished until then."""
-    if arguments.pace is not None and not arguments.pace > 0.0:
-        raise CliError(BAD_INPUT, f"--pace must be more than 0, got {arguments.pace:g}")
+    if arguments.pace is not None and not 0.0 < arguments.pace < math.inf:
+        raise CliError(BAD_INPUT, f"--pace must be a number above 0, got {arguments.pace:g}")
     if arguments.pace is not None and not (arguments.live or arguments.blind):
         raise CliError(BAD_INPUT, "--pace says how --live or --exploring --blind is done: give that, too")
     if arguments.live:

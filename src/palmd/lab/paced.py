@@ -10,21 +10,20 @@ from collections.abc import Sequence
 
 from palmd.daemon.exploration_requests import Decides, ExplorationAnswer, Question
 from palmd.events import Event
-from palmd.observer.three_palms.growing import GrowingBody
-from palmd.system.three_palms import BodyAnswer, ThreePalmsRig
+from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.system.three_palms import ThreePalmsRig
 
 PERIOD_S = 0.2  # of looking whether there is anything new, as `daemon.three_palms_smoothing` does
 PASSED_ON_S = 0.1  # an answer's way to the loop
 
 
-class PacedGrowing:
+class PacedGrowing(SimulatedGrowing):
     """The smoother, an `observer.three_palms.live.BodySmoothing`."""
 
     def __init__(self, rig: ThreePalmsRig, pace: float) -> None:
         """pace: seconds that pass for one of the processor."""
-        self._smoother, self._pace = GrowingBody(rig), pace
-        self._free = 0.0
-        self._ready: tuple[float, BodyAnswer] | None = None
+        super().__init__(rig)
+        self._pace, self._free = pace, 0.0
 
     def submit(self, t: float, events: Sequence[Event]) -> None:
         """Take the tick's events, and think when it is free."""
@@ -37,13 +36,6 @@ class PacedGrowing:
         self._free = t + max(took, PERIOD_S)
         if answer is not None:
             self._ready = t + took + PASSED_ON_S, answer
-
-    def collect(self, t: float) -> BodyAnswer | None:
-        """What has been thought by `t` (s)."""
-        if self._ready is None or t < self._ready[0]:
-            return None
-        answer, self._ready = self._ready[1], None
-        return answer
 
 
 class PacedExplorer:

@@ -24,9 +24,9 @@ class Decision:
     """What to do next; `safe` says no more than that the move under way may go on.
 
     move: from where the one under way ends, from rest to rest. then: what may follow that unseen, for whom the next
-    decision would come too late. reason: in words. coverage: the share touched of the
-    normals that can be reached; reachable: their share of all. blind: nothing was foreseen,
-    so that the move goes on whether or not the object is known.
+    decision would come too late. reason: in words. coverage: the share touched of the normals that can be reached;
+    reachable: their share of all. blind: nothing was foreseen, so that the move goes on whether or not the object is
+    known.
     """
 
     kind: Kind

@@ -97,7 +97,7 @@ def reconstruct(
         shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
         swapped = shorter if shorter and shorter[0].lasts < found[0].lasts else []  # perhaps, in a gap
         apart = _search(swapped[0], rig) if swapped else None
-        unlike = _Unlike(search, _besides(found, rig), seed, begun, say)
+        unlike = _Unlike(search, found, rig, seed, begun, say)
         told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
         if isinstance(told, Reconstruction):
             return told
@@ -136,14 +136,19 @@ def _in_doubt(
 class _Unlike:
     """What is no smooth outline on palms that never stick: looked for when first asked for, and once.
 
-    others: segments in which what rides in that of `search` may ride as well.
+    found: all segments, that of `search` the first: what rides there may ride in others as well.
     """
 
     def __init__(
-        self, search: Search, others: Sequence[Search], seed: int, begun: float, say: Callable[[str], None] | None
-    ):
-        self._search, self._others = search, others
+        self, search: Search, found: Sequence[DataSegment], rig: RigDescription, seed: int, begun: float,
+        say: Callable[[str], None] | None,
+    ):  # fmt: skip
+        self._search, self._found, self._rig = search, found, rig
         self._seed, self._begun, self._say = seed, begun, say
+
+    @cached_property
+    def _others(self) -> list[Search]:
+        return _besides(self._found, self._rig)
 
     @cached_property
     def told(self) -> Reconstruction | None:

@@ -4,7 +4,9 @@ import itertools
 
 import pytest
 
+from palmd.cli import main
 from palmd.config.three_palms import TiltGoal
+from palmd.console.errors import BAD_INPUT
 from palmd.daemon.exploration_requests import ExplorationAnswer, ExplorationTask, Question
 from palmd.lab import paced
 from palmd.lab.paced import PASSED_ON_S, PacedExplorer, PacedGrowing
@@ -12,6 +14,7 @@ from palmd.lab.space_exploring import WIDE
 from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
+from palmd.observer.three_palms.growing import GrowingBody
 from palmd.system.three_palms import ThreePalmsRig
 
 COST_S, PACE = 0.5, 3.0
@@ -44,7 +47,7 @@ def test_decisions_take_their_time_and_the_last_question_of_those_that_wait_is_a
 
 def test_the_smoother_takes_its_time_and_begins_again_when_it_has_answered(monkeypatch):
     begun = []
-    monkeypatch.setattr(paced.GrowingBody, "answer", lambda _: begun.append(1) or "an answer")
+    monkeypatch.setattr(GrowingBody, "answer", lambda _: begun.append(1) or "an answer")
     growing, heard = PacedGrowing(ThreePalmsRig(), PACE), []
     for k in range(400):
         growing.submit(0.01 * k, [])
@@ -53,3 +56,9 @@ def test_the_smoother_takes_its_time_and_begins_again_when_it_has_answered(monke
     assert heard == pytest.approx([1.6, 3.21], abs=0.021)
     assert heard[0] >= COST_S * PACE + PASSED_ON_S - 1e-9
     assert len(begun) == 3
+
+
+@pytest.mark.parametrize("pace", ["0", "-1", "nan", "inf"])
+def test_a_pace_that_is_none_is_refused(pace, capsys):
+    assert main(["bench", "space", "--live", f"--pace={pace}"]) == BAD_INPUT
+    assert capsys.readouterr().err == f"--pace must be a number above 0, got {float(pace):g}\n"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from curvature import curvatures
 
 from palmd.model.convex_bodies import LEAST_RADIUS, convex, least_radii
 from palmd.model.icosphere import icosphere
@@ -9,7 +10,7 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import BodyDraws
 from palmd.observer.three_palms.beliefs import shape_variance
-from palmd.observer.three_palms.body import ORDER, curvatures
+from palmd.observer.three_palms.body import ORDER
 
 RADIUS = 0.02
 SHAPE = slice(0, count(ORDER))

@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from curvature import curvatures
 
 from palmd.lab.space import errors
 from palmd.model.icosphere import icosphere
@@ -14,7 +15,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs, growth
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
-from palmd.observer.three_palms.body import ORDER, curvatures
+from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.search import Task

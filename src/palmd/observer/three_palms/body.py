@@ -1,4 +1,4 @@
-"""What follows from a body's parameters: its inertia, where its centre of mass is between the palms, its curvature."""
+"""What follows from a body's parameters and motion: inertia, where palms touch it, its centre of mass between them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.spherical import Y00, bends, evaluator, order_of
+from palmd.model.spherical import Y00, evaluator, order_of
 from palmd.model.three_palms import MOMENT
 
 ORDER = 12
@@ -26,16 +26,13 @@ def inertia(p: FloatArray) -> FloatArray:
     return about
 
 
+def touching(R: FloatArray, palms: FloatArray) -> FloatArray:
+    """(T, 3 palms, 3) outward normals, in the body's frame, where palms (T, 36) touch what is turned by R (T, 3, 3)."""
+    return np.asarray(-np.einsum("tji,tnj->tni", R, palms[:, :9].reshape(-1, 3, 3)))
+
+
 def centres_of(R: FloatArray, palms: FloatArray, p: FloatArray) -> FloatArray:
     """(T, 3) centres of mass (m, world) for rotations (T, 3, 3) between palms (T, 36)."""
-    normals = palms[:, :9].reshape(-1, 3, 3)
-    u = -np.einsum("tji,tnj->tni", R, normals)
     n = len(p) - 9
-    h = (evaluator(order_of(n))(u.reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
-    return np.asarray(np.linalg.solve(normals, h[..., None])[..., 0])
-
-
-def curvatures(c: FloatArray, u: FloatArray) -> FloatArray:
-    """(T, 2) radii of curvature (m), the smaller first, at outward unit normals (T, 3)."""
-    bend = bends(order_of(len(c)), u) @ c
-    return np.asarray(np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1))))
+    h = (evaluator(order_of(n))(touching(R, palms).reshape(-1, 3))[0] @ p[:n]).reshape(-1, 3)
+    return np.asarray(np.linalg.solve(palms[:, :9].reshape(-1, 3, 3), h[..., None])[..., 0])

@@ -22,7 +22,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import ORDER, centres_of, inertia
+from palmd.observer.three_palms.body import ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
@@ -139,11 +139,6 @@ class Grown:
         return (self.per_number - per_number) * math.sqrt(self.record.numbers / 2)
 
     @property
-    def wants_finer(self) -> bool:
-        """Whether its cost tells that harmonics leave something out."""
-        return self.strange >= STRANGE and self.per_number <= HOPELESS
-
-    @property
     def since_whole(self) -> float:
         """By which factor the record has grown since all of it was fitted."""
         return self.intervals / (len(self.whole.motion.R) - 1)
@@ -183,12 +178,13 @@ class Grown:
     @property
     def felt(self) -> FloatArray:
         """(3 K + 3, 3) outward normals, in the body's frame, where a palm touched it at a node."""
-        normals = self.record.node_palms[:, :9].reshape(-1, 3, 3)
-        return np.asarray(-np.einsum("tji,tnj->tni", self.motion.R, normals).reshape(-1, 3), np.float64)
+        return touching(self.motion.R, self.record.node_palms).reshape(-1, 3)
 
     @property
     def may_be_convex(self) -> bool:
         """Whether what is known of it allows of a convex body, wherever a palm has touched it."""
+        if self._least_radius(self.motion.p[:-BODY]) > 0.0:
+            return True
         try:
             covariance = np.linalg.inv(self.ahead.information)[STATES:, STATES:]
         except np.linalg.LinAlgError:
@@ -201,15 +197,21 @@ class Grown:
         x: parameters, or states before them. It is moved as little as its covariance allows, and not at all where it is
         convex; χ² is infinite where that does not make it so.
         """
-        n = len(self.motion.p) - BODY
-        shape = slice(len(x) - BODY - n, len(x) - BODY)
-        along = bending(order_of(n), self.felt[::CURVATURE_EVERY])
-        if least_radii(x[shape], along)[0].min() > 0.0:
+        shape = slice(len(x) - len(self.motion.p), len(x) - BODY)
+        if self._least_radius(x[shape]) > 0.0:
             return x, 0.0
-        moved = convex(x, covariance, shape, along)
-        if least_radii(moved[shape], along)[0].min() <= 0.0:
+        moved = convex(x, covariance, shape, self._bending)
+        if self._least_radius(moved[shape]) <= 0.0:
             return moved, math.inf
         return moved, float((moved - x) @ np.linalg.solve(covariance, moved - x))
+
+    @property
+    def _bending(self) -> FloatArray:
+        return bending(order_of(len(self.motion.p) - BODY), self.felt[::CURVATURE_EVERY])
+
+    def _least_radius(self, c: FloatArray) -> float:
+        """Of curvature, of a body with these coefficients where a palm has touched this one (m)."""
+        return float(least_radii(c, self._bending)[0].min())
 
     def same_as(self, other: Grown) -> bool:
         """Whether both have come to the same motion of the same body."""
@@ -249,7 +251,7 @@ def _rank(rival: Grown) -> tuple[int, bool, float]:
 
 def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
     """Those that explain all of the record about as cheaply as the first, with finer harmonics where that pays."""
-    if not ended or not ended[0].wants_finer:
+    if not ended or ended[0].strange < STRANGE or ended[0].per_number > HOPELESS:
         return ended
     first = ended[0]
 
