@@ -39,6 +39,12 @@ class DataSegment:
         return sorted((*self.palms, *self.pads), key=lambda event: event.t_sample)
 
     @property
+    def most_forces(self) -> tuple[float, ...]:
+        """What each pad has told at most (N), 0 where it tells none."""
+        told = [(sample.pad, sample.force or 0.0) for sample in self.pads]
+        return tuple(max((force for pad, force in told if pad == number), default=0.0) for number in PALMS)
+
+    @property
     def steady_since(self) -> float:
         """From when on no gap, in which the arm must have stood, bears on how the palms move (s); at least `start`."""
         if len(self.palms) < 2:

@@ -73,6 +73,7 @@ class Follower:
         self._rig = found.search.rig
         self._chain = Chain(found.search.library, found.search.noise, found.search.known)
         self._belief = found.search.belief
+        self._most_forces = found.search.segment.most_forces
         finding = found.finding
         record = Smoother(found.search.library, finding.record, found.search.known).pressed(finding.fits[0].guess)
         found = replace(found, finding=replace(finding, record=record))
@@ -87,6 +88,7 @@ class Follower:
 
     def smoothed(self, segment: DataSegment) -> Answer | None:
         """With the readings of `segment`, as far as they have come; None while they are in doubt."""
+        self._most_forces = tuple(map(max, self._most_forces, segment.most_forces))
         answer = self._smoothed(segment, self._open.guess)
         if answer is None:
             self.lost = segment.end - self._open.start > LOST_S
@@ -143,7 +145,9 @@ class Follower:
     def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
         present = self._open
         known = self._chain.known(guess.p)
-        search = Search(segment, self._rig, PATIENCE, known, present.start, present.resting_since, belief=self._belief)
+        search = Search(
+            segment, self._rig, PATIENCE, known, present.start, present.resting_since, self._belief, self._most_forces
+        )
         finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))
         # palms at rest are no reason for doubt here
         if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):

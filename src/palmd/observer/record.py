@@ -30,7 +30,8 @@ class Record:
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
     `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
-    pads that tell no force. `torn`: steps over which nothing is said of the motion (`within`).
+    pads that tell no force; `contact_told`: whether it is told, 1 or 0, rather than beyond the pad's scale. `torn`:
+    steps over which nothing is said of the motion (`within`).
     """
 
     t: FloatArray
@@ -42,6 +43,7 @@ class Record:
     contact_pad: FloatArray
     contact_palms: FloatArray
     contact_force: FloatArray
+    contact_told: FloatArray
     contact_value: FloatArray
     contact_variance: FloatArray
     contact_weight: FloatArray
@@ -89,7 +91,8 @@ class Record:
         return Record(
             self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_lengths,
             self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
-            self.contact_force[c], self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
+            self.contact_force[c], self.contact_told[c],
+            self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
             self.torn[(self.torn >= first) & (self.torn < last)] - first,
@@ -111,7 +114,7 @@ class Record:
         scales = [
             median(self.contact_force[mine] / force[mine])
             for pad in PALMS
-            if (mine := (self.contact_pad == pad) & (self.contact_force > 0.0) & (force > LEAST_FORCE_N)).any()
+            if (mine := (self.contact_pad == pad) & (self.contact_told > 0.0) & (force > LEAST_FORCE_N)).any()
         ]
         if not scales:
             return self
@@ -188,10 +191,12 @@ def lay_out(
     end: float,
     spacing: float,
     resting_since: float = math.inf,
+    most_forces: Sequence[float] = (0.0, 0.0),
 ) -> Record:
     """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time.
 
     `resting_since`: from when on the palms have rested at the path's beginning (s), where that was earlier.
+    `most_forces`: what each pad has told at most before (N), which it is pressed by where it tells none.
 
     Forces of pads whose gain is uncertain are left out: two thousand readings that share one error would outweigh all
     that the contacts tell.
@@ -215,25 +220,26 @@ def lay_out(
         & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
     )
     level = _running_median(force, pad)
+    told = np.asarray(np.nan_to_num(level) > 0.0, dtype=np.float64)
     force_variance = rig.force_variances(level, pad)
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
-        step, offset, pad, palms, _pressing(level, pad), value, variance, weight,
+        step, offset, pad, palms, _pressing(level, pad, most_forces), told, value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
     )  # fmt: skip
 
 
-def _pressing(level: FloatArray, pad: FloatArray) -> FloatArray:
+def _pressing(level: FloatArray, pad: FloatArray, most: Sequence[float]) -> FloatArray:
     """What presses each contact (N): neighbours in time tell it better than the reading itself.
 
     That one's noise would pull to 0 what is told of a contact's dependence on it. So would a force of 0 where a pad
     tells none because it is pressed beyond its scale: that is at least the most that it tells.
     """
     pressing = np.nan_to_num(level)
-    for number in PALMS:
+    for number, before in zip(PALMS, most, strict=True):
         untold = (pad == number) & ~np.isfinite(level)
-        pressing[untold] = pressing[pad == number].max(initial=0.0)
+        pressing[untold] = pressing[pad == number].max(initial=before)
     return pressing
 
 

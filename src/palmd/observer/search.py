@@ -119,19 +119,20 @@ class Search:
         start: float | None = None,
         resting_since: float = math.inf,
         belief: RigBelief | None = None,
+        most_forces: Sequence[float] = (0.0, 0.0),
     ):
         """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
-        all a search may find unexplained, and try again with a shorter one. `resting_since` as in `lay_out`.
-        `belief` in the rig is by default what its description says.
+        all a search may find unexplained, and try again with a shorter one. `resting_since` and `most_forces` as in
+        `lay_out`. `belief` in the rig is by default what its description says.
         """
         self.rig = rig
         self._patience = patience
         self.segment = segment
         start = segment.start if start is None else start
         self.path = smoothed_path(segment.palms, rig.palm_angle_noise)
-        self.record = lay_out(segment.pads, self.path, rig, start, segment.end, SPACING_S, resting_since)
+        self.record = lay_out(segment.pads, self.path, rig, start, segment.end, SPACING_S, resting_since, most_forces)
         self.library = smoothing.library(rig.curved)
         self._known = known
         self._resting_since = resting_since

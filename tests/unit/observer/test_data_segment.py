@@ -101,3 +101,10 @@ def test_what_is_no_number_is_left_out():
     bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, (math.inf, 1.6))]
     bad += [PalmSample(1.004, (0.7, 1.6), (math.nan, 0.0)), PalmSample(1.004, (0.7, 1.6), None, (math.inf, 0.0))]
     assert longest_segment([*bad, *run()]) == longest_segment(run())
+
+
+def test_what_each_pad_has_told_at_most():
+    """Beyond its scale a pad tells no force, which is not the most."""
+    forces = [(1, 0.5), (1, 2.5), (1, None), (2, None)]
+    pads = tuple(PadSample(0.01 * k, pad, 0.02, force) for k, (pad, force) in enumerate(forces))
+    assert DataSegment(0.0, 0.1, pads, ()).most_forces == (2.5, 0.0)

@@ -57,6 +57,17 @@ def test_a_pad_that_is_pressed_beyond_its_scale_is_pressed_as_much_as_it_tells_a
     assert record.force_step.tolist() == [0, 1, 2, 5, 6]
 
 
+def test_a_pad_pressed_beyond_its_scale_all_along_is_pressed_as_the_model_has_it():
+    """By what the other pad tells of the scale: what it told at most before is no measure of it."""
+    silent = [PadSample(0.01 * k, 1 + k % 2, 0.02, 1.0 if k % 2 else None) for k in range(8)]
+    record = lay_out(silent, PATH, RigDescription(hinge="fixed"), 0.0, 0.1, 0.01, most_forces=(2.5, 1.2))
+    beyond = record.contact_pad == 1
+    assert record.contact_force[beyond] == pytest.approx(2.5)
+    assert record.contact_force[~beyond] == pytest.approx(1.0)
+    pressed = record.pressed_by(np.where(beyond, 6.0, 2.0))
+    assert pressed.contact_force == pytest.approx(np.where(beyond, 3.0, 1.0))
+
+
 def test_what_lies_outside_the_nodes_is_left_out():
     assert laid(pads(-0.01, 0.05, 0.11)).contact_value == pytest.approx([0.02005])
 
