@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
-from math import isfinite
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
@@ -87,8 +86,9 @@ def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
 
 def sound(estimate: LiveEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
     """Whether everything `named` is finite, as it must be when an estimate says `valid`."""
-    values, sds = vars(estimate), estimate.sd
-    return all([isfinite(values[each]) and isfinite(sds.get(each, math.nan)) for each in named])
+    sds = estimate.sd
+    told = [value for each in named for value in (getattr(estimate, each), sds.get(each, math.nan))]
+    return all(map(math.isfinite, told))
 
 
 def estimate_fields(estimate: Estimate) -> Fields:
