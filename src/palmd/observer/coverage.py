@@ -82,7 +82,6 @@ class Coverage:
         else:
             self.marks[:] = False
             self._recent.clear()
-            self._marked = 0
         self._leader, self._last_bins = leader, []
 
 
