@@ -199,8 +199,9 @@ static double corrected(const RigError *rig, const Reading *reading, double open
 /* ---- the bank: `observer.bank`, `observer.filters.shape_map` */
 
 typedef struct {
-  Kernel *predict, *update[JOINTS], *predict_one, *named;
+  Kernel *predict, *update[JOINTS], *values, *predict_one, *named;
   double *x[2], *P[2], *score, *nis, *outcome; /* kernels write into the other side's, which then become the current */
+  double *y;                                   /* NAMED of each filter, as `disagreement` has found them last */
   double *rig;                                 /* RIG_INPUTS */
   long *now;                                   /* which side is current, how many blocks are active */
   long n, block;
@@ -433,6 +434,38 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
     variance[OMEGA + 2 * j] += rates[j];
   }
   for (int i = 0; i < NAMED; i++) variance[i] += uneven[i];
+}
+
+/* One-sigma of the answers of rivals, whose score is within `margin` of the best's, about the best one's, weighted by
+   likelihood; how many they are, the best among them: of one alone nothing is told. ψ of filters that do not have
+   `one_gauge` in common means nothing beside another's; of others the short way round counts. */
+long disagreement(Bank *bank, const Palms *palms, const RigError *rig, double t, double margin, long one_gauge, double *sd) {
+  enum { PSI = 10 };
+  const long size = size_of(bank), best = best_of(bank);
+  const double *score = bank->score, least = score[best] - margin, *y = bank->y, turn = 2 * M_PI;
+  double v[MOTION + RIG_INPUTS], weights = 0.0;
+  long rivals = 0;
+  for (long f = 0; f < size; f++) rivals += score[f] > least;
+  if (rivals < 2) return rivals;
+  surfaces_at(palms, rig, t, v);
+  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
+  const double *in[] = {bank->x[bank->now[0]], v};
+  double *out[] = {bank->y};
+  bank->values(in, out, size);
+  for (int i = 0; i < NAMED; i++) sd[i] = 0.0;
+  for (long f = 0; f < size; f++) {
+    if (!(score[f] > least)) continue;
+    const double weight = exp(score[f] - score[best]);
+    weights += weight;
+    for (int i = 0; i < NAMED; i++) {
+      double apart = y[f * NAMED + i] - y[best * NAMED + i];
+      if (i == PSI) apart = one_gauge ? apart - turn * floor(apart / turn + 0.5) : 0.0;
+      sd[i] += weight * (apart * apart);
+    }
+  }
+  for (int i = 0; i < NAMED; i++) sd[i] = sqrt(sd[i] / weights);
+  return rivals;
 }
 
 /* ---- events in the order of their own times: `observer.fusion`, `observer.history` */

@@ -116,9 +116,9 @@ class Bank:
         """Kernels write into the other side's arrays, which then become the current ones."""
         return self._now[0]
 
-    def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, Any]:
-        """All that C needs to go on with: both sides' x and P, scores, mean NIS, outcomes; current side and blocks."""
-        return self._x, self._P, self._score, self._nis, self._outcome, self._now
+    def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, FloatArray, Any]:
+        """All that C needs to go on with: both sides' x and P, scores, mean NIS, outcomes, values; side and blocks."""
+        return self._x, self._P, self._score, self._nis, self._outcome, self._y, self._now
 
     def members(self, block: int) -> slice:
         """The filters of one block."""
@@ -259,11 +259,15 @@ class Bank:
 
     def best(self) -> int:
         """Index of the most likely filter."""
-        return int(self.score.argmax()) if self.size > 1 else 0
+        return int(self._score[: self.size].argmax()) if self.full_size > 1 else 0
 
     def lost(self) -> bool:
         """Whether not one filter is finite any more."""
-        return bool(self._score[self.best()] == LOST_SCORE)
+        return self.is_lost(self.best())
+
+    def is_lost(self, member: int) -> bool:
+        """Whether one filter is not."""
+        return bool(self._score[member] == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
         """Indices of the filters whose score is within `margin` (nats) of the best."""

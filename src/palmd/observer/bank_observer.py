@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from palmd.events import (
     Estimate,
     Event,
-    FloatArray,
     Improvement,
     ObjectEstimate,
     Outlook,
@@ -192,14 +190,13 @@ class BankObserver:
     def estimate(self, t: float) -> Estimate:
         """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
         fusion, session = self._fusion, self._session
-        gone = t - fusion.palms.t > GONE_S or self._contacts.gone(t)
-        if session.track is not None and (gone or fusion.bank.lost()):
+        gone, best = t - fusion.palms.t > GONE_S or self._contacts.gone(t), fusion.bank.best()
+        if session.track is not None and (gone or fusion.bank.is_lost(best)):
             session.stop()
         track = session.track
         if track is None:
             palms = fusion.palms.motion(t) if fusion.palms_known(t) else None
             return no_answer(t, self.name, session.object_count, palms)
-        best = fusion.bank.best()
         nis = fusion.bank.nis_of(best)
         y, sd, disagreement = self._named(track, best, t)
         evidence = self._evidence(track, t, y, sd, disagreement, nis)
@@ -276,21 +273,13 @@ class BankObserver:
         if self._observability.due(fusion.t):
             state, motion = fusion.filters.as_shape_map(best), fusion.palms.at(fusion.t)
             self._observability.sample(fusion.t, state, motion, fusion.palms.jerk)
-        rivals, inflation = fusion.rivals(), self._inflation(track, t)
-        disagreement = _AGREED if len(rivals) == 1 else self._disagreement(best, rivals).tolist()
+        inflation = self._inflation(track, t)
+        disagreement = fusion.disagreement(self._hypotheses.one_gauge) or _AGREED
         each = zip(variance, disagreement, strict=True)
         sd = [math.sqrt((0.0 if own < 0.0 else own) + other * other) * inflation for own, other in each]
         if not fusion.allows_for_rig:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd).tolist()
         return y, sd, disagreement
-
-    def _disagreement(self, best: int, rivals: npt.NDArray[np.intp]) -> FloatArray:
-        """One-sigma of the rivals' answers about the best one's, weighted by likelihood."""
-        answers, score = self._fusion.named(), self._fusion.bank.score
-        weights = np.exp(score[rivals] - score[best])
-        differences = self._hypotheses.apart(answers[rivals] - answers[best])
-        spread: FloatArray = np.sqrt(weights @ differences**2 / weights.sum())
-        return spread
 
     def _evidence(
         self, track: Track, t: float, y: list[float], sd: list[float], disagreement: list[float], nis: float

@@ -63,8 +63,8 @@ class _FusedReading(ctypes.Structure):
 
 class _Bank(ctypes.Structure):
     _fields_ = (
-        *_pointers("predict", "update1", "update2", "predict_one", "named"),
-        *_pointers("x0", "x1", "P0", "P1", "score", "nis", "outcome", "rig", "now"),
+        *_pointers("predict", "update1", "update2", "values", "predict_one", "named"),
+        *_pointers("x0", "x1", "P0", "P1", "score", "nis", "outcome", "y", "rig", "now"),
         *((name, ctypes.c_long) for name in ("n", "block")), *_doubles("memory_s"),
     )  # fmt: skip
 
@@ -118,6 +118,7 @@ class Routines:
         self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, gives=integer)
         told = (pointer, pointer, pointer)
         self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, *told)
+        self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, gives=integer)
         self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
         self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
 
@@ -183,8 +184,8 @@ class CompiledPalms:
     def motion(self, t: float) -> PalmMotion:
         """The same as a value with names."""
         self._does.palms_at(self.address, t, self._motion_at)
-        values = tuple(self._motion)
-        return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
+        phi1, phi2, omega1, omega2, alpha1, alpha2 = self._motion
+        return PalmMotion((phi1, phi2), (omega1, omega2), (alpha1, alpha2))
 
 
 class CompiledRig:
@@ -213,15 +214,17 @@ class CompiledBank:
         self.bank = bank
         self._rig_inputs = rig_inputs
         of_bank = "" if bank.block == 1 else "_block"
-        kernels = [f"{name}{of_bank}" for name in ("predict", *map(pad_update, PALMS))] + ["predict", "named"]
-        (x0, x1), (P0, P1), score, nis, outcome, now = bank.memory()
-        arrays = (each.ctypes.data for each in (x0, x1, P0, P1, score, nis, outcome, rig_inputs))
+        kernels = [f"{name}{of_bank}" for name in ("predict", *map(pad_update, PALMS), "values")] + ["predict", "named"]
+        (x0, x1), (P0, P1), score, nis, outcome, y, now = bank.memory()
+        arrays = (each.ctypes.data for each in (x0, x1, P0, P1, score, nis, outcome, y, rig_inputs))
         self._now = _Bank(
             *map(routines.address, kernels), *arrays, ctypes.addressof(now), bank.n, bank.block, bank.memory_s
         )
         self.address = ctypes.addressof(self._now)
         self._y, self._variance, self._uneven = _Named(), _Named(), _Named(*uneven)
         self._told = tuple(map(ctypes.addressof, (self._uneven, self._y, self._variance)))
+        self._apart = _Named()
+        self._apart_at = ctypes.addressof(self._apart)
         self._spread, self._rows = _Rows(), _Rows()
         self._believed_sd: FloatArray | None = None
         self._believed = np.zeros((0, bank.n))  # as variances
@@ -289,6 +292,14 @@ class CompiledBank:
         by = (None, 0) if spread is None else (self._spread.at(spread), spread.shape[1])
         self.does.named(self.address, palms.address, rig.address, member, t, dt, *by, *self._told)
         return self._y[:], self._variance[:]
+
+    def disagreement(
+        self, rig: CompiledRig, palms: CompiledPalms, t: float, margin: float, one_gauge: bool
+    ) -> list[float] | None:
+        """As `Fusion.disagreement` at `t` (s), the rivals being within `margin` (nats) of the best."""
+        at = (self.address, palms.address, rig.address)
+        rivals = self.does.disagreement(*at, t, margin, one_gauge, self._apart_at)
+        return self._apart[:] if rivals > 1 else None
 
 
 class CompiledHistory:

@@ -31,7 +31,8 @@ class Coverage:
         self._curvatures = curvatures
         self.marks: Marks = np.zeros(NORMAL_BINS, dtype=np.bool_) if marks is None else marks.copy()
         self._leader = leader
-        self._last_normals: tuple[float, ...] | None = None
+        self._marked = int(np.count_nonzero(self.marks))
+        self._last_bins: list[int] = []  # in which both contacts were, none after a change of the leader
         self._recent: deque[tuple[float, int]] = deque()  # when (s) which bin was marked first
 
     def mark(self, t: float, leader: int, y: Sequence[float] | FloatArray, all_psi: Callable[[], FloatArray]) -> None:
@@ -42,13 +43,14 @@ class Coverage:
         """
         self._turn_to(leader, all_psi)
         normals = _normals(y, self._curvatures)
-        for now, before in zip(normals, self._last_normals or normals, strict=True):
-            first, last = sorted((now, before))
-            for bin_ in range(math.floor(first / _WIDTH), math.floor(last / _WIDTH) + 1):
-                if not self.marks[bin_ % NORMAL_BINS]:
-                    self.marks[bin_ % NORMAL_BINS] = True
-                    self._recent.append((t, bin_ % NORMAL_BINS))
-        self._last_normals = normals
+        bins = [math.floor(normal / _WIDTH) for normal in normals]
+        if bins != self._last_bins:  # else both are marked already
+            for now, before in zip(bins, self._last_bins or bins, strict=True):
+                for bin_ in range(min(now, before), max(now, before) + 1):
+                    if not self.marks[bin_ % NORMAL_BINS]:
+                        self.marks[bin_ % NORMAL_BINS] = True
+                        self._recent.append((t, bin_ % NORMAL_BINS))
+            self._last_bins, self._marked = bins, int(np.count_nonzero(self.marks))
         while self._recent and self._recent[0][0] < t - RECENT_S:
             self._recent.popleft()
 
@@ -67,7 +69,7 @@ class Coverage:
     @property
     def fraction(self) -> float:
         """Share of the normals that are marked."""
-        return float(np.count_nonzero(self.marks)) / NORMAL_BINS
+        return self._marked / NORMAL_BINS
 
     def _turn_to(self, leader: int, all_psi: Callable[[], FloatArray]) -> None:
         if leader == self._leader:
@@ -80,7 +82,7 @@ class Coverage:
         else:
             self.marks[:] = False
             self._recent.clear()
-        self._leader, self._last_normals = leader, None
+        self._leader, self._last_bins = leader, []
 
 
 def _normals(y: Sequence[float] | FloatArray, curvatures: Sequence[float]) -> tuple[float, ...]:

@@ -237,6 +237,26 @@ class Fusion:
         """Values of `NAMED` of every filter at `t`, (size, len(NAMED)); overwritten by the next call."""
         return self.filters.all_named(self.t, self.palms)
 
+    def disagreement(self, one_gauge: bool) -> list[float] | None:
+        """One-sigma of the answers of `NAMED` of the best filter's rivals about its own, weighted by likelihood.
+
+        None where it has no rival. ψ counts, the short way round, of filters that have `one_gauge` alone.
+        """
+        filters, palms = self.filters, self.palms
+        if filters.bank.size == 1:
+            return None
+        if isinstance(filters, ShapeFilters) and filters.compiled is not None and isinstance(palms, CompiledPalms):
+            return filters.compiled.disagreement(filters.compiled_rig, palms, self.t, PLAUSIBLE, one_gauge)
+        rivals, best, score = self.rivals(), self.bank.best(), self.bank.score
+        if len(rivals) == 1:
+            return None
+        answers = self.named()
+        apart, weights = answers[rivals] - answers[best], np.exp(score[rivals] - score[best])
+        turned = apart[:, _PSI]
+        apart[:, _PSI] = np.remainder(turned + math.pi, math.tau) - math.pi if one_gauge else 0.0
+        spread: list[float] = np.sqrt(weights @ apart**2 / weights.sum()).tolist()
+        return spread
+
     def psi(self) -> FloatArray:
         """ψ of every filter (rad)."""
         return self.named()[:, _PSI]

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray, ObjectEstimate
+from palmd.events import ObjectEstimate
 from palmd.observer.bank import Belief
 from palmd.observer.filters.base import Filters
 from palmd.observer.fusion import Pruning
@@ -28,6 +28,8 @@ class Hypotheses(Protocol):
     """All calls are safe inside the loop; `begin` takes some milliseconds."""
 
     pruning: Pruning
+    one_gauge: bool
+    """Whether all filters have the same: else each has its own, and ψ of one means nothing beside another's."""
 
     @property
     def banks(self) -> Sequence[Filters]:
@@ -47,9 +49,6 @@ class Hypotheses(Protocol):
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
         """The bank has been pruned: the former numbers of the filters that stay."""
-
-    def apart(self, differences: FloatArray) -> FloatArray:
-        """Differences of `NAMED` between filters (count, len(NAMED)), as far as they mean anything."""
 
     def decide(self, track: Track, t: float, settled: bool) -> Verdict:
         """What is decided at `t` (s), where the estimate is `settled` or not."""

@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray, ObjectEstimate
 from palmd.model.compiled import LANES
-from palmd.model.outputs import NAMED
 from palmd.observer.bank import Bank, Belief
 from palmd.observer.filters.base import Filters
 from palmd.observer.filters.shape_map import ShapeFilters
@@ -34,7 +33,6 @@ from palmd.system.description import RigDescription
 BANK = 96  # filters at most: what a tick has time for
 TWINS, TWIN_AGE_S = 16, 0.6
 NONE = 0.2  # the probability of "none of these" before anything is felt
-_PSI = NAMED.index("psi")
 
 
 class Recogniser:
@@ -44,6 +42,7 @@ class Recogniser:
     """
 
     pruning = Pruning(margin=40.0, age_s=0.3)  # all filters begin with the truth, if it is in them: they part soon
+    one_gauge = True
 
     def __init__(self, outlines: Sequence[Outline], rig: RigDescription):
         """Raises ValueError when there is no outline."""
@@ -89,11 +88,6 @@ class Recogniser:
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
         """The bank has been pruned: the former numbers of the filters that stay."""
         self._which, self._twin = self._which[kept], self._twin[kept]
-
-    def apart(self, differences: FloatArray) -> FloatArray:
-        """Those of ψ the short way round."""
-        differences[:, _PSI] = np.remainder(differences[:, _PSI] + math.pi, math.tau) - math.pi
-        return differences
 
     def decide(self, track: Track, t: float, settled: bool) -> Verdict:
         """Decided once it is all but sure which outline the likeliest filter has."""

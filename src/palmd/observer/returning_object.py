@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import FloatArray
-from palmd.model.outputs import NAMED
 from palmd.observer.bank import Belief
 from palmd.observer.coverage import Coverage, contact_bins
 from palmd.observer.filters.base import Filters
@@ -33,7 +31,6 @@ PRIOR_AGE_S = 4.0  # by which these forget as if they were older
 LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # after which what is not the known object, or may not be, is begun as a new one
 BAYES_FACTOR = 3.0  # nats by which blind filters lead when it is not
 SAME_POSE_RAD = 0.1  # from which on an object lies another way round
-_PSI = NAMED.index("psi")
 
 
 class SmoothedFilters(NamedTuple):
@@ -47,6 +44,7 @@ class ReturningObject:
     """Hypotheses of an observer that remembers the last object; `candidate` is what it may be again."""
 
     pruning = Pruning(margin=100.0, age_s=4.0)  # no filter comes back from there
+    one_gauge = False
 
     def __init__(self, rig: RigDescription, blind: Filters, smoothed: SmoothedFilters | None = None):
         """`smoothed`: for an observer with a smoother at its side."""
@@ -90,11 +88,6 @@ class ReturningObject:
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
         """Nothing to do: a filter's hypothesis is told by its prior age."""
-
-    def apart(self, differences: FloatArray) -> FloatArray:
-        """All but those of ψ: each filter has its own gauge."""
-        differences[:, _PSI] = 0.0
-        return differences
 
     def decide(self, track: Track, t: float, settled: bool) -> Verdict:
         """Accept or reject that it is the candidate; with none there is nothing to decide."""

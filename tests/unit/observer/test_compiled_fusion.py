@@ -17,6 +17,7 @@ from palmd.observer.bank_observer import BankObserver
 from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms, Routines
 from palmd.observer.filters.base import pad_update
 from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.fusion import PLAUSIBLE, Fusion
 from palmd.observer.history import EVENTS, History
 from palmd.observer.palms import FORGOTTEN_S, PalmTracker
 from palmd.observer.prior import GYRATION, blind_start
@@ -150,6 +151,26 @@ def test_named_values_and_their_variances_are_the_twins(kind, left_by):
             told.append(each.named(0, 0.03, 0.009, tracked))
         for got, wanted in zip(*told, strict=True):
             np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("one_gauge", [True, False])
+@pytest.mark.parametrize("kind", RIGS)
+def test_by_how_much_rivals_disagree_is_the_twins(kind, one_gauge):
+    filters, palms = pair(RIGS[kind], 16)
+    told = []
+    for each, tracked in zip(filters, palms, strict=True):
+        fusion = Fusion(RIGS[kind], [each])
+        fusion.filters, fusion.palms, fusion.t = each, tracked, 0.03
+        score = each.bank.score
+        score[:] = np.linspace(-PLAUSIBLE - 3.0, 0.0, len(score))
+        each.bank.x[3, Z.PSI] += 2.0 * math.tau - 0.2  # as turned as 0.2 the other way round, and no rival
+        each.bank.x[12, Z.PSI] += math.tau + 0.2
+        told.append(fusion.disagreement(one_gauge))
+        score[:-1] = -PLAUSIBLE  # on the edge
+        assert fusion.disagreement(one_gauge) is None
+    np.testing.assert_allclose(*told, rtol=1e-9, atol=1e-15)
+    psi = told[0][NAMED.index("psi")]
+    assert 0.05 < psi < 0.5 if one_gauge else psi == 0.0
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.observer.data_segment import ARM_GAP_S, LEAD_S, PAD_GAP_S, longest_segment
+from palmd.observer.data_segment import ARM_GAP_S, LEAD_S, PAD_GAP_S, DataSegment, longest_segment
 
 
 def run(start=0.0, end=3.0, without=()):

@@ -98,6 +98,19 @@ def test_marks_turn_with_the_gauge_of_the_leader() -> None:
     assert (marks.marks == np.roll(before, -6)).all()
 
 
+def test_all_that_lies_between_two_ticks_is_marked_and_told_as_a_share() -> None:
+    named, marks, step = np.zeros(18), Coverage(), 2 * math.pi / NORMAL_BINS
+    named[[5, 7]] = 0.8, 1.6
+    for turned in (0, 0, 3, 3, -2):
+        named[10] = turned * step
+        marks.mark(1.0, 0, named, lambda: np.zeros(2))
+        assert marks.fraction == np.count_nonzero(marks.marks) / NORMAL_BINS
+    assert np.count_nonzero(marks.marks) == 2 * (3 + 1 + 2)
+    marks.renumber(np.array([5]))  # who led is gone, and what was marked in its gauge means nothing
+    marks.mark(2.0, 0, named, lambda: np.zeros(1))
+    assert marks.fraction == np.count_nonzero(marks.marks) / NORMAL_BINS == 2 / NORMAL_BINS
+
+
 def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
     """Else what was vouched for before would have to roll anew first."""
     rig, track = RigDescription(), MagicMock()
