@@ -395,6 +395,13 @@ long lift(Bank *bank, long block, const double *rows, long count) {
   return told;
 }
 
+/* last input of the kernels that tell NAMED at `t`: MOTION + RIG_INPUTS */
+static void named_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double *v) {
+  surfaces_at(palms, rig, t, v);
+  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
+}
+
 /* NAMED of one filter, from `t` to `t + dt`, and the variance of each; `spread` (n, steps) is what the rig's constants
    leave open besides, `uneven` what rounded goals do */
 void named(const Bank *bank, const Palms *palms, const RigError *rig, long member, double t, double dt,
@@ -416,8 +423,7 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
   double *out[] = {x_next, P_next};
   bank->predict_one(in, out, 1);
   double v[MOTION + RIG_INPUTS];
-  surfaces_at(palms, rig, t + dt, v);
-  memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
+  named_inputs(bank, palms, rig, t + dt, v);
   const double *at[] = {x_next, v};
   double *told[] = {y, J};
   bank->named(at, told, 1);
@@ -447,9 +453,7 @@ long disagreement(Bank *bank, const Palms *palms, const RigError *rig, double t,
   long rivals = 0;
   for (long f = 0; f < size; f++) rivals += score[f] > least;
   if (rivals < 2) return rivals;
-  surfaces_at(palms, rig, t, v);
-  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
-  memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
+  named_inputs(bank, palms, rig, t, v);
   const double *in[] = {bank->x[bank->now[0]], v};
   double *out[] = {bank->y};
   bank->values(in, out, size);

@@ -184,8 +184,8 @@ class CompiledPalms:
     def motion(self, t: float) -> PalmMotion:
         """The same as a value with names."""
         self._does.palms_at(self.address, t, self._motion_at)
-        told = tuple(self._motion)
-        return PalmMotion(told[:_JOINTS], told[_JOINTS : 2 * _JOINTS], told[2 * _JOINTS :])
+        values = tuple(self._motion)
+        return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
 
 
 class CompiledRig:

@@ -19,6 +19,9 @@ from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
 IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
+NO_FORCES = (0.0,) * len(PALMS)
+"""What pads have told at most of which nothing is known (N)."""
 
 WITHIN_S = 1e-9  # of a span's ends, where nodes are in it
 LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
@@ -30,7 +33,7 @@ class Record:
 
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
     `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
-    pads that tell no force; `contact_told`: whether it is told, 1 or 0, rather than beyond the pad's scale. `torn`:
+    pads that tell no force; `contact_told`: where the pad tells a force, which it does not beyond its scale. `torn`:
     steps over which nothing is said of the motion (`within`).
     """
 
@@ -43,7 +46,7 @@ class Record:
     contact_pad: FloatArray
     contact_palms: FloatArray
     contact_force: FloatArray
-    contact_told: FloatArray
+    contact_told: BoolArray
     contact_value: FloatArray
     contact_variance: FloatArray
     contact_weight: FloatArray
@@ -114,7 +117,7 @@ class Record:
         scales = [
             median(self.contact_force[mine] / force[mine])
             for pad in PALMS
-            if (mine := (self.contact_pad == pad) & (self.contact_told > 0.0) & (force > LEAST_FORCE_N)).any()
+            if (mine := (self.contact_pad == pad) & self.contact_told & (force > LEAST_FORCE_N)).any()
         ]
         if not scales:
             return self
@@ -191,7 +194,7 @@ def lay_out(
     end: float,
     spacing: float,
     resting_since: float = math.inf,
-    most_forces: Sequence[float] = (0.0, 0.0),
+    most_forces: Sequence[float] = NO_FORCES,
 ) -> Record:
     """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time.
 
@@ -220,11 +223,10 @@ def lay_out(
         & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
     )
     level = _running_median(force, pad)
-    told = np.asarray(np.nan_to_num(level) > 0.0, dtype=np.float64)
     force_variance = rig.force_variances(level, pad)
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
-        step, offset, pad, palms, _pressing(level, pad, most_forces), told, value, variance, weight,
+        step, offset, pad, palms, _pressing(level, pad, most_forces), level > 0.0, value, variance, weight,
         step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
         weight[pressed],
     )  # fmt: skip

@@ -29,7 +29,7 @@ from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
-from palmd.observer.record import Record, lay_out
+from palmd.observer.record import NO_FORCES, Record, lay_out
 from palmd.observer.smoother import MAX_ITERATIONS, Fit, Smoother
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
@@ -119,7 +119,7 @@ class Search:
         start: float | None = None,
         resting_since: float = math.inf,
         belief: RigBelief | None = None,
-        most_forces: Sequence[float] = (0.0, 0.0),
+        most_forces: Sequence[float] = NO_FORCES,
     ):
         """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import Run, simulated
+from simulated import Run, pads_changed, simulated
 
 from palmd.events import Event, FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
@@ -17,6 +17,7 @@ from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
+from palmd.system.mechanism import PALMS
 
 THETA: FloatArray = (np.arange(NORMAL_BINS) + 0.5) * (2 * np.pi / NORMAL_BINS)
 OUTLINE = slice(shape_map.Z.SHAPE, None)
@@ -104,6 +105,28 @@ def test_what_an_answer_looks_at_is_bounded_however_long_it_has_been(rested: Res
     kept = rested[0].kept
     assert kept[36.0] < 1.2 * kept[16.0]
     assert kept[16.0] < 6 * 300
+
+
+def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_force() -> None:
+    """How far the contact reads for the force is told by the force; left out, readings contradict what is known."""
+    off_m_n, heavier, beyond, end = 6e-5, 2.0, 8.0, 14.0
+    run = simulated("rig", 710, end, rests=((9.0, end),))
+
+    def pressed(sample: PadSample) -> PadSample:
+        assert sample.force is not None
+        force = heavier * sample.force
+        told = None if sample.pad == PALMS[-1] and sample.t_sample > beyond else force
+        return replace(sample, s=sample.s + off_m_n * force, force=told)
+
+    rig = run.rig.with_pads(force_sd=off_m_n)
+    beside = Beside(Run(tuple(pads_changed(run.events, pressed)), rig, run.truth, run.palms))
+    before, after = (beside.until(t, Session(1, 0.0)) for t in (beyond, end))
+    assert before is not None
+    assert after is not None
+    assert after.t > end - 1.0
+    assert after.frame == before.frame
+    error, sd, _ = scored(after, beside.run)
+    assert error < 2.5 * sd
 
 
 def test_an_object_that_was_away_is_known_again_and_what_was_felt_is_joined() -> None:
