@@ -15,6 +15,7 @@ from palmd.config.two_palms import rig_description
 from palmd.console.shipped import shipped
 from palmd.daemon.exploration_requests import Decider, InlineExplorer
 from palmd.daemon.planner import read_plan
+from palmd.daemon.realtime import freeze_collector
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.harness.wireless import Wireless
 from palmd.motion.check import motion_limits
@@ -67,6 +68,7 @@ def main(seconds, seeds):
     taken = {name: [] for name in ("demo", "cradle", "pivot")}
     for seed in seeds:
         loops = {name: made(name, seed) for name in taken}
+        freeze_collector()  # as the daemon does before its loop
         for loop, beside, ticks in loops.values():
             step = loop.core.step
 
