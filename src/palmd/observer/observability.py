@@ -92,8 +92,9 @@ class Observability:
             self._filled_s += dt
             if self._filled_s >= BLOCK_S - SAMPLE_S / 2:
                 self._close_block()
-                if t - self._t_begin >= WINDOW_S:
-                    self._value = self._judge()
+                self._full = t - self._t_begin >= WINDOW_S
+            elif self._full:  # not in the same tick: either takes a tenth of a millisecond
+                self._value, self._full = self._judge(), False
         self._t_sample = t
         self._readings = [0, 0]
         self._x[:] = x
@@ -108,6 +109,7 @@ class Observability:
 
     def _break_off(self) -> None:
         self._blocks.clear()
+        self._full = False  # of blocks, that have not been judged yet
         self._open_block()
 
     def _open_block(self) -> None:
