@@ -33,6 +33,7 @@ from palmd.observer.three_palms.search import (
     ContactBall,
     Rival,
     Task,
+    eased,
     loosely,
     loosened,
     rivals,
@@ -390,7 +391,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
         fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
         if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * record.numbers):
             continue
-        fit = smoother.fit(fit.motion)
+        fit = eased(task, record, prior, smoother.fit(fit.motion))
         most = min(most, fit.cost)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
         found = apart(sorted([*found, now], key=lambda each: each.cost))
@@ -522,7 +523,7 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     more = len(motion.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    fit = smoother.fit(motion, 15)
+    fit = eased(task, record, now.ahead, smoother.fit(motion, 15))
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
