@@ -519,11 +519,15 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     have = now.intervals
     more = min(max(round(seconds / SPACING_S), 1), until - have)
     start = task.start + have * SPACING_S
-    motion = _guess(task, _shifted(now.ahead, share), now.record.node_palms[-1:], start, more)
-    more = len(motion.R) - 1
+    begun_with = _shifted(now.ahead, share)
+    told = _guess(task, begun_with, now.record.node_palms[-1:], start, more)
+    more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    fit = eased(task, record, now.ahead, smoother.fit(motion, 15))
+    # contacts tell a tumble, but of what is calm and round a spin that is not
+    guesses = [smoother.settled(each) for each in (told, _kept(begun_with, more))]
+    nearest = min(guesses, key=lambda each: each.cost)
+    fit = eased(task, record, now.ahead, smoother.fit(nearest.motion, 15))
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
@@ -535,6 +539,13 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
         now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
+
+
+def _kept(ahead: BodyPrior, more: int) -> BodyMotion:
+    """The motion carried on as if it kept its spin, over `more` intervals."""
+    omega = np.tile(ahead.spin, (more + 1, 1))
+    steps = SPACING_S * np.arange(more + 1)[:, None] * ahead.spin
+    return BodyMotion(rotation.exp(np.asarray(steps, np.float64)) @ ahead.R, omega, ahead.mean)
 
 
 def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:
