@@ -190,13 +190,32 @@ def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, 
         assert len(order) == searches
 
 
-def test_what_is_sure_but_not_found_again_is_challenged_when_the_record_has_doubled(rig, asked, monkeypatch):
-    order, _ = asked
+def disagree(monkeypatch):
     monkeypatch.setattr(seeker, "agree", lambda *_: False)
+
+
+def find_a_rival(monkeypatch):
+    merged = Search.merged
+
+    def doubled(self, one, other):
+        best = merged(self, one, other)
+        return replace(best, fits=(best.fits[0], best.fits[0]))
+
+    monkeypatch.setattr(Search, "merged", doubled)
+    monkeypatch.setattr(Search, "likeliest", lambda _, finding, motions: Likeliest(finding, True, motions))
+
+
+@pytest.mark.parametrize("come_out", [disagree, find_a_rival])
+def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_has_doubled(
+    rig, asked, monkeypatch, come_out
+):
+    order, _ = asked
+    come_out(monkeypatch)
     whole = longest_segment(simulated("friction", 107, 6.5).events)
     seek = Seeker(rig, 0)
     for seconds, searches in ((1.5, 1), (3.1, 2), (6.3, 3)):
-        assert seek.sought(whole.until(whole.start + seconds), None) is not None
+        seek.sought(whole.until(whole.start + seconds), None)
+        assert seek.sure
         assert len(order) == searches
 
 
