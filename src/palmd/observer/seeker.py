@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from palmd.events import FloatArray
@@ -25,7 +27,7 @@ HINT_SD = 1e-4  # m, of the outline's coefficients
 TELLING_S = 6.0
 """Of readings: of longer ones, in simulation, whatever alone explained them was right."""
 ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
-CHALLENGE = 2.0  # by how much the record grows from one blind search to the next
+CHALLENGE = 2.0  # by how much the record grows from one blind search to the next, until one confirms what was sure
 STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 
@@ -84,8 +86,9 @@ class Seeker:
             finding = search.resumed(self._guesses)
         else:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
-        if finding is None and hint is not None:
-            finding = search.placed(hint, HINT_SD**2 * np.eye(2 * ORDER + 1))
+        placed = hint if finding is None else None
+        if placed is not None and not self._exact:
+            finding = _placed(search, placed)
         challenged = seconds >= self._challenge_s or not self.sure
         if finding is None or challenged or unfit(finding.fits[0], finding.record):
             # a window that has grown may have been led into a valley next to the right one
@@ -95,12 +98,16 @@ class Seeker:
             if finding is None and attempt.free:
                 search = search.believing(self._belief.suspended())
             blind = search.blind(attempt, self._seed)
+            if blind is None and placed is not None and self._exact:
+                blind = _placed(search, placed)  # dear, and what it is held against elsewhere are rides here
             merged = search.merged(finding, blind)
+            again = self.sure and agree(finding, blind)
             self._survived = self._challenges_survived(finding, blind, merged, seconds)
             finding = merged
-            self._challenge_s = CHALLENGE * seconds
             if finding is not None and self._exact and not self._rig.curved:
                 finding = self._likeliest(search, finding)
+            confirmed = again and self.sure and finding is not None and len(finding.fits) == 1
+            self._challenge_s = math.inf if confirmed else CHALLENGE * seconds
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -170,3 +177,8 @@ class Seeker:
                 break
             answer = Answer(anew, found)
         return answer
+
+
+def _placed(search: Search, constants: FloatArray) -> Minima | None:
+    """What is found from constants that a live filter has settled on."""
+    return search.placed(constants, HINT_SD**2 * np.eye(2 * ORDER + 1))

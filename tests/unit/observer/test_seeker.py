@@ -163,3 +163,74 @@ def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it(
     assert found is not None
     assert math.exp(found.x[Z.LN_RHO]) == pytest.approx(run.truth.rho, rel=0.1)
     assert found.x[Z.SHAPE] == pytest.approx(run.truth.h.mean(), abs=1e-4)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Which searches are asked for, in order; `nothing`: which of them come to nothing."""
+    order, nothing = [], set()
+    for name in ("placed", "blind"):
+        search = getattr(Search, name)
+
+        def noted(self, *arguments, name=name, search=search):
+            order.append(name)
+            return None if name in nothing else search(self, *arguments)
+
+        monkeypatch.setattr(Search, name, noted)
+    return order, nothing
+
+
+def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, asked):
+    order, _ = asked
+    whole = longest_segment(simulated("friction", 107, 6.5).events)
+    seek = Seeker(rig, 0)
+    for seconds, searches in ((1.5, 1), (2.9, 1), (3.1, 2), (6.3, 2)):
+        assert seek.sought(whole.until(whole.start + seconds), None) is not None
+        assert seek.sure
+        assert len(order) == searches
+
+
+def disagree(monkeypatch):
+    monkeypatch.setattr(seeker, "agree", lambda *_: False)
+
+
+def find_a_rival(monkeypatch):
+    merged = Search.merged
+
+    def doubled(self, one, other):
+        best = merged(self, one, other)
+        return replace(best, fits=(best.fits[0], best.fits[0]))
+
+    monkeypatch.setattr(Search, "merged", doubled)
+    monkeypatch.setattr(Search, "likeliest", lambda _, finding, motions: Likeliest(finding, True, motions))
+
+
+@pytest.mark.parametrize("come_out", [disagree, find_a_rival])
+def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_has_doubled(
+    rig, asked, monkeypatch, come_out
+):
+    order, _ = asked
+    come_out(monkeypatch)
+    whole = longest_segment(simulated("friction", 107, 6.5).events)
+    seek = Seeker(rig, 0)
+    for seconds, searches in ((1.5, 1), (3.1, 2), (6.3, 3)):
+        seek.sought(whole.until(whole.start + seconds), None)
+        assert seek.sure
+        assert len(order) == searches
+
+
+@pytest.mark.parametrize(
+    ("nothing", "exact", "expected"),
+    [((), True, ["blind"]), (("blind",), True, ["blind", "placed"]), ((), False, ["placed", "blind"])],
+)
+def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_open(
+    rig, asked, nothing, exact, expected
+):
+    """On a rig that is known exactly it is what is begun with where a blind search finds nothing."""
+    order, vain = asked
+    vain.update(nothing)
+    segment = longest_segment(simulated(*RUN).events)
+    hint = Search(segment, rig).prior.mean
+    rig = rig if exact else rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
+    Seeker(rig, 0).sought(segment, hint)
+    assert order == expected
