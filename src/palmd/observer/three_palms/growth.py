@@ -33,6 +33,7 @@ from palmd.observer.three_palms.search import (
     ContactBall,
     Rival,
     Task,
+    by_chance,
     eased,
     loosely,
     loosened,
@@ -524,9 +525,9 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    # contacts tell a tumble, but of what is calm and round a spin that is not
-    guesses = [smoother.settled(each) for each in (told, _kept(begun_with, more))]
-    nearest = min(guesses, key=lambda each: each.cost)
+    nearest = smoother.settled(told)
+    if not by_chance(nearest, record):  # contacts tell a tumble, but of what is calm and round a spin that is not
+        nearest = min(nearest, smoother.settled(_kept(begun_with, more)), key=lambda each: each.cost)
     fit = eased(task, record, now.ahead, smoother.fit(nearest.motion, 15))
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
