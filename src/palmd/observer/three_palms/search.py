@@ -187,9 +187,9 @@ def eased(task: Task, record: BodyRecord, prior: BodyPrior, fit: BodyFit) -> Bod
     """The fit; if it costs more than chance, what its motion leads to once all is loosened and tightened again.
 
     What turns far in a window, over what was never felt, has minima beside the right one: they are shallow where
-    readings are rough and equations are loose. Whichever of the two costs less.
+    readings are rough and equations are loose. Whichever of the two costs less. Live there is no time for it.
     """
-    if by_chance(fit, record):
+    if by_chance(fit, record) or not task.finest:
         return fit
     motion = fit.motion
     for _, reading, spin in COARSE:
