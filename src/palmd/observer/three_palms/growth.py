@@ -528,7 +528,9 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     nearest = smoother.settled(told)
     if not by_chance(nearest, record):  # contacts tell a tumble, but of what is calm and round a spin that is not
         nearest = min(nearest, smoother.settled(_kept(begun_with, more)), key=lambda each: each.cost)
-    fit = eased(task, record, now.ahead, smoother.fit(nearest.motion, 15))
+    fit = smoother.fit(nearest.motion, 15)
+    if share == 0.0:  # else it is one of many ways that are tried
+        fit = eased(task, record, now.ahead, fit)
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
