@@ -37,7 +37,7 @@ class _Block:
 class Observability:
     """Follows one trajectory of the shape map, sample by sample; safe inside the loop.
 
-    `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more when a block is full.
+    `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more after a block is full.
     """
 
     def __init__(self, rig: FloatArray, reading_variances: FloatArray):
@@ -104,7 +104,7 @@ class Observability:
             self._aim()
 
     def value(self) -> float:
-        """The number as of the last full block (no unit, ≥ 0); NaN in the first second."""
+        """The number as of the last full block that a sample has followed (no unit, ≥ 0); NaN in the first second."""
         return self._value
 
     def _break_off(self) -> None:
