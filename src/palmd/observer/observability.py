@@ -109,7 +109,7 @@ class Observability:
 
     def _break_off(self) -> None:
         self._blocks.clear()
-        self._full = False  # of blocks, that have not been judged yet
+        self._full = False  # a window that has not been judged yet
         self._open_block()
 
     def _open_block(self) -> None:
