@@ -91,23 +91,7 @@ class Seeker:
             finding = _placed(search, placed)
         challenged = seconds >= self._challenge_s or not self.sure
         if finding is None or challenged or unfit(finding.fits[0], finding.record):
-            # a window that has grown may have been led into a valley next to the right one
-            attempt = self._attempt(finding is not None)
-            self._seed += 1
-            attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
-            if finding is None and attempt.free:
-                search = search.believing(self._belief.suspended())
-            blind = search.blind(attempt, self._seed)
-            if blind is None and placed is not None and self._exact:
-                blind = _placed(search, placed)  # dear, and what it is held against elsewhere are rides here
-            merged = search.merged(finding, blind)
-            again = self.sure and agree(finding, blind)
-            self._survived = self._challenges_survived(finding, blind, merged, seconds)
-            finding = merged
-            if finding is not None and self._exact and not self._rig.curved:
-                finding = self._likeliest(search, finding)
-            confirmed = again and self.sure and finding is not None and len(finding.fits) == 1
-            self._challenge_s = math.inf if confirmed else CHALLENGE * seconds
+            search, finding = self._sought_blindly(search, finding, placed, seconds)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -123,6 +107,30 @@ class Seeker:
                 self.needs_from = max(segment.end - KEPT_S, self.needs_from)
             return None
         return answer
+
+    def _sought_blindly(
+        self, search: Search, finding: Minima | None, hint: FloatArray | None, seconds: float
+    ) -> tuple[Search, Minima | None]:
+        """What has been found, beside what a blind search of so many seconds finds; and the search to go on with.
+
+        A window that has grown may have been led into a valley next to the right one.
+        """
+        attempt = self._attempt(finding is not None)
+        self._seed += 1
+        attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
+        if finding is None and attempt.free:
+            search = search.believing(self._belief.suspended())
+        blind = search.blind(attempt, self._seed)
+        if blind is None and hint is not None and self._exact:
+            blind = _placed(search, hint)  # dear, and what it is held against elsewhere are rides here
+        merged = search.merged(finding, blind)
+        again = self.sure and agree(finding, blind)
+        self._survived = self._challenges_survived(finding, blind, merged, seconds)
+        if merged is not None and self._exact and not self._rig.curved:
+            merged = self._likeliest(search, merged)
+        confirmed = again and self.sure and merged is not None and len(merged.fits) == 1
+        self._challenge_s = math.inf if confirmed else CHALLENGE * seconds
+        return search, merged
 
     def _likeliest(self, search: Search, finding: Minima) -> Minima:
         """As `Search.likeliest`, without the motions that have not explained what there was before."""
