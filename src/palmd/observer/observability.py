@@ -37,7 +37,7 @@ class _Block:
 class Observability:
     """Follows one trajectory of the shape map, sample by sample; safe inside the loop.
 
-    `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more after a block is full.
+    `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more when a block is full.
     """
 
     def __init__(self, rig: FloatArray, reading_variances: FloatArray):
@@ -92,9 +92,8 @@ class Observability:
             self._filled_s += dt
             if self._filled_s >= BLOCK_S - SAMPLE_S / 2:
                 self._close_block()
-                self._full = t - self._t_begin >= WINDOW_S
-            elif self._full:  # not in the same tick: either takes a tenth of a millisecond
-                self._value, self._full = self._judge(), False
+                if t - self._t_begin >= WINDOW_S:
+                    self._value = self._judge()
         self._t_sample = t
         self._readings = [0, 0]
         self._x[:] = x
@@ -104,12 +103,11 @@ class Observability:
             self._aim()
 
     def value(self) -> float:
-        """The number as of the last full block that a sample has followed (no unit, ≥ 0); NaN in the first second."""
+        """The number as of the last full block (no unit, ≥ 0); NaN in the first second."""
         return self._value
 
     def _break_off(self) -> None:
         self._blocks.clear()
-        self._full = False  # a window that has not been judged yet
         self._open_block()
 
     def _open_block(self) -> None:

