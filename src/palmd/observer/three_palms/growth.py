@@ -33,8 +33,6 @@ from palmd.observer.three_palms.search import (
     ContactBall,
     Rival,
     Task,
-    by_chance,
-    eased,
     loosely,
     loosened,
     rivals,
@@ -392,7 +390,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
         fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
         if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * record.numbers):
             continue
-        fit = eased(task, record, prior, smoother.fit(fit.motion))
+        fit = smoother.fit(fit.motion)
         most = min(most, fit.cost)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
         found = apart(sorted([*found, now], key=lambda each: each.cost))
@@ -520,17 +518,11 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     have = now.intervals
     more = min(max(round(seconds / SPACING_S), 1), until - have)
     start = task.start + have * SPACING_S
-    begun_with = _shifted(now.ahead, share)
-    told = _guess(task, begun_with, now.record.node_palms[-1:], start, more)
-    more = len(told.R) - 1
+    motion = _guess(task, _shifted(now.ahead, share), now.record.node_palms[-1:], start, more)
+    more = len(motion.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    nearest = smoother.settled(told)
-    if not by_chance(nearest, record):  # contacts tell a tumble, but of what is calm and round a spin that is not
-        nearest = min(nearest, smoother.settled(_kept(begun_with, more)), key=lambda each: each.cost)
-    fit = smoother.fit(nearest.motion, 15)
-    if share == 0.0:  # else it is one of many ways that are tried
-        fit = eased(task, record, now.ahead, fit)
+    fit = smoother.fit(motion, 15)
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
@@ -542,13 +534,6 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
         now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
-
-
-def _kept(ahead: BodyPrior, more: int) -> BodyMotion:
-    """The motion carried on as if it kept its spin, over `more` intervals."""
-    omega = np.tile(ahead.spin, (more + 1, 1))
-    steps = SPACING_S * np.arange(more + 1)[:, None] * ahead.spin
-    return BodyMotion(rotation.exp(np.asarray(steps, np.float64)) @ ahead.R, omega, ahead.mean)
 
 
 def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:
