@@ -86,12 +86,11 @@ class Seeker:
             finding = search.resumed(self._guesses)
         else:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
-        placed = hint if finding is None else None
-        if placed is not None and not self._exact:
-            finding = _placed(search, placed)
+        if finding is None and hint is not None and not self._exact:
+            finding = _placed(search, hint)
         challenged = seconds >= self._challenge_s or not self.sure
         if finding is None or challenged or unfit(finding.fits[0], finding.record):
-            search, finding = self._sought_blindly(search, finding, placed, seconds)
+            search, finding = self._sought_blindly(search, finding, hint, seconds)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -121,7 +120,7 @@ class Seeker:
         if finding is None and attempt.free:
             search = search.believing(self._belief.suspended())
         blind = search.blind(attempt, self._seed)
-        if blind is None and hint is not None and self._exact:
+        if blind is None and finding is None and hint is not None and self._exact:
             blind = _placed(search, hint)  # dear, and what it is held against elsewhere are rides here
         merged = search.merged(finding, blind)
         again = self.sure and agree(finding, blind)

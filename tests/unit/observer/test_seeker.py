@@ -234,3 +234,13 @@ def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_op
     rig = rig if exact else rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
     Seeker(rig, 0).sought(segment, hint)
     assert order == expected
+
+
+def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig, asked):
+    order, vain = asked
+    whole = longest_segment(simulated("friction", 107, 3.2).events)
+    seek = Seeker(rig, 0)
+    assert seek.sought(whole.until(whole.start + 1.5), None) is not None
+    vain.add("blind")
+    seek.sought(whole.until(whole.start + 3.1), Search(whole, rig).prior.mean)
+    assert order == ["blind", "blind"]
