@@ -9,6 +9,7 @@ import time
 import pytest
 import yaml
 from virtual_rig import running
+from waiting import wait
 
 from palmd.calibration import cylinder, cylinder_session
 from palmd.calibration import standoff as standoff_command
@@ -90,6 +91,7 @@ def refused(config, status, capsys, *more, calibrate=pads):
 def test_pads_are_found_stored_and_told(rig, mine, capsys):
     with rig() as world:
         assert pads(mine) == 0
+        wait(lambda: world.status()["arm_state"] != "T", "the arm that brakes")  # it is told to before the command ends
     result = yaml.safe_load((mine.parent / "calibration/pads.yaml").read_text())
     assert (result["palmd_pads_scale"], result["radius_mm"]) == (1, 20.0)
     asked = result["configuration"]
