@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
-from itertools import islice
+from itertools import accumulate, islice
 
 import numpy as np
 import pytest
 from curvature import curvatures
 
 from palmd.lab.space import errors
+from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
@@ -18,8 +19,9 @@ from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
-from palmd.observer.three_palms.search import Task
-from palmd.observer.three_palms.smoother import BodySmoother
+from palmd.observer.three_palms.record import lay_out
+from palmd.observer.three_palms.search import SPACING_S, Task, eased
+from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
 
@@ -180,6 +182,92 @@ def test_windows_lead_to_what_all_at_once_leads_to(task):
     spins = np.array([ahead.motion.omega[-1], whole.motion.omega[-1]])
     assert np.ptp(spins, axis=0).max() < 0.03  # rad/s
     assert ahead.per_number < 1.15
+
+
+def strange(now):
+    """It, at a cost that is more than three of its one-sigmas too much."""
+    cost = now.record.numbers + 3.2 * math.sqrt(2.0 * now.record.numbers)
+    return replace(now, cost=cost, confirmed=0)
+
+
+def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right):
+    assert strange(right).alone
+    assert not replace(strange(right), confirmed=right.intervals).alone
+    assert not replace(right, confirmed=0).alone  # nothing is strange in it
+
+
+def test_who_is_alone_and_right_comes_back_when_begun_from_itself(task, right, monkeypatch):
+    monkeypatch.setattr(growth, "STRANGE", -math.inf)
+    again = growth._again(task, replace(right, confirmed=0))
+    assert again.same_as(right)
+    assert not again.alone
+    beside = replace(right, motion=replace(right.motion, omega=right.motion.omega + 0.1), confirmed=0)
+    led = growth._again(task, replace(beside, cost=right.cost + 30.0))
+    assert led.same_as(right)
+    assert led.alone  # who leads elsewhere is not found again by that
+
+
+def test_who_is_alone_and_wrong_stays_so_and_is_begun_from_itself_once(task, right, monkeypatch):
+    elsewhere = replace(right.whole.motion, omega=right.motion.omega + 0.5)
+    monkeypatch.setattr(growth, "roughened", lambda *_: replace(right.whole, motion=elsewhere))
+    monkeypatch.setattr(BodySmoother, "fit", lambda *_, **__: replace(right.whole, motion=elsewhere, cost=math.inf))
+    alone = growth._again(task, strange(right))
+    assert alone == replace(strange(right), doubted=right.intervals)
+    monkeypatch.setattr(growth, "roughened", None)
+    assert growth._again(task, alone) is alone
+    dear = replace(strange(right), cost=2.0 * right.record.numbers)
+    assert growth._again(task, dear) is dear  # and who explains nothing not at all
+
+
+def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(task, right, monkeypatch):
+    alone = replace(strange(right), doubted=right.intervals)
+    monkeypatch.setattr(growth, "raced", lambda _task, running, **_: running)
+    monkeypatch.setattr(growth, "sharpened", lambda _task, ended: ended)
+    monkeypatch.setattr(growth, "_starts", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
+    assert growth.best(task) == [right, alone]
+    wide = np.full(3, 1e-5)
+    assert "no second start" in doubt(task, [alone], wide, 0.0)
+    assert not doubt(task, [alone], wide, 0.0, proven=True)
+    assert not doubt(task, [replace(alone, confirmed=right.intervals)], wide, 0.0)
+
+
+def spinning(belief, about, more):
+    """The belief's motion, its spin off by a hump of 3 rad/s about one axis: (1, 2 or 3)."""
+    wrong = np.outer(3.0 * np.sin(np.linspace(0.0, math.pi, more + 1)), np.eye(3)[about - 1])
+    omega = belief.spin + wrong
+    steps = rotation.exp(0.5 * SPACING_S * (omega[1:] + omega[:-1]))
+    R = list(accumulate(steps, lambda before, step: step @ before, initial=belief.R))
+    return BodyMotion(np.stack(R), omega, belief.mean)
+
+
+@pytest.mark.parametrize("misled", ["_guess", "_kept"])
+def test_a_window_is_foretold_by_either_guess_where_the_other_is_misled(task, monkeypatch, misled):
+    now = started(task)
+    foretold = growth._window(task, now, 0.5, task.intervals(SECONDS))
+    monkeypatch.setattr(growth, "eased", lambda _task, _record, _prior, fit: fit)
+    monkeypatch.setattr(growth, misled, lambda *_: spinning(now.ahead, 2, foretold.windows[-1][0]))
+    again = growth._window(task, now, 0.5, task.intervals(SECONDS))
+    assert again.surprise == pytest.approx(foretold.surprise, abs=0.05)
+
+
+def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):
+    now = started(task)
+    record = lay_out(task.path, task.readings, task.start + now.intervals * SPACING_S, 25, SPACING_S)
+    smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
+    beside = smoother.fit(spinning(now.ahead, 2, 25), 15)
+    assert beside.cost > 1.5 * record.numbers
+    right = eased(task, record, now.ahead, beside)
+    assert right.cost < growth.FORETOLD * record.numbers
+    assert np.abs(right.motion.omega - beside.motion.omega).max() > 0.5
+    within = replace(right, cost=float(record.numbers))
+    assert eased(task, record, now.ahead, within) is within
+
+
+def test_what_easing_makes_dearer_stays_as_it_was(task, monkeypatch):
+    now = started(task)
+    fit = replace(now.whole, cost=now.record.numbers * 1.5)
+    monkeypatch.setattr(BodySmoother, "fit", lambda *_, **__: replace(now.whole, cost=math.inf))
+    assert eased(task, now.record, now.prior, fit) is fit
 
 
 def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_one(task, right):

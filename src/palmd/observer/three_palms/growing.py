@@ -35,7 +35,7 @@ from palmd.observer.three_palms.growth import (
     smoothed,
 )
 from palmd.observer.three_palms.path import joint_path
-from palmd.observer.three_palms.reconstruct import doubt, inertia_sd, mass_of, near, surface
+from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Task, rivals
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
@@ -266,7 +266,7 @@ class GrowingBody:
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)
         if not reason and not first.found_twice:
-            reason = "no second start has come to the same motion yet"
+            reason = f"{ALONE} yet"
         if not reason and self._owed:
             reason = "the readings are not explained to their noise, and other starts are still to be tried"
         if not reason:

@@ -33,9 +33,12 @@ from palmd.observer.three_palms.search import (
     ContactBall,
     Rival,
     Task,
+    by_chance,
+    eased,
     loosely,
     loosened,
     rivals,
+    roughened,
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
 
@@ -97,7 +100,7 @@ class Grown:
     whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
     met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
     folded: how many numbers were read before the record, and what they cost. refined: how many intervals it had when
-    finer harmonics were tried. astray: nothing explains all of it.
+    finer harmonics were tried, doubted: when it was last begun from itself. astray: nothing explains all of it.
     """
 
     prior: BodyPrior
@@ -111,6 +114,7 @@ class Grown:
     confirmed: int = 0
     folded: tuple[int, float] = (0, 0.0)
     refined: int = 0
+    doubted: int = 0
     astray: bool = False
 
     @property
@@ -147,6 +151,11 @@ class Grown:
     def found_twice(self) -> bool:
         """Whether another start has come to the same, of no less than two thirds of it or of `FOUND_S`."""
         return 3 * self.confirmed >= 2 * min(self.intervals, round(FOUND_S / SPACING_S))
+
+    @property
+    def alone(self) -> bool:
+        """Whether it costs more than its noise, and nothing else has come to it: finer harmonics bend to much."""
+        return self.strange >= STRANGE and not self.found_twice
 
     @property
     def surprise(self) -> float:
@@ -234,11 +243,12 @@ def best(task: Task) -> list[Grown]:
     """Rivals followed to the end or to where they are lost: who got furthest first, then bodies, then the cheapest."""
     ended: list[Grown] = []
     for running, forks in _starts(task):
-        ended += raced(task, running, forks=forks)
-        ended.sort(key=_rank)
+        ended = sorted([*ended, *raced(task, running, forks=forks)], key=_rank)
         if ended and ended[0].intervals == task.intervals(task.end - task.start):
-            ended = sorted(sharpened(task, ended), key=_rank)
-            if ended[0].per_number <= MOST_COST and ended[0].plausible:
+            first, *others = sorted(sharpened(task, ended), key=_rank)
+            ended = sorted([_again(task, first), *others], key=_rank)
+            first = ended[0]
+            if first.per_number <= MOST_COST and first.plausible and not first.alone:
                 break
     if ended and (ended[0].lost or ended[0].since_whole > 1.0):
         ended[0] = smoothed(task, ended[0])
@@ -275,6 +285,17 @@ def _finer(task: Task, now: Grown) -> Grown:
     if now.cost - fit.cost > fit.cost - now.record.numbers:  # it explains most of what was left
         fit = smoother.fit(fit.motion)
     return replace(now, prior=prior, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, windows=())
+
+
+def _again(task: Task, now: Grown) -> Grown:
+    """The rival; where it is alone, found again from itself, or what it leads to if that costs less.
+
+    All of it is roughened, loosened and tightened again: a right motion comes back, a wrong one goes elsewhere.
+    """
+    if not now.alone or now.per_number > SURE or now.doubted == now.intervals:
+        return now
+    again = _tightened(task, now, roughened(task, now.record, now.prior, now.motion).motion)
+    return _met(again, now) or min(again, replace(now, doubted=now.intervals), key=lambda each: each.cost)
 
 
 def _starts(task: Task) -> Iterator[tuple[list[Grown], float]]:
@@ -390,7 +411,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
         fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
         if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * record.numbers):
             continue
-        fit = smoother.fit(fit.motion)
+        fit = eased(task, record, prior, smoother.fit(fit.motion))
         most = min(most, fit.cost)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
         found = apart(sorted([*found, now], key=lambda each: each.cost))
@@ -408,24 +429,26 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
     `believed`, it is enough that the other moves as it: what harmonics leave out makes minima beside each other.
     """
 
-    def met(again: Grown, first: Grown) -> Grown | None:
-        if again.same_as(first) or (believed and again.moves_as(first)):
-            return replace(again if again.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
-        return None
-
     for way in ways:
         first = rivals[0]
         for again in anew(task, first.record, [way], first.cost):
-            if (both := met(again, first)) is not None:
+            if (both := _met(again, first, believed=believed)) is not None:
                 return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
     first, *others = rivals
     if all(each.cost > first.cost + BEHIND for each in others):
         again = _tightened(task, first, loosened(task, first.record, first.prior, first.motion).motion)
-        both = met(again, first)
+        both = _met(again, first, believed=believed)
         found = [again, first] if both is None else [both]
         return sorted([*found, *others], key=lambda each: each.cost)
     return rivals
+
+
+def _met(again: Grown, first: Grown, *, believed: bool = False) -> Grown | None:
+    """Both as one, which is confirmed, if the second start has come to the same; see `found_again`."""
+    if again.same_as(first) or (believed and again.moves_as(first)):
+        return replace(again if again.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
+    return None
 
 
 def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
@@ -518,11 +541,17 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     have = now.intervals
     more = min(max(round(seconds / SPACING_S), 1), until - have)
     start = task.start + have * SPACING_S
-    motion = _guess(task, _shifted(now.ahead, share), now.record.node_palms[-1:], start, more)
-    more = len(motion.R) - 1
+    begun_with = _shifted(now.ahead, share)
+    told = _guess(task, begun_with, now.record.node_palms[-1:], start, more)
+    more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    fit = smoother.fit(motion, 15)
+    nearest = smoother.settled(told)
+    if not by_chance(nearest, record):  # contacts tell a tumble, but of what is calm and round a spin that is not
+        nearest = min(nearest, smoother.settled(_kept(begun_with, more)), key=lambda each: each.cost)
+    fit = smoother.fit(nearest.motion, 15)
+    if share == 0.0:  # else it is one of many ways that are tried
+        fit = eased(task, record, now.ahead, fit)
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
@@ -534,6 +563,13 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
         now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
+
+
+def _kept(ahead: BodyPrior, more: int) -> BodyMotion:
+    """The motion carried on as if it kept its spin, over `more` intervals."""
+    omega = np.tile(ahead.spin, (more + 1, 1))
+    steps = SPACING_S * np.arange(more + 1)[:, None] * ahead.spin
+    return BodyMotion(rotation.exp(np.asarray(steps, np.float64)) @ ahead.R, omega, ahead.mean)
 
 
 def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:

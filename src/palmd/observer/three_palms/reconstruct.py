@@ -29,6 +29,7 @@ LEAST_S = 2.5
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 SHARP_M = 7e-5
+ALONE = "no second start has come to the same motion"
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +200,8 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, hollow: float, *, 
         return "no motion by the equations explains the readings"
     if any(each.contradicts(first) for each in ended[1:]):
         return "another motion explains the readings as well"
+    if first.alone and not proven:
+        return ALONE
     if first.largest_lambda > MOST_LAMBDA:
         return "only an inertia that no such body has explains the readings"
     if hollow > HOLLOW_CHI2:

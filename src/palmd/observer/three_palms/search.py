@@ -27,6 +27,7 @@ COARSE = ((2, 6e-4, 1.0), (3, 4e-4, 1.0), (4, 2.5e-4, 1.0), (START_ORDER, 1.3e-4
 strength of the spin's noise: what a coarse outline has wrong hides few minima, and bends to nothing."""
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a motion is smoothed with first: of spin, by spin, of turn."""
+CHANCE = 1.5  # one-sigmas of the cost above one for each number read, up to which a fit is not mended
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
@@ -175,6 +176,32 @@ def loosened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotio
     first, second = LOOSE
     begun = task.fitted(record, stiff, first, motion, STEPS)
     return task.fitted(record, stiff, second, begun.motion, STEPS)
+
+
+def by_chance(fit: BodyFit, record: BodyRecord) -> bool:
+    """Whether a fit costs no more than chance has it."""
+    return fit.cost <= record.numbers + CHANCE * math.sqrt(2.0 * record.numbers)
+
+
+def eased(task: Task, record: BodyRecord, prior: BodyPrior, fit: BodyFit) -> BodyFit:
+    """The fit; if it costs more than chance, what its motion leads to once `roughened`, if that costs less.
+
+    What turns far in a window, over what was never felt, has minima beside the right one: they are shallow where
+    readings are rough and equations are loose. Live there is no time for it.
+    """
+    if by_chance(fit, record) or not task.finest:
+        return fit
+    motion = roughened(task, record, prior, fit.motion).motion
+    again = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion)
+    return min(fit, again, key=lambda each: each.cost)
+
+
+def roughened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
+    """What leads on from a motion while readings are as rough as those of a start, then the equations loose."""
+    for _, reading, spin in COARSE:
+        noise = Noise(reading, spin, *LOOSE[0][1:])
+        motion = BodySmoother(record, prior, noise, task.rig.gravity).fit(motion, STEPS).motion
+    return task.fitted(record, prior, LOOSE[1], motion, STEPS)
 
 
 def met(found: Sequence[Rival]) -> list[Rival]:
