@@ -231,6 +231,16 @@ def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(tas
     assert not doubt(task, [replace(alone, confirmed=right.intervals)], wide, 0.0)
 
 
+def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(task, monkeypatch):
+    now = started(task)
+    monkeypatch.setattr(growth, "TURN_A_WINDOW", 0.02)  # none comes far in one window
+    short = growth._window(task, now, growth.FORK_S, task.intervals(SECONDS))
+    assert short.intervals < now.intervals + round(growth.FORK_S / SPACING_S)
+    ways = growth._ways(task, now, task.intervals(SECONDS))
+    assert {way.intervals for way in ways} == {now.intervals + round(growth.FORK_S / SPACING_S)}
+    assert growth._ways(task, now, now.intervals + 3)[0].intervals == now.intervals + 3
+
+
 def spinning(belief, about, more):
     """The belief's motion, its spin off by a hump of 3 rad/s about one axis: (1, 2 or 3)."""
     wrong = np.outer(3.0 * np.sin(np.linspace(0.0, math.pi, more + 1)), np.eye(3)[about - 1])

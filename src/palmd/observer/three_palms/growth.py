@@ -512,16 +512,26 @@ def _sure(task: Task, now: Grown) -> Grown:
 
 def _forked(task: Task, now: Grown, until: int) -> Grown:
     """One window further by the cheapest of several ways, each fitted as a whole from another spin at its beginning."""
-    return replace(min(_ways(task, now, until), key=lambda each: (-each.intervals, each.cost)), confirmed=0)
+    return replace(min(_ways(task, now, until), key=lambda each: each.cost), confirmed=0)
 
 
 def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
-    """Of ways that have met in their window one goes on, and of those that are tried as a whole only the cheap ones."""
-    tried = [_window(task, now, FORK_S, until, share) for share in FORKS]
+    """Of ways that have met in their window one goes on, and of those that are tried as a whole only the cheap ones.
+
+    All come as far, for what costs less may be shorter: who is believed to spin fast turns enough in a short window.
+    """
+    there = min(now.intervals + round(FORK_S / SPACING_S), until)
+    tried: list[Grown] = []
+    for share in FORKS:
+        way = _window(task, now, FORK_S, there, share)
+        most = min((each.cost for each in tried), default=math.inf) + TOO_FAR
+        while way.intervals < there and way.cost < most:
+            way = _window(task, smoothed(task, way, TRIES[0]), FORK_S, there)
+        if way.intervals == there:
+            tried.append(way)
     for iterations in TRIES:
-        tried.sort(key=lambda each: (-each.intervals, each.cost))
-        cheapest = min(each.cost for each in tried)
-        tried = [smoothed(task, each, iterations) for each in apart(tried) if each.cost < cheapest + BEHIND]
+        tried.sort(key=lambda each: each.cost)
+        tried = [smoothed(task, each, iterations) for each in apart(tried) if each.cost < tried[0].cost + BEHIND]
     return tried
 
 
