@@ -580,7 +580,7 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     for name in ("_owed", "_looked", "_folded", "_believed_since"):
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
-    monkeypatch.setattr(growing, "STRANGE", -math.inf)
+    monkeypatch.setattr(growing, "CHANCE", -math.inf)
     monkeypatch.setattr(growing, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
     monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
     monkeypatch.setattr(growing, "begun_in_ways", lambda *_, **__: [])

@@ -225,10 +225,10 @@ def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(tas
     monkeypatch.setattr(growth, "sharpened", lambda _task, ended: ended)
     monkeypatch.setattr(growth, "_starts", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
     assert growth.best(task) == [right, alone]
-    wide = np.full(3, 1e-5)
-    assert "no second start" in doubt(task, [alone], wide, 0.0)
-    assert not doubt(task, [alone], wide, 0.0, proven=True)
-    assert not doubt(task, [replace(alone, confirmed=right.intervals)], wide, 0.0)
+    sd = np.full(3, 1e-5)
+    assert "no second start" in doubt(task, [alone], sd, 0.0)
+    assert not doubt(task, [alone], sd, 0.0, proven=True)
+    assert not doubt(task, [replace(alone, confirmed=right.intervals)], sd, 0.0)
 
 
 def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(task, monkeypatch):
@@ -242,7 +242,7 @@ def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(t
 
 
 def spinning(belief, about, more):
-    """The belief's motion, its spin off by a hump of 3 rad/s about one axis: (1, 2 or 3)."""
+    """The belief's motion, its spin off by a hump of 3 rad/s about one axis (1, 2 or 3)."""
     wrong = np.outer(3.0 * np.sin(np.linspace(0.0, math.pi, more + 1)), np.eye(3)[about - 1])
     omega = belief.spin + wrong
     steps = rotation.exp(0.5 * SPACING_S * (omega[1:] + omega[:-1]))

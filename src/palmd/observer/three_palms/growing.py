@@ -37,7 +37,7 @@ from palmd.observer.three_palms.growth import (
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, near, surface
 from palmd.observer.three_palms.record import PadReadings
-from palmd.observer.three_palms.search import HOPELESS, SPACING_S, Task, rivals
+from palmd.observer.three_palms.search import CHANCE, HOPELESS, SPACING_S, Task, rivals
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
@@ -51,7 +51,6 @@ WORTH_S = 6.0  # of a record that was explained: another start would hardly go f
 CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
 MOST_RIVALS = 2
 OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
-STRANGE = 1.5  # one-sigmas of the cost, beyond which more is tried
 SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
 FORKED_A_LAP = 1  # windows of each: whoever needs more is found sooner from contacts of the whole record
 PROVEN_S = 5.0  # of going on since it was first believed: whoever is wrong is lost by then
@@ -199,7 +198,7 @@ class GrowingBody:
             record, ways = task.record(WHOLE_S), islice(beliefs.hypotheses(), WHOLE_WAYS)
             found = anew(task, record, islice(ways, 1) if attempt == 0 else ways)
             if attempt == 0:  # what is strange now may not be so with more
-                found = found_again(task, found, ways) if found and found[0].strange <= STRANGE else []
+                found = found_again(task, found, ways) if found and found[0].strange <= CHANCE else []
             self._running = [each for each in found if each.per_number < SURE][:MOST_RIVALS]
             self._looked = len(record.middle_palms)
         else:
@@ -219,7 +218,7 @@ class GrowingBody:
         first = ended[0]
         short = first.intervals * SPACING_S < SHORT_UNTIL_S
         searched = short or math.isinf(self._believed_since)  # later on it is what harmonics leave out that is strange
-        strange, owed = searched and first.strange > STRANGE, self._owed
+        strange, owed = searched and first.strange > CHANCE, self._owed
         self._owed = False
         if owed and strange and not self._folded:
             ended = self._short_starts(task, ended)

@@ -22,12 +22,15 @@ from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6
 SPACING_S = 0.02
-COARSE = ((2, 6e-4, 1.0), (3, 4e-4, 1.0), (4, 2.5e-4, 1.0), (START_ORDER, 1.3e-4, 0.3))
-"""Degrees of the outline that a start is smoothed with one after the other, what readings may miss it by (m), and the
-strength of the spin's noise: what a coarse outline has wrong hides few minima, and bends to nothing."""
 LOOSE = ((1.0, 0.1, 1e-5), (0.03, 0.03, 1e-6))
 """Strengths of the noise that a motion is smoothed with first: of spin, by spin, of turn."""
-CHANCE = 1.5  # one-sigmas of the cost above one for each number read, up to which a fit is not mended
+COARSE = tuple(
+    (order, Noise(reading, spin, *LOOSE[0][1:]))
+    for order, reading, spin in ((2, 6e-4, 1.0), (3, 4e-4, 1.0), (4, 2.5e-4, 1.0), (START_ORDER, 1.3e-4, 0.3))
+)
+"""Degrees of the outline that a start is smoothed with one after the other, and the noise meanwhile (of readings
+in m): what a coarse outline has wrong hides few minima, and bends to nothing."""
+CHANCE = 1.5  # one-sigmas of the cost above one for each number read, beyond which more is tried
 STIFF = 0.05  # one-sigma of λ meanwhile, lest the inertia explains what the motion does not yet
 ROUGH_M = 5e-4  # what readings may miss a first outline by
 STILL_RAD_S, STILL_RAD = 0.04, 1e-3  # of the joints, below which a body that rested still rests
@@ -45,8 +48,8 @@ KEPT = 4
 class Task:
     """What is given: the joints' path, all readings with their smoothed course, and the rig.
 
-    finest: degree up to which outlines may go where `ORDER` does not explain what is read, and whom nothing explains is
-    given up; 0 where neither is asked for.
+    finest: degree up to which outlines may go where `ORDER` does not explain what is read, whom nothing explains is
+    given up, and fits are eased; 0 live, where there is time for none of that.
     """
 
     path: JointPath
@@ -162,9 +165,8 @@ def loosely(
     driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
     first = beliefs.prior(ball.radius, COARSE[0][0], task.spin_sd)
     motion = first_motion(record, driven, first, ball.radius * (1.0 + hypothesis.larger))
-    for order, reading, spin in COARSE:
+    for order, noise in COARSE:
         coarse = beliefs.with_inertia(beliefs.prior(ball.radius, order, task.spin_sd), STIFF)
-        noise = Noise(reading, spin, *LOOSE[0][1:])
         smoother = BodySmoother(record, coarse, noise, task.rig.gravity)
         motion = smoother.fit(replace(motion, p=beliefs.raised(motion.p, order)), COARSE_STEPS).motion
     return task.fitted(record, beliefs.with_inertia(prior, STIFF), LOOSE[1], motion, STEPS)
@@ -198,8 +200,7 @@ def eased(task: Task, record: BodyRecord, prior: BodyPrior, fit: BodyFit) -> Bod
 
 def roughened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
     """What leads on from a motion while readings are as rough as those of a start, then the equations loose."""
-    for _, reading, spin in COARSE:
-        noise = Noise(reading, spin, *LOOSE[0][1:])
+    for _, noise in COARSE:
         motion = BodySmoother(record, prior, noise, task.rig.gravity).fit(motion, STEPS).motion
     return task.fitted(record, prior, LOOSE[1], motion, STEPS)
 
