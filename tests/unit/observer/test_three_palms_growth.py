@@ -260,6 +260,13 @@ def test_a_window_is_foretold_by_either_guess_where_the_other_is_misled(task, mo
     assert again.surprise == pytest.approx(foretold.surprise, abs=0.05)
 
 
+def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, monkeypatch):
+    now = started(task)
+    monkeypatch.setattr(growth, "_kept", None)
+    monkeypatch.setattr(BodySmoother, "settled", None)
+    assert growth._window(replace(task, finest=0), now, 0.5, task.intervals(SECONDS)).surprise < growth.FORETOLD
+
+
 def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):
     now = started(task)
     record = lay_out(task.path, task.readings, task.start + now.intervals * SPACING_S, 25, SPACING_S)

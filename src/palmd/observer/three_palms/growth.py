@@ -556,10 +556,9 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    nearest = smoother.settled(told)
-    if not by_chance(nearest, record):  # contacts tell a tumble, but of what is calm and round a spin that is not
-        nearest = min(nearest, smoother.settled(_kept(begun_with, more)), key=lambda each: each.cost)
-    fit = smoother.fit(nearest.motion, 15)
+    if task.finest:  # live it costs up to a fifth of a lap
+        told = _nearer(smoother, record, told, _kept(begun_with, more))
+    fit = smoother.fit(told, 15)
     if share == 0.0:  # else it is one of many ways that are tried
         fit = eased(task, record, now.ahead, fit)
     whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
@@ -573,6 +572,17 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
         now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
+
+
+def _nearer(smoother: BodySmoother, record: BodyRecord, told: BodyMotion, kept: BodyMotion) -> BodyMotion:
+    """A window as the contacts tell it, or with the spin kept, where that lies nearer: nodes settled, of either.
+
+    Contacts tell a tumble, but of what is calm and round a spin that is not.
+    """
+    nearest = smoother.settled(told)
+    if not by_chance(nearest, record):
+        nearest = min(nearest, smoother.settled(kept), key=lambda each: each.cost)
+    return nearest.motion
 
 
 def _kept(ahead: BodyPrior, more: int) -> BodyMotion:
