@@ -190,7 +190,14 @@ def strange(now):
     return replace(now, cost=cost, confirmed=0)
 
 
-def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right):
+def test_what_is_short_is_alone_until_another_start_comes_to_it(right):
+    assert right.intervals * SPACING_S < growth.FOUND_S
+    assert not right.alone
+    assert replace(right, confirmed=0).alone
+
+
+def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right, monkeypatch):
+    monkeypatch.setattr(growth, "FOUND_S", 1.0)  # it is long enough
     assert strange(right).alone
     assert not replace(strange(right), confirmed=right.intervals).alone
     assert not replace(right, confirmed=0).alone  # nothing is strange in it

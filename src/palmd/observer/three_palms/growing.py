@@ -265,7 +265,7 @@ class GrowingBody:
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)
         if not reason and not first.found_twice:
-            reason = f"{ALONE} yet"
+            reason = ALONE
         if not reason and self._owed:
             reason = "the readings are not explained to their noise, and other starts are still to be tried"
         if not reason:

@@ -154,8 +154,12 @@ class Grown:
 
     @property
     def alone(self) -> bool:
-        """Whether it costs more than its noise, and nothing else has come to it: finer harmonics bend to much."""
-        return self.strange >= STRANGE and not self.found_twice
+        """Whether nothing else has come to it though it asks for that: finer harmonics bend to much, short records too.
+
+        What has foretold `FOUND_S` and costs no more than its noise does not.
+        """
+        asks = self.strange >= STRANGE or self.intervals < round(FOUND_S / SPACING_S)
+        return asks and not self.found_twice
 
     @property
     def surprise(self) -> float:

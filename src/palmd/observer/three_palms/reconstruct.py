@@ -29,7 +29,7 @@ LEAST_S = 2.5
 NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 SHARP_M = 7e-5
-ALONE = "no second start has come to the same motion"
+ALONE = "no second start has come to the same motion yet"
 
 
 @dataclass(frozen=True, slots=True)
