@@ -236,6 +236,13 @@ def driven_function() -> ca.Function:
     return ca.Function("driven", [state, inputs, contacts, constants, gravity], outputs)
 
 
+def _of_motion(function: ca.Function) -> ca.Function:
+    """The same without its last output, what the parameters change: for who looks for the motion alone."""
+    inputs, name = function.mx_in(), f"{function.name()}_of_motion"
+    names = [function.name_in(i) for i in range(function.n_in())]
+    return ca.Function(name, inputs, function.call(inputs)[:-1], names, function.name_out()[:-1])
+
+
 def _over_block(function: ca.Function, shared: int) -> Kernel:
     """`function` on instants side by side, all with the same last `shared` inputs."""
     names = function.name_in()
@@ -244,11 +251,14 @@ def _over_block(function: ca.Function, shared: int) -> Kernel:
 
 @cache
 def library(order: int) -> Library:
-    """`acceleration_block` and `reading_block` for outlines up to degree `order`."""
-    return load(
-        f"three_palms{order}",
-        lambda: [_over_block(acceleration_function(order), 2), _over_block(reading_function(order), 1)],
-    )
+    """`acceleration_block` and `reading_block` for outlines up to degree `order`, and both `…_of_motion_block`."""
+
+    def kernels() -> list[Kernel]:
+        acceleration, reading = acceleration_function(order), reading_function(order)
+        motion = _over_block(_of_motion(acceleration), 2), _over_block(_of_motion(reading), 1)
+        return [_over_block(acceleration, 2), _over_block(reading, 1), *motion]
+
+    return load(f"three_palms{order}", kernels)
 
 
 @cache

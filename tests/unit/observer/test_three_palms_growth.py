@@ -13,11 +13,13 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, growth
+from palmd.observer.three_palms import beliefs, growth, smoother
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.kernels import acceleration
+from palmd.observer.three_palms.needed import needed
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.record import lay_out
 from palmd.observer.three_palms.search import SPACING_S, Task, eased
@@ -58,6 +60,37 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
     assert error < 1.5e-4
     assert ratio < 9.0
     assert found.contacts.shape == (len(found.t), 3, 3)
+
+
+def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, monkeypatch):
+    """None is compiled while a body lies on the palms, where there may be no compiler."""
+    asked = set()
+    monkeypatch.setattr(smoother.kernels, "acceleration", lambda order: asked.add(order) or acceleration(order))
+    live = replace(task, finest=0)
+    assert growth.anew(live, live.record(1.3), beliefs.hypotheses())
+    built = {what for what, _ in needed(None)}
+    assert len(asked) > 2
+    assert {f"three palms in space, degree {order}" for order in asked} <= built
+
+
+def test_the_nodes_of_a_motion_alone_come_out_as_with_what_the_parameters_change(task, right):
+    of_all = BodySmoother(right.record, right.prior, task.noise, task.rig.gravity)
+    everything, nodes = of_all.evaluate(right.motion), of_all.evaluate(right.motion, nodes_alone=True)
+    assert (nodes.arrow.border.shape[2], len(nodes.arrow.gradient)) == (0, 0)
+    for name in ("diagonal", "upper"):
+        np.testing.assert_array_equal(getattr(nodes.arrow, name)[1:], getattr(everything.arrow, name)[1:])
+    np.testing.assert_array_equal(nodes.residual, everything.residual)
+
+
+def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
+    for intervals in (1, 37, len(task.whole.middle_palms)):
+        own = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
+        some = task.whole.first(intervals)
+        assert (some.start, some.spacing, some.numbers, some.slots) == (own.start, own.spacing, own.numbers, own.slots)
+        for name in ("node_palms", "middle_palms", "interval", "share", "slot", "geometry"):
+            np.testing.assert_array_equal(getattr(some, name), getattr(own, name))
+        for name in ("t", "pad", "value", "force"):
+            np.testing.assert_array_equal(getattr(some.readings, name), getattr(own.readings, name))
 
 
 def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):

@@ -465,7 +465,7 @@ def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
 def folded(task: Task, now: Grown, intervals: int) -> Grown:
     """The rival without so many of its first intervals, which become the belief that its record begins with."""
     R, omega, p = now.motion.R, now.motion.omega, now.motion.p
-    head = lay_out(task.path, task.readings, task.start, intervals, SPACING_S)
+    head = task.whole.first(intervals)
     smoother = BodySmoother(head, now.prior, task.noise, task.rig.gravity)
     prior = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
     start = task.start + intervals * SPACING_S
@@ -565,7 +565,6 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     fit = smoother.fit(told, 15)
     if share == 0.0:  # else it is one of many ways that are tried
         fit = eased(task, record, now.ahead, fit)
-    whole = lay_out(task.path, task.readings, task.start, have + more, SPACING_S)
     joined = BodyMotion(
         np.concatenate([now.motion.R[:-1], fit.motion.R]),
         np.concatenate([now.motion.omega[:-1], fit.motion.omega]),
@@ -573,7 +572,7 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     )
     numbers = max(record.numbers, 1)
     return replace(
-        now, record=whole, motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
+        now, record=task.whole.first(have + more), motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
         windows=(*now.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
 

@@ -87,10 +87,24 @@ def acceleration(order: int) -> BlockKernel:
 
 
 @cache
+def acceleration_of_motion(order: int) -> BlockKernel:
+    """As `acceleration` without ∂/∂p."""
+    sizes, shapes = (count(order) + BODY, 1), [(3,), (3,), (3, 3), (3, 3)]
+    return BlockKernel(three_palms.library(order), "acceleration_of_motion_block", (9, 3, PALM_INPUTS), sizes, shapes)
+
+
+@cache
 def reading(order: int) -> BlockKernel:
     """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""
     n = count(order)
     return BlockKernel(three_palms.library(order), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
+
+
+@cache
+def reading_of_motion(order: int) -> BlockKernel:
+    """As `reading` without ∂/∂c."""
+    shapes = [(2,), (2, 3)]
+    return BlockKernel(three_palms.library(order), "reading_of_motion_block", (9, 24), (count(order),), shapes)
 
 
 @cache

@@ -62,6 +62,15 @@ class BodyRecord:
         """The most readings that an interval has."""
         return int(self.slot.max()) + 1 if len(self.slot) else 0
 
+    def first(self, intervals: int) -> BodyRecord:
+        """The same of so many intervals from its beginning on."""
+        until = int(np.searchsorted(self.interval, intervals))
+        own, theirs = self.readings, slice(until)
+        readings = PadReadings(own.t[theirs], own.pad[theirs], own.value[theirs], own.force[theirs])
+        of_readings = (self.interval[theirs], self.share[theirs], self.slot[theirs], self.geometry[theirs])
+        nodes, middles = self.node_palms[: intervals + 1], self.middle_palms[:intervals]
+        return BodyRecord(self.start, self.spacing, nodes, middles, readings, *of_readings)
+
 
 def lay_out(path: JointPath, readings: PadReadings, start: float, intervals: int, spacing: float) -> BodyRecord:
     """The record of `intervals` from `start` on (s)."""

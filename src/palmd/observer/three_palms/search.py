@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,7 @@ TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped
 KEPT = 4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Task:
     """What is given: the joints' path, all readings with their smoothed course, and the rig.
 
@@ -60,9 +61,14 @@ class Task:
     end: float
     finest: int = 0
 
+    @cached_property
+    def whole(self) -> BodyRecord:
+        """All of it."""
+        return lay_out(self.path, self.readings, self.start, self.intervals(math.inf), SPACING_S)
+
     def record(self, seconds: float) -> BodyRecord:
         """The first `seconds`."""
-        return lay_out(self.path, self.readings, self.start, self.intervals(seconds), SPACING_S)
+        return self.whole.first(self.intervals(seconds))
 
     def intervals(self, seconds: float) -> int:
         """How many whole ones there are in the first `seconds`."""

@@ -119,6 +119,7 @@ class BodySmoother:
         order = order_of(len(prior.mean) - BODY)
         self._shape = slice(0, count(order))
         self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
+        self._accelerated, self._read_off = kernels.acceleration_of_motion(order), kernels.reading_of_motion(order)
         self._of_width: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
 
     def _rows(self, m: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -134,20 +135,18 @@ class BodySmoother:
         return self._of_width[m]
 
     def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
-        """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, at half the time."""
+        """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, in less time."""
         record, prior, noise, p = self._record, self._prior, self._noise, motion.p
         K, h = len(record.middle_palms), record.spacing
-        m = 0 if nodes_alone else len(p)
+        m, acceleration = (0, self._accelerated) if nodes_alone else (len(p), self._acceleration)
         R, omega = motion.R, motion.omega
         shared = (p, self._gravity)
-        f, force, f_turn, f_omega, f_p = self._acceleration((by_columns(R), omega, record.node_palms), shared)
+        f, force, f_turn, f_omega, *by_p = acceleration((by_columns(R), omega, record.node_palms), shared)
         f0, f1, w0, w1 = f[:-1], f[1:], omega[:-1], omega[1:]
         phi, ending = _turns(R, omega)
         w_mid = 0.5 * (w0 + w1) + h / 8 * (f0 - f1)
         R_mid = rotation.exp(0.5 * phi + h / 8 * (w0 - ending)) @ R[:-1]
-        mid = self._acceleration((by_columns(R_mid), w_mid, record.middle_palms), shared)
-        fm, fm_turn, fm_omega, fm_p = mid[0], mid[2], mid[3], mid[4][..., :m]
-        f_p = f_p[..., :m]
+        fm, _, fm_turn, fm_omega, *mid_by_p = acceleration((by_columns(R_mid), w_mid, record.middle_palms), shared)
 
         r, left, right, by = self._rows(m)
         spin_weight = ((noise.spin + noise.by_spin * (w_mid**2).sum(1)) * h) ** -0.5
@@ -158,7 +157,8 @@ class BodySmoother:
         left[:, :3, 3:] = -h / 2 * np.eye(3) - h**2 / 12 * (f_omega[:-1] + rotation.skew(w1))
         right[:, :3, :3] = rotation.left_inverse(phi) + h**2 / 12 * f_turn[1:]
         right[:, :3, 3:] = -h / 2 * np.eye(3) + h**2 / 12 * (f_omega[1:] + rotation.skew(w0))
-        by[:, :3] = -(h**2) / 12 * (f_p[:-1] - f_p[1:])
+        for f_p in by_p:
+            by[:, :3] = -(h**2) / 12 * (f_p[:-1] - f_p[1:])
         for block in (r, left, right, by):
             block[:, :3] *= turn_weight
 
@@ -172,7 +172,8 @@ class BodySmoother:
         right[:, 3:6, 3:] = np.eye(3) - h / 6 * (
             f_omega[1:] + 4 * (-h / 8 * fm_turn + 0.5 * fm_omega - eighth @ f_omega[1:])
         )
-        by[:, 3:6] = -h / 6 * (f_p[:-1] + f_p[1:] + 4 * (fm_p + eighth @ (f_p[:-1] - f_p[1:])))
+        for f_p, fm_p in zip(by_p, mid_by_p, strict=True):
+            by[:, 3:6] = -h / 6 * (f_p[:-1] + f_p[1:] + 4 * (fm_p + eighth @ (f_p[:-1] - f_p[1:])))
         r[:, 3:6] *= spin_weight[:, None]
         for block in (left, right, by):
             block[:, 3:6] *= spin_weight[:, None, None]
@@ -195,7 +196,8 @@ class BodySmoother:
         record, h = self._record, self._record.spacing
         k, (there, out, back) = record.interval, _hermite(record.share)
         R = _between(record, motion.R, motion.omega, phi, ending)
-        y, by_turn, by_c = self._reading((by_columns(R), record.geometry), (motion.p[self._shape],))
+        reading = self._reading if by.shape[2] else self._read_off
+        y, by_turn, *by_shape = reading((by_columns(R), record.geometry), (motion.p[self._shape],))
         residual = y - record.readings.value
         weight = 1.0 / self._noise.reading
         there, out, back = (each[:, None, None] for each in (there, out, back))
@@ -205,7 +207,7 @@ class BodySmoother:
         turn = weight * by_turn
         left[at] = np.concatenate([(1 - there) * turn, h * out * turn], axis=2)
         right[at] = np.concatenate([there * turn, h * back * turn], axis=2)
-        if by.shape[2]:
+        for by_c in by_shape:
             by[k[:, None], rows, self._shape] = weight * by_c
         return residual
 
