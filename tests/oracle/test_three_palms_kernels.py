@@ -9,10 +9,11 @@ from palmd.model.spherical import count, evaluator
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.body import centres_of, inertia
+from palmd.observer.three_palms.equations import BodyMotion, Noise
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.record import PadReadings, lay_out
-from palmd.observer.three_palms.smoother import BodyMotion, BodyPrior, BodySmoother, Noise
+from palmd.observer.three_palms.smoother import BodyPrior, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
 from palmd.system.three_palms import palms_at, readings_of

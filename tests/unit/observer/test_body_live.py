@@ -18,12 +18,13 @@ from palmd.observer.three_palms import beliefs, growing, growth, live, reconstru
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
+from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.reconstruct import near
-from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
+from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing

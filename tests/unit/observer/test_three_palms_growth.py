@@ -13,17 +13,18 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, growth, smoother
+from palmd.observer.three_palms import beliefs, compiled_equations, growth, smoother
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
 from palmd.observer.three_palms.body import ORDER
+from palmd.observer.three_palms.compiled_equations import CompiledEquations, equations_of
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.kernels import acceleration
+from palmd.observer.three_palms.equations import BodyMotion, Equations
 from palmd.observer.three_palms.needed import needed
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.record import lay_out
 from palmd.observer.three_palms.search import SPACING_S, Task, eased
-from palmd.observer.three_palms.smoother import BodyMotion, BodySmoother
+from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
 
@@ -64,8 +65,8 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
 
 def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, monkeypatch):
     """None is compiled while a body lies on the palms, where there may be no compiler."""
-    asked = set()
-    monkeypatch.setattr(smoother.kernels, "acceleration", lambda order: asked.add(order) or acceleration(order))
+    asked, equations_of = set(), smoother.equations_of
+    monkeypatch.setattr(smoother, "equations_of", lambda *given: asked.add(given[-1]) or equations_of(*given))
     live = replace(task, finest=0)
     assert growth.anew(live, live.record(1.3), beliefs.hypotheses())
     built = {what for what, _ in needed(None)}
@@ -73,13 +74,40 @@ def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, mon
     assert {f"three palms in space, degree {order}" for order in asked} <= built
 
 
-def test_the_nodes_of_a_motion_alone_come_out_as_with_what_the_parameters_change(task, right):
-    of_all = BodySmoother(right.record, right.prior, task.noise, task.rig.gravity)
-    everything, nodes = of_all.evaluate(right.motion), of_all.evaluate(right.motion, nodes_alone=True)
-    assert (nodes.arrow.border.shape[2], len(nodes.arrow.gradient)) == (0, 0)
-    for name in ("diagonal", "upper"):
-        np.testing.assert_array_equal(getattr(nodes.arrow, name)[1:], getattr(everything.arrow, name)[1:])
-    np.testing.assert_array_equal(nodes.residual, everything.residual)
+@pytest.mark.parametrize("intervals", [1, 31, 32, 70])
+def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
+    """Of more instants than kernels take at once, too; the motion off, so that nothing cancels."""
+    random, record = np.random.default_rng(intervals), task.whole.first(intervals)
+    nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
+    motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
+    motion = motion.moved(nodes, random.normal(0.0, 1e-4, len(motion.p)))
+    assert isinstance(equations_of(record, task.noise, task.rig.gravity, ORDER), CompiledEquations)
+    for nodes_alone in (False, True):
+        compiled, twin = (
+            make(record, task.noise, task.rig.gravity, ORDER).at(motion, nodes_alone=nodes_alone)
+            for make in (equations_of, Equations)
+        )
+        for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
+            one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max(initial=0.0))
+        np.testing.assert_allclose(compiled.residual, twin.residual, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(compiled.force, twin.force, rtol=1e-9)
+        assert compiled.squares == pytest.approx(twin.squares, rel=1e-9)
+
+
+def test_a_record_without_readings_has_equations(task, right):
+    none = replace(task.whole.first(4), readings=task.readings.within(-2.0, -1.0))
+    empty = np.zeros(0, dtype=np.int64)
+    none = replace(none, interval=empty, share=np.zeros(0), slot=empty, geometry=np.zeros((0, 24)))
+    motion = BodyMotion(right.motion.R[:5], right.motion.omega[:5], right.motion.p)
+    given = none, task.noise, task.rig.gravity, ORDER
+    squares = equations_of(*given).at(motion).squares
+    assert squares == pytest.approx(Equations(*given).at(motion).squares, rel=1e-9)
+
+
+def test_without_a_compiler_the_twin_serves(task, monkeypatch):
+    monkeypatch.setattr(compiled_equations, "written", lambda: None)
+    assert isinstance(equations_of(task.whole, task.noise, task.rig.gravity, ORDER), Equations)
 
 
 def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):

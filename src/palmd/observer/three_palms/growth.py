@@ -24,6 +24,7 @@ from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.body import ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
+from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
@@ -40,7 +41,7 @@ from palmd.observer.three_palms.search import (
     rivals,
     roughened,
 )
-from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother
+from palmd.observer.three_palms.smoother import BodyFit, BodyPrior, BodySmoother
 
 WHOLE_STARTS_S = (2.0, 5.0, 8.0, math.inf)
 """Of a record, that are explained as a whole at once; from the first second alone, in many ways, where that fails.

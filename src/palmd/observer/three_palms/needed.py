@@ -10,6 +10,7 @@ def needed(_config: object) -> list[Part]:
     from palmd.model import body_rollout, three_palms
     from palmd.observer.three_palms.body import ORDER
     from palmd.observer.three_palms.body_filter import steps
+    from palmd.observer.three_palms.compiled_equations import written
     from palmd.observer.three_palms.search import COARSE
     from palmd.system.three_palms import ThreePalmsRig
 
@@ -19,6 +20,7 @@ def needed(_config: object) -> list[Part]:
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *(space(order) for order in (*(order for order, _ in COARSE), ORDER)),
+        ("three palms in space, the smoother's equations", lambda: "python" if written() is None else "c"),
         ("three palms in space, foresight", lambda: body_rollout.library(ORDER, body_rollout.STEP_S).backend),
         (
             "three palms in space, rough foresight",

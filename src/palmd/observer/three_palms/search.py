@@ -15,10 +15,11 @@ from palmd.observer.three_palms import beliefs, kernels
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.driven import ContactCurves, DrivenCourse, ball_of, course
+from palmd.observer.three_palms.equations import BodyMotion, Noise, at_readings
 from palmd.observer.three_palms.kernels import by_columns
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import BodyRecord, PadReadings, lay_out
-from palmd.observer.three_palms.smoother import BodyFit, BodyMotion, BodyPrior, BodySmoother, Noise, at_readings
+from palmd.observer.three_palms.smoother import BodyFit, BodyPrior, BodySmoother
 from palmd.system.three_palms import PALMS, ThreePalmsRig
 
 START_ORDER = 6

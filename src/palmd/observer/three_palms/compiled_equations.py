@@ -1,0 +1,115 @@
+"""What `body_equations.c` computes of one record; its twin in NumPy is in `equations`."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.model.compiled import EXPORTED, load_written
+from palmd.model.spherical import count
+from palmd.model.three_palms import BODY, PALM_INPUTS, library
+from palmd.observer.three_palms.arrow import STATES, Arrow
+from palmd.observer.three_palms.equations import BodyMotion, Equations, Noise, SumOfSquares
+from palmd.observer.three_palms.record import BodyRecord
+
+GEOMETRY, OF_STEP, CHUNK = 24, 6, 32
+
+
+class _BlockKernels(ctypes.Structure):
+    _fields_ = (
+        ("acceleration", ctypes.c_void_p), ("reading", ctypes.c_void_p),
+        ("parameters", ctypes.c_long), ("harmonics", ctypes.c_long), ("gravity", ctypes.c_double),
+    )  # fmt: skip
+
+
+class _Record(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("node_palms", "middle_palms", "geometry", "share", "value", "first")),
+        ("intervals", ctypes.c_long),
+        *((name, ctypes.c_double) for name in ("spacing", "reading", "spin", "by_spin", "turn")),
+    )  # fmt: skip
+
+
+_FILLED = "r", "sides", "by", "diagonal", "upper", "border", "nodes_gradient", "gradient", "residual", "force"
+
+
+class _Equations(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in _FILLED)
+
+
+def equations_of(record: BodyRecord, noise: Noise, gravity: float, order: int) -> Equations | CompiledEquations:
+    """Those of a record, for outlines up to degree `order`: compiled, or in NumPy where there is no compiler."""
+    own, kernels = written(), library(order).path
+    if own is None or kernels is None:
+        return Equations(record, noise, gravity, order)
+    return CompiledEquations(own, str(kernels), record, noise, gravity, order)
+
+
+class CompiledEquations:
+    """As `equations.Equations`."""
+
+    def __init__(
+        self, own: ctypes.CDLL, kernels: str, record: BodyRecord, noise: Noise, gravity: float, order: int
+    ) -> None:
+        """By the library of `body_equations.c`, and the one at the path `kernels` of `model.three_palms`."""
+        self._assemble, self._harmonics = own.body_equations, count(order)
+        addresses = _addresses(kernels)
+        self._of_all = _BlockKernels(*addresses[:2], count(order) + BODY, count(order), gravity)
+        self._of_motion = _BlockKernels(*addresses[2:], 0, 0, gravity)
+        K, S = len(record.middle_palms), len(record.interval)
+        first = np.searchsorted(record.interval, np.arange(K + 1)).astype(np.int64)
+        given = (record.node_palms, record.middle_palms, record.geometry, record.share, record.readings.value, first)
+        self._held = tuple(map(np.ascontiguousarray, given))
+        arrays = (each.ctypes.data for each in self._held)
+        self._record = _Record(*arrays, K, record.spacing, noise.reading, noise.spin, noise.by_spin, noise.turn)
+        self._intervals, self._readings = K, S
+        self._of_rows: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
+
+    def at(self, motion: BodyMotion, *, nodes_alone: bool = False) -> SumOfSquares:
+        """See `equations.Equations.at`."""
+        m, model = (0, self._of_motion) if nodes_alone else (len(motion.p), self._of_all)
+        arrow = Arrow.empty(self._intervals + 1, m)
+        residual, force = np.empty((self._readings, 2)), np.empty((self._intervals + 1, 3))
+        r, sides, by, work = self._rows(m)
+        told = (arrow.diagonal, arrow.upper, arrow.border, arrow.nodes_gradient, arrow.gradient, residual, force)
+        filled = _Equations(*(each.ctypes.data for each in (r, sides, by, *told)))
+        R, omega, p = (np.ascontiguousarray(each) for each in (motion.R, motion.omega, motion.p))
+        squares: float = self._assemble(
+            ctypes.byref(model), ctypes.byref(self._record), R.ctypes.data, omega.ctypes.data, p.ctypes.data,
+            ctypes.byref(filled), work.ctypes.data,
+        )  # fmt: skip
+        arrow.corner += by.T @ by
+        return SumOfSquares(arrow, squares, residual, force)
+
+    def _rows(self, m: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Residuals, their Jacobians in the nodes on both sides and in m parameters, room for kernels; kept."""
+        if m not in self._of_rows:
+            rows = OF_STEP * self._intervals + 2 * self._readings
+            work = np.empty(CHUNK * (6 * m + 2 * self._harmonics))
+            self._of_rows[m] = np.empty(rows), np.empty((rows, 2 * STATES)), np.empty((rows, m)), work
+        return self._of_rows[m]
+
+
+@cache
+def _addresses(kernels: str) -> tuple[int | None, ...]:
+    """Of the kernels of accelerations and readings, then of those of the motion alone."""
+    compiled = ctypes.CDLL(kernels)
+    names = (f"{EXPORTED}{what}{of}_block" for of in ("", "_of_motion") for what in ("acceleration", "reading"))
+    return tuple(ctypes.cast(compiled[name], ctypes.c_void_p).value for name in names)
+
+
+@cache
+def written() -> ctypes.CDLL | None:
+    """`body_equations.c`; RuntimeError where it has other sizes than the model."""
+    found = load_written("body_equations", Path(__file__).with_name("body_equations.c"))
+    if found is None:
+        return None
+    sizes = (STATES, PALM_INPUTS, GEOMETRY, OF_STEP, CHUNK)
+    if tuple((ctypes.c_long * len(sizes)).in_dll(found, "body_equations_sizes")) != sizes:
+        raise RuntimeError("body_equations.c has other sizes than the model")
+    found.body_equations.argtypes, found.body_equations.restype = (ctypes.c_void_p,) * 7, ctypes.c_double
+    return found
