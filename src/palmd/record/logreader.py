@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import gzip
 import math
+import zlib
 from collections.abc import Callable, Iterator, Sequence
+from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 from palmd.record.logline import MAX_LINE_BYTES, BadLineError, Line, block, decoded, number, shown
 
 VERSION = 1
 MAX_BACKWARD_S = 1.0  # an event that comes late is one thing, another run in the same file another
 MAX_GAP_S = 600.0
+GZIP = b"\x1f\x8b"  # what a file packed by gzip begins with
 
 
 class LogError(Exception):
@@ -45,11 +49,17 @@ def read_log_as(path: Path, form_of: Callable[[str | None], LogForm]) -> tuple[L
 
     form_of: the form by `rig.system`, None where a log names none; raises BadLineError. Unknown keys and lines of an
     unknown kind are ignored, so are truth lines and readings that lie off the pad. A last line that was cut off is
-    dropped with a note. Events may come late by `MAX_BACKWARD_S`; they keep the order of the file.
+    dropped with a note. Events may come late by `MAX_BACKWARD_S`; they keep the order of the file, which may be packed
+    by gzip.
     """
     try:
         with path.open("rb") as stream:
-            return _Reader(path, form_of).read(stream)
+            if stream.peek(len(GZIP))[: len(GZIP)] != GZIP:
+                return _Reader(path, form_of).read(stream)
+            with gzip.open(stream) as unpacked:
+                return _Reader(path, form_of).read(unpacked)
+    except (EOFError, zlib.error, gzip.BadGzipFile):
+        raise LogError(f"{path}: packed by gzip, but cut off or damaged") from None
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from None
 
@@ -62,7 +72,7 @@ class _Reader:
         self._latest = -math.inf
         self._off_pad = self._unknown = 0
 
-    def read(self, stream: BinaryIO) -> tuple[LogForm, Any]:
+    def read(self, stream: BufferedIOBase) -> tuple[LogForm, Any]:
         notes: list[str] = []
         events: list[Any] = []
         form: LogForm | None = None

@@ -1,6 +1,7 @@
 """Event logs: golden lines, what is forgiven, what is refused and how it is told, and writing them."""
 
 import contextlib
+import gzip
 import io
 import json
 import math
@@ -46,6 +47,16 @@ def refused(path):
     text = str(caught.value)
     assert "\n" not in text
     return text
+
+
+def test_a_log_packed_by_gzip_is_read_as_it_is(log):
+    lines = f"{HEADER}\n{PAD}\n{PALMS}\n".encode()
+    unpacked = read_log(log(lines)).events
+    packed = gzip.compress(lines)
+    assert read_log(log(packed)).events == unpacked
+    assert refused(log(gzip.compress(f"{HEADER}\nno\n".encode()))).endswith("run.jsonl:2: not JSON: Expecting value")
+    for broken in (packed[:-12], packed[:12], packed[:2], packed[:20] + bytes(8) + packed[28:]):
+        assert refused(log(broken)).endswith("run.jsonl: packed by gzip, but cut off or damaged")
 
 
 def test_golden_lines(log):
