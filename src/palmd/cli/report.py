@@ -13,7 +13,7 @@ from palmd.record import is_recording
 from palmd.report import command
 
 PAPER = "paper"
-LOGS = (".jsonl",)
+LOGS = (".jsonl", ".jsonl.gz")
 BODIES = "three_palms"
 _LOGS = "event logs with their truth beside them (LOG without .jsonl, plus .truth.json); default: four simulated runs"
 
@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.logs:
         raise CliError(BAD_INPUT, f"{arguments.logs[0]}: one report is about one run; make another for this one")
     subject = Path(arguments.subject)
-    output: Path = arguments.output or Path(f"{subject.stem}.html")
-    if subject.suffix.lower() not in LOGS or is_recording(subject):
+    output: Path = arguments.output or Path(f"{Path(subject.name.removesuffix('.gz')).stem}.html")
+    if not subject.name.lower().endswith(LOGS) or is_recording(subject):
         return command.run(subject, output)
     system, log = read_any(subject)
     if system.name != BODIES:

@@ -1,5 +1,6 @@
 """The report of a body in space: drawn from four sides where it was found, told why where not."""
 
+import gzip
 import json
 
 import numpy as np
@@ -51,8 +52,12 @@ def test_the_first_view_is_of_the_side_that_was_touched(told):
     assert view[2, 2] > 0.9
 
 
-def test_a_log_of_two_palms_has_no_such_report(tmp_path, capsys):
-    path = tmp_path / "run.jsonl"
-    path.write_text(json.dumps({"palmd_log": 1, "rig": {}}) + "\n")
+@pytest.mark.parametrize("name", ["run.jsonl", "run.jsonl.gz"])
+def test_a_log_of_two_palms_has_no_such_report(tmp_path, capsys, name):
+    path, lines = tmp_path / name, (json.dumps({"palmd_log": 1, "rig": {}}) + "\n").encode()
+    path.write_bytes(gzip.compress(lines) if path.suffix == ".gz" else lines)
     assert main(["report", str(path), "-o", str(tmp_path / "report.html")]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "run.jsonl" in said
+    assert "MCAP" not in said
