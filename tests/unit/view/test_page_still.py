@@ -13,6 +13,7 @@ import zmq
 from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, PHONE, SMALL, WIDE, Page, browser
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from test_view import Served
 
 from palmd.harness.processes import Child
 from palmd.model.icosphere import icosphere
@@ -70,16 +71,16 @@ def bus():
 
 
 @pytest.fixture
-def still(driver, bus, tmp_path):
+def still(driver, bus, caplog):
     """The page of what `bus` says: a rig of any number of palms that stands still, tracking."""
-    where = ["--address", bus.publish, "--command", bus.command]
-    server = Child(["view", "--no-browser", "--port", "0", *where], tmp_path)
-    page = Page(driver, server.first_line(60.0))
+    server = Served(bus)
+    page = Page(driver, server.url)
     page.resize(*LAPTOP)
     yield page
     page.leave()
-    server.stop()
-    assert (server.status, server.said()) == (0, "")
+    server.close()
+    said = [each.getMessage() for each in caplog.get_records("call") if each.name.startswith(("palmd", "asyncio"))]
+    assert said == []
 
 
 def rig_of(palms, state="tracking", **more):
