@@ -47,8 +47,8 @@ def gauge_free_basis(theta: FloatArray, touched: FloatArray, coefficients: Float
     h(θ) − h′(θ)·ε, ε the rotation by least squares over the normals `touched` (rad), if there are any.
     """
     order = (len(coefficients) - 1) // 2
-    rows, felt = ((basis(at, order), tangential_basis(at, order)) for at in (theta, touched))
-    return gauge_free_rows(rows, felt, coefficients)
+    rows, felt = (basis(at, order) for at in (theta, touched))
+    return gauge_free_rows((rows, -slope_of(rows)), (felt, -slope_of(felt)), coefficients)
 
 
 def gauge_free_rows(

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.shape import basis, harmonic_of_coefficient, tangential_basis
+from palmd.model.shape import basis, harmonic_of_coefficient, slope_of
 from palmd.system.mechanism import normal_directions
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -104,7 +104,7 @@ def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray,
     bend = coefficients * (1 - harmonic_of_coefficient(order) ** 2)
     rows = basis(np.ravel(theta), order)
     r, v = (rows @ np.stack([coefficients, bend], axis=1)).T
-    d = tangential_basis(np.ravel(theta), order) @ coefficients
+    d = -slope_of(rows) @ coefficients
     shape = np.shape(theta)
     return r.reshape(shape), d.reshape(shape), v.reshape(shape)
 

@@ -146,10 +146,8 @@ class MultiStart:
         *radii, psi = self.state[:3]
         theta = np.stack(normal_directions([np.asarray(angle) for angle in felt.joints], psi), axis=1)
         d = np.stack(qs.offsets(felt, *radii), axis=1)
-        flat = theta.ravel()
-        rows = np.concatenate(
-            [shape.basis(flat).reshape(-1, 2, _K), shape.tangential_basis(flat).reshape(-1, 2, _K)], axis=1
-        )
+        of_radii = shape.basis(theta.ravel())
+        rows = np.concatenate([each.reshape(-1, 2, _K) for each in (of_radii, -shape.slope_of(of_radii))], axis=1)
         values = np.concatenate([np.stack(radii, axis=1), d], axis=1)
         turned = rows.transpose(0, 2, 1)
         self._information += self._weight * (turned @ rows)

@@ -1,9 +1,8 @@
 """Files that people get wrong: `palmd run` and `palmd check` say where, in one line each, and nothing is begun."""
 
-import subprocess
-import sys
-
 import pytest
+
+from palmd.cli import main
 
 PORTS = "pads: {palm1: {port: /dev/none1}, palm2: {port: /dev/none2}}\narm: {port: /dev/none3}\n"
 BAD_FILES = {
@@ -25,19 +24,16 @@ segments:
 
 @pytest.mark.parametrize("command", ["run", "check"])
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_a_bad_file_is_told_with_its_place(tmp_path, command, name):
+def test_a_bad_file_is_told_with_its_place(tmp_path, capsys, command, name):
     text, place = BAD_FILES[name]
     config, plan = tmp_path / "palmd.yaml", tmp_path / "far.yaml"
     config.write_text(text)
     plan.write_text(FAR)
     files = [config, plan] if command == "check" and name == "plan-outside-limits" else [config]
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "palmd", command, *map(str, files)],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stdout) == (1, "")
+    assert main([command, *map(str, files)]) == 1
+    out, err = capsys.readouterr()
     path = plan if place.startswith("far") else config
-    assert f"{path}:{place.removeprefix('far.yaml:')}" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert all(line.startswith(f"{path}:") for line in done.stderr.splitlines())
-    assert len(done.stderr) < 1000
+    assert out == ""
+    assert f"{path}:{place.removeprefix('far.yaml:')}" in err
+    assert all(line.startswith(f"{path}:") for line in err.splitlines())
+    assert len(err) < 1000

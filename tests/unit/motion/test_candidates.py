@@ -49,11 +49,11 @@ def test_no_limit_is_ever_left(kind, limits):
     for start_deg in STARTS:
         start = np.radians(start_deg)
         moves = kind(random, start, DRAWS, LENGTH, limits)
-        for ends, durations in zip(moves.ends, moves.durations, strict=True):
-            here = tuple(start)
+        for ends, durations in zip(moves.ends.tolist(), moves.durations.tolist(), strict=True):
+            here = tuple(start.tolist())
             for end, duration in zip(map(tuple, ends), durations, strict=True):
-                move = Move(here, end, float(duration))
-                motion = [limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 15)]
+                move = Move(here, end, duration)
+                motion = [limits.values(move.at(t)) for t in np.linspace(0.0, move.duration, 15).tolist()]
                 assert problems(limits.bounds, ranges(motion)) == [], (np.degrees(here), np.degrees(end), duration)
                 here = end
 

@@ -72,11 +72,17 @@ def test_a_run_without_outlines_or_truth_still_plays(tmp_path):
     assert set(column(told, "outline")) == {-1}
 
 
-def test_hints_cannot_break_out_of_the_page(tmp_path):
-    source = reported.write(tmp_path, reported.told(2.5))
-    assert main(["report", str(source), "-o", str(tmp_path / "r.html")]) == 0
-    text = (tmp_path / "r.html").read_text()
-    data = re.search(r'id="player-data">(.*?)</script>', text, re.DOTALL)[1]
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The report of a run with two objects: its figures take their time."""
+    folder = tmp_path_factory.mktemp("page")
+    source = reported.write(folder, reported.told(2.5, second_from=1.5))
+    assert main(["report", str(source), "-o", str(folder / "r.html")]) == 0
+    return folder / "r.html"
+
+
+def test_hints_cannot_break_out_of_the_page(page):
+    data = re.search(r'id="player-data">(.*?)</script>', page.read_text(), re.DOTALL)[1]
     assert "<" not in data
     assert any("<" in hint for _, _, hint in json.loads(data)["faults"])
 
@@ -100,10 +106,8 @@ def words(browser):
     return dict(zip((c.text for c in cells[::2]), (c.text for c in cells[1::2]), strict=True))
 
 
-def test_the_page_is_scrubbed_through_from_a_file_by_keyboard(browser, tmp_path):
-    source = reported.write(tmp_path, reported.told(2.5, second_from=1.5))
-    assert main(["report", str(source), "-o", str(tmp_path / "r.html")]) == 0
-    browser.get((tmp_path / "r.html").as_uri())
+def test_the_page_is_scrubbed_through_from_a_file_by_keyboard(browser, page):
+    browser.get(page.as_uri())
     slider = browser.find_element(By.CSS_SELECTOR, "#player input")
     picture = "return document.querySelector('#player canvas').toDataURL()"
     slider.send_keys(Keys.HOME)

@@ -13,6 +13,7 @@ import zmq
 from browser_page import DOUBLE_CLICK_S, ESCAPE, LAPTOP, PHONE, SMALL, WIDE, Page, browser
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from test_view import Served
 
 from palmd.harness.processes import Child
 from palmd.model.icosphere import icosphere
@@ -21,6 +22,12 @@ IN_VIEW = """
     const { left, top, right, bottom } = document.querySelector(arguments[0]).getBoundingClientRect();
     const seen = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
     return seen?.closest(arguments[0]) && left >= 0 && right <= innerWidth && top >= 0 && bottom <= innerHeight;
+"""
+CLOCK_STOPPED = """
+    if (!document.getElementById("stale").hidden) return false;
+    const now = performance.now();
+    performance.now = () => now;
+    return true;
 """
 AXE = Path(__file__).parents[2] / "tools/axe-core/axe.min.js"
 
@@ -70,16 +77,16 @@ def bus():
 
 
 @pytest.fixture
-def still(driver, bus, tmp_path):
+def still(driver, bus, caplog):
     """The page of what `bus` says: a rig of any number of palms that stands still, tracking."""
-    where = ["--address", bus.publish, "--command", bus.command]
-    server = Child(["view", "--no-browser", "--port", "0", *where], tmp_path)
-    page = Page(driver, server.first_line(60.0))
+    server = Served(bus)
+    page = Page(driver, server.url)
     page.resize(*LAPTOP)
     yield page
     page.leave()
-    server.stop()
-    assert (server.status, server.said()) == (0, "")
+    server.close()
+    said = [each.getMessage() for each in caplog.get_records("call") if each.name.startswith(("palmd", "asyncio"))]
+    assert said == []
 
 
 def rig_of(palms, state="tracking", **more):
@@ -338,6 +345,7 @@ def test_axe_finds_nothing_that_keeps_people_from_using_it(still, bus, size, sch
     still.resize(*size)
     still.scheme(scheme)
     opened(still, bus, rig_of(2, state="hold", faults=["pad1-silent"], severities=["hold"], hints=["see"], texts=["x"]))
+    still.until(lambda: still.script(CLOCK_STOPPED), "data that will not be dimmed as old while axe takes its time")
     found = still.axe(AXE.read_text())
     still.scheme("light")
     assert found == []
