@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
@@ -19,7 +20,6 @@ from palmd.rig.three_palms.simulate import SimulatedBody
 
 NEAR_DEG = 4.0
 RIGHT_M = 1.5e-4
-_TURNS = 20  # of Gauss–Newton, in search of the best rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +79,18 @@ def errors(answer: BodyReconstruction, truth: dict[str, Any]) -> tuple[float, fl
     lasted = np.array(truth["t"]) <= answer.t[-1]
     felt = np.array(truth["normals_body"])[lasted].reshape(-1, 3)
     near = _nearest(directions, felt) >= math.cos(math.radians(NEAR_DEG))
-    turn = np.array(truth["rotation"])[np.searchsorted(truth["t"], answer.t[0] - 1e-9)]
-    for _ in range(_TURNS):
-        u = directions[near] @ turn.T
-        heights, points = rows(u)
-        off, arm = heights @ answer.coefficients - height[near], np.cross(u, points @ answer.coefficients)
-        turn = rotation.exp(-np.linalg.lstsq(arm, off, rcond=None)[0]) @ turn
-    u = directions[near] @ turn.T
-    off = rows(u)[0] @ answer.coefficients - height[near]
+    begun: FloatArray = np.array(truth["rotation"])[np.searchsorted(truth["t"], answer.t[0] - 1e-9)]
+    coefficients, true = answer.coefficients, height[near]
+
+    def normals(turn: FloatArray) -> FloatArray:
+        return np.asarray(directions[near] @ (rotation.exp(turn) @ begun).T, np.float64)
+
+    def off_um(turn: FloatArray) -> FloatArray:
+        return np.asarray(1e6 * (rows(normals(turn))[0] @ coefficients - true), np.float64)
+
+    # steps that are not damped may lead away where little was touched
+    turn = least_squares(off_um, np.zeros(3), method="lm").x
+    u, off = normals(turn), 1e-6 * off_um(turn)
     sd = answer.h_sd[(u @ answer.directions.T).argmax(axis=1)]
     return float(np.sqrt(np.mean(off**2))), float(np.mean((off / sd) ** 2))
 
