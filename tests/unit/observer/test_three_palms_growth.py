@@ -46,7 +46,7 @@ def run():
 @pytest.fixture(scope="module")
 def task(run):
     path, readings, rig, _ = run
-    return Task(path, readings, ContactCurves.smoothed(readings), rig, 0.0, SECONDS - 0.02, ORDER)
+    return Task(path, readings, ContactCurves.smoothed(readings), rig, 0.0, SECONDS - 0.02, (ORDER,))
 
 
 def started(task):
@@ -67,7 +67,7 @@ def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, mon
     """None is compiled while a body lies on the palms, where there may be no compiler."""
     asked, equations_of = set(), smoother.equations_of
     monkeypatch.setattr(smoother, "equations_of", lambda *given: asked.add(given[-1]) or equations_of(*given))
-    live = replace(task, finest=0)
+    live = replace(task, finer=())
     assert growth.anew(live, live.record(1.3), beliefs.hypotheses())
     built = {what for what, _ in needed(None)}
     assert len(asked) > 2
@@ -215,14 +215,48 @@ def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain
     assert growth.sharpened(task, [tried]) == [tried]  # once is enough
 
 
+def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, monkeypatch):
+    asked, fit = [], BodySmoother.fit
+    gains = iter((growth.BEHIND + 1.0, growth.BEHIND + 2.0, growth.BEHIND - 1.0))
+    left = [coarse.cost]
+
+    def gained(self, motion, *most):
+        asked.append(len(motion.p))
+        left[0] -= next(gains)
+        return replace(fit(self, motion, *most), cost=left[0])
+
+    monkeypatch.setattr(BodySmoother, "fit", gained)
+    monkeypatch.setattr(growth, "STRANGE", -math.inf)
+    monkeypatch.setattr(growth, "FINE_TRIES", 1)
+    assert growth.finer(task, coarse, (3, 4, 5, 6, 7)).order == 5
+    assert asked == [count(order) + BODY for order in (4, 5, 6)]
+
+
+def test_who_is_explained_by_finer_harmonics_is_asked_for_no_finer_ones(task, coarse):
+    assert growth.finer(task, coarse, (ORDER, ORDER + 1)).order == ORDER
+
+
+def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_what_is_believed_of_any_body(coarse):
+    raised = beliefs.raised_belief(coarse.ahead, 5)
+    n, more = 6 + count(COARSE_ORDER), count(5) - count(COARSE_ORDER)
+    kept = np.r_[:n, n + more : len(raised.information)]
+    np.testing.assert_array_equal(raised.information[np.ix_(kept, kept)], coarse.ahead.information)
+    np.testing.assert_array_equal(raised.mean[kept[6:] - 6], coarse.ahead.mean)
+    assert (raised.mean[n - 6 : n - 6 + more] == 0.0).all()
+    added = raised.information[n : n + more]
+    variance = beliefs.shape_variance(Y00 * coarse.ahead.mean[0], 5)[count(COARSE_ORDER) :]
+    np.testing.assert_allclose(added[:, n : n + more], np.diag(1.0 / variance))
+    assert np.count_nonzero(added) == more
+
+
 def test_who_is_fitted_as_it_grows_is_explained_by_finer_harmonics_or_given_up(task, right, coarse, monkeypatch):
     assert growth._sure(task, right) is right
-    monkeypatch.setattr(growth, "_finer", lambda _, now: replace(now, cost=right.cost))
+    monkeypatch.setattr(growth, "finer", lambda _, now, __: replace(now, cost=right.cost))
     slippery = replace(coarse, motion=replace(coarse.motion, p=np.append(coarse.motion.p[:-2], [0.0, -4.6])))
     assert growth._sure(task, slippery) == replace(slippery, cost=right.cost)
     assert growth._sure(task, coarse) == replace(coarse, astray=True)
     assert growth._sure(task, coarse).lost
-    assert growth._sure(replace(task, finest=0), coarse) is coarse  # live it goes on
+    assert growth._sure(replace(task, finer=()), coarse) is coarse  # live it goes on
 
 
 def test_who_has_gone_astray_is_followed_no_further(task, monkeypatch):
@@ -262,6 +296,14 @@ def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it
     assert strange(right).alone
     assert not replace(strange(right), confirmed=right.intervals).alone
     assert not replace(right, confirmed=0).alone  # nothing is strange in it
+
+
+def test_who_bends_as_far_as_the_finest_harmonics_do_is_alone_until_another_start_comes_to_it(right, monkeypatch):
+    monkeypatch.setattr(growth, "FOUND_S", 1.0)
+    assert not replace(right, confirmed=0).alone
+    monkeypatch.setattr(growth, "FINER", (ORDER - 1, ORDER))
+    assert replace(right, confirmed=0).alone
+    assert not right.alone
 
 
 def test_who_is_alone_and_right_comes_back_when_begun_from_itself(task, right, monkeypatch):
@@ -332,7 +374,7 @@ def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, m
     now = started(task)
     monkeypatch.setattr(growth, "_kept", None)
     monkeypatch.setattr(BodySmoother, "settled", None)
-    assert growth._window(replace(task, finest=0), now, 0.5, task.intervals(SECONDS)).surprise < growth.FORETOLD
+    assert growth._window(replace(task, finer=()), now, 0.5, task.intervals(SECONDS)).surprise < growth.FORETOLD
 
 
 def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):

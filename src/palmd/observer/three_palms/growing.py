@@ -21,6 +21,7 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
+from palmd.observer.three_palms.body import FINER_LIVE
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import (
     BEHIND,
@@ -29,6 +30,7 @@ from palmd.observer.three_palms.growth import (
     anew,
     apart,
     begun_in_ways,
+    finer,
     folded,
     found_again,
     raced,
@@ -116,6 +118,8 @@ class GrowingBody:
             return _unknown(task, begun, "what explained the readings does so no more")
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
+        if first.found_twice and first.per_number < HOPELESS:
+            first = ended[0] = finer(task, first, FINER_LIVE)
         grown = first
         if not begins:  # else the answer would wait for it
             ended = self._found_again(task, ended)

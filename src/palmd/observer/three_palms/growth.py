@@ -22,7 +22,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.beliefs import Hypothesis
-from palmd.observer.three_palms.body import ORDER, centres_of, inertia, touching
+from palmd.observer.three_palms.body import FINER, ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.record import BodyRecord, lay_out
@@ -159,7 +159,8 @@ class Grown:
 
         What has foretold `FOUND_S` and costs no more than its noise does not.
         """
-        asks = self.strange >= STRANGE or self.intervals < round(FOUND_S / SPACING_S)
+        bent = self.strange >= STRANGE or self.order > FINER[0]
+        asks = bent or self.intervals < round(FOUND_S / SPACING_S)
         return asks and not self.found_twice
 
     @property
@@ -188,6 +189,11 @@ class Grown:
     def largest_lambda(self) -> float:
         """Of the numbers that tell its inertia, which are 0 for a dense ball."""
         return float(np.abs(self.motion.p[-BODY:-3]).max())
+
+    @property
+    def order(self) -> int:
+        """The degree of its outline."""
+        return order_of(len(self.motion.p) - BODY)
 
     @property
     def felt(self) -> FloatArray:
@@ -273,23 +279,27 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
     def near(each: Grown) -> bool:
         return each.intervals == first.intervals and each.cost < first.cost + BEHIND
 
-    return [_finer(task, each) if near(each) else each for each in ended]
+    return [finer(task, each, task.finer) if near(each) else each for each in ended]
 
 
-def _finer(task: Task, now: Grown) -> Grown:
-    """With an outline up to the finest degree, where that pays; all of it is fitted."""
-    p = now.motion.p
-    if now.refined == now.intervals or order_of(len(p) - BODY) >= task.finest:
+def finer(task: Task, now: Grown, orders: tuple[int, ...]) -> Grown:
+    """With an outline up to finer degrees, one after the other, as far as they pay; all of its record is fitted."""
+    if now.refined == now.intervals:
         return now
     now = replace(now, refined=now.intervals)
-    prior = beliefs.prior(Y00 * float(now.prior.mean[0]), task.finest, task.spin_sd)
-    smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
-    fit = smoother.fit(replace(now.motion, p=beliefs.raised(p, task.finest)), FINE_TRIES)
-    if fit.cost > now.cost - BEHIND:
-        return now
-    if now.cost - fit.cost > fit.cost - now.record.numbers:  # it explains most of what was left
-        fit = smoother.fit(fit.motion)
-    return replace(now, prior=prior, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, windows=())
+    for order in orders:
+        if order <= now.order or now.strange < STRANGE:
+            continue
+        prior = beliefs.raised_belief(now.prior, order)
+        smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
+        fit = smoother.fit(replace(now.motion, p=beliefs.raised(now.motion.p, order)), FINE_TRIES)
+        if fit.cost > now.cost - BEHIND:
+            break
+        if now.cost - fit.cost > fit.cost - now.record.numbers:  # it explains most of what was left
+            fit = smoother.fit(fit.motion)
+        ahead = smoother.ahead(fit)
+        now = replace(now, prior=prior, motion=fit.motion, ahead=ahead, cost=fit.cost, whole=fit, windows=())
+    return now
 
 
 def _again(task: Task, now: Grown) -> Grown:
@@ -436,7 +446,8 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
 
     for way in ways:
         first = rivals[0]
-        for again in anew(task, first.record, [way], first.cost):
+        most, orders = (first.cost, ()) if first.order == ORDER else (math.inf, (first.order,))
+        for again in (finer(task, each, orders) for each in anew(task, first.record, [way], most)):
             if (both := _met(again, first, believed=believed)) is not None:
                 return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
@@ -509,9 +520,9 @@ def _sure(task: Task, now: Grown) -> Grown:
 
     Finer ones are for what spins: where a palm rubs they bend, for a while, to what a wrong motion leaves unexplained.
     """
-    if not task.finest or now.strange < STRANGE:
+    if not task.finer or now.strange < STRANGE:
         return now
-    now = _finer(task, now) if now.motion.p[-2] < RUBS else now
+    now = finer(task, now, task.finer) if now.motion.p[-2] < RUBS else now
     return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 
@@ -561,7 +572,7 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
     smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
-    if task.finest:  # live it costs up to a fifth of a lap
+    if task.finer:  # live it costs up to a fifth of a lap
         told = _nearer(smoother, record, told, _kept(begun_with, more))
     fit = smoother.fit(told, 15)
     if share == 0.0:  # else it is one of many ways that are tried

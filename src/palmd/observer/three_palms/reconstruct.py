@@ -17,7 +17,7 @@ from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, evaluator, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
-from palmd.observer.three_palms.body import FINE, centres_of, inertia
+from palmd.observer.three_palms.body import FINER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
@@ -75,7 +75,7 @@ def reconstruct(path: JointPath, readings: PadReadings, rig: ThreePalmsRig) -> B
     if end - start < LEAST_S:
         return _nothing(f"there are no {LEAST_S:g} s in which all three pads and the joints report", begun)
     inside = readings.within(start, end)
-    task = Task(path, inside, ContactCurves.smoothed(inside), rig, start, end, FINE)
+    task = Task(path, inside, ContactCurves.smoothed(inside), rig, start, end, FINER)
     ended = best(task)
     if not ended:
         return _nothing("no motion of a body was found that explains the first readings", begun)

@@ -50,8 +50,8 @@ KEPT = 4
 class Task:
     """What is given: the joints' path, all readings with their smoothed course, and the rig.
 
-    finest: degree up to which outlines may go where `ORDER` does not explain what is read, whom nothing explains is
-    given up, and fits are eased; 0 live, where there is time for none of that.
+    finer: degrees up to which outlines may go, one after the other, where `ORDER` does not explain what is read; whom
+    nothing explains is given up, and fits are eased. Empty live, where there is time for none of that.
     """
 
     path: JointPath
@@ -60,7 +60,7 @@ class Task:
     rig: ThreePalmsRig
     start: float
     end: float
-    finest: int = 0
+    finer: tuple[int, ...] = ()
 
     @cached_property
     def whole(self) -> BodyRecord:
@@ -198,7 +198,7 @@ def eased(task: Task, record: BodyRecord, prior: BodyPrior, fit: BodyFit) -> Bod
     What turns far in a window, over what was never felt, has minima beside the right one: they are shallow where
     readings are rough and equations are loose. Live there is no time for it.
     """
-    if by_chance(fit, record) or not task.finest:
+    if by_chance(fit, record) or not task.finer:
         return fit
     motion = roughened(task, record, prior, fit.motion).motion
     again = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion)
