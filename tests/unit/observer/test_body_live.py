@@ -592,6 +592,36 @@ def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monk
     assert asked == [(True, FINER_LIVE)]
 
 
+def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
+    def bent(_, now, __):
+        p = beliefs.raised(now.motion.p, 16)
+        return replace(now, motion=replace(now.motion, p=p), ahead=beliefs.raised_belief(now.ahead, 16))
+
+    def dear(_, running, **__):
+        return [replace(each, cost=1.2 * each.record.numbers, confirmed=each.intervals) for each in running]
+
+    def told(finer):
+        smoother = GrowingBody(lived.rig)
+        smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
+        monkeypatch.setattr(growing, "finer", finer)
+        smoother.answer()
+        return smoother._misled
+
+    monkeypatch.setattr(growing, "anew", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(growing, "raced", dear)
+    assert told(lambda _, now, __: now) == 0.0
+    assert 0.15 < told(bent) < 0.2
+
+
+def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(lived, monkeypatch):
+    task, ended = lived.raced
+    said = lived.smoother._answer(task, ended)
+    monkeypatch.setattr(lived.smoother, "_misled", 0.1)
+    hidden = lived.smoother._answer(task, ended)
+    assert (hidden.h_sd**2 - said.h_sd**2).min() > 0.5 * 0.1 * task.noise.reading**2
+    assert (np.diagonal(hidden.covariance)[7:10] > np.diagonal(said.covariance)[7:10]).all()
+
+
 def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, monkeypatch):
     task, (first, *_) = lived.raced
     asked = []
