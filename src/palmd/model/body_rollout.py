@@ -15,8 +15,7 @@ from palmd.model.spherical import Y00, count
 from palmd.model.symbolic import SX, ca
 from palmd.model.three_palms import BODY, PalmVectors, local_function, newton_function
 
-MOST_ORDER, STEP_S = 12, 5e-3
-"""The degree up to which an outline is gone by, and how far a step goes."""
+STEP_S = 5e-3
 ROUGH_ORDER, ROUGH_STEP_S = 8, 1e-2
 """Of what is to be quick rather than right: the degree of the outline, and how far a step goes."""
 MOVE_INPUTS = 8

@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import body_rollout
-from palmd.model.body_rollout import MOST_ORDER, MOVE_INPUTS, ROUGH_ORDER, ROUGH_STEP_S, STEP_S, TOLD
+from palmd.model.body_rollout import MOVE_INPUTS, ROUGH_ORDER, ROUGH_STEP_S, STEP_S, TOLD
 from palmd.model.compiled import LANES
 from palmd.model.spherical import count, order_of
 from palmd.model.three_palms import BODY
@@ -56,7 +56,7 @@ class BodyForesight:
 
         rough: four times as quick, by the outline as far as `ROUGH_ORDER` holds it and in longer steps.
         """
-        self._order = min(_order(p), ROUGH_ORDER if rough else MOST_ORDER)
+        self._order = min(_order(p), ROUGH_ORDER) if rough else _order(p)
         self.pad_side, self.gravity, self._step_s = pad_side, gravity, ROUGH_STEP_S if rough else STEP_S
         sizes = (9, 3, MOVE_INPUTS, count(self._order) + BODY)
         self._R, self._omega, self._move, self._p = (np.zeros((COLUMNS, size)) for size in sizes)

@@ -13,7 +13,7 @@
 #define PALM_INPUTS 36
 #define GEOMETRY 24
 #define SEEN 10 /* numbers: two of each of three contacts, and of the centre of mass in two rows */
-#define MOST 512 /* states and parameters */
+#define MOST 256 /* states and parameters */
 #define LEAST_S 1e-9 /* shorter spans are none */
 #ifdef __AVX512F__
 #define WIDE 8 /* numbers in a register */

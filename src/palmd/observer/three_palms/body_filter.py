@@ -63,9 +63,9 @@ class BodyFilter:
         self.P: FloatArray = np.array(answer.covariance, order="C")
         self._body: FloatArray = np.concatenate([answer.R.ravel(), answer.omega, [1.0], answer.p])
         self._rig = rig
-        self.order = order_of(len(answer.p) - BODY)
+        self._order = order_of(len(answer.p) - BODY)
         self._shape = slice(STATES, STATES + len(answer.p) - BODY)
-        self._does = steps(self.order, rig) if compiled else None
+        self._does = steps(self._order, rig) if compiled else None
 
     @property
     def R(self) -> FloatArray:
@@ -127,7 +127,7 @@ class BodyFilter:
     def _step(self, h: float, palms: FloatArray) -> None:
         """One step of h (s), the palms as in its middle."""
         shared = (self.p, self._rig.gravity)
-        acceleration = kernels.acceleration(self.order)
+        acceleration = kernels.acceleration(self._order)
         out = acceleration((by_columns(self.R[None]), self.omega[None], palms[None]), shared)
         alpha, by_turn, by_omega, by_p = (out[i][0] for i in (0, 2, 3, 4))
         J = np.zeros((STATES, STATES))
@@ -164,7 +164,7 @@ class BodyFilter:
     def _looked(self, geometry: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What geometries (T, 24) read, (2T,), and its Jacobian (2T, states and parameters)."""
         turned = np.repeat(by_columns(self.R[None]), len(geometry), axis=0)
-        y, by_turn, by_c = kernels.reading(self.order)((turned, geometry), (self.p[:-BODY],))
+        y, by_turn, by_c = kernels.reading(self._order)((turned, geometry), (self.p[:-BODY],))
         H = np.zeros((2 * len(geometry), len(self.P)))
         H[:, :3], H[:, self._shape] = by_turn.reshape(-1, 3), by_c.reshape(len(H), -1)
         return y.ravel(), H
@@ -179,7 +179,7 @@ class BodyFilter:
         y, H = self._looked(np.concatenate([geometry, centre]))
         inputs = palm_inputs(palms)
         shared = (self.p, self._rig.gravity)
-        acceleration = kernels.acceleration(self.order)
+        acceleration = kernels.acceleration(self._order)
         force = acceleration((by_columns(self.R[None]), self.omega[None], inputs), shared)[1]
         return y, H @ self.P @ H.T, inputs[0], force[0]
 

@@ -18,7 +18,7 @@ from palmd.system.three_palms import GAP_S, JOINTS
 STATES = 6
 GEOMETRY = 24
 SEEN = 10
-MOST = 512
+MOST = 256
 READING = 4  # t, a, b, pad
 
 

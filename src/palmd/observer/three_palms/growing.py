@@ -21,7 +21,6 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.body import FINER_LIVE
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.growth import (
     BEHIND,
@@ -30,7 +29,6 @@ from palmd.observer.three_palms.growth import (
     anew,
     apart,
     begun_in_ways,
-    finer,
     folded,
     found_again,
     raced,
@@ -90,7 +88,6 @@ class GrowingBody:
         self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
         self._owed = False  # short starts, in the next lap
         self._believed_since = math.inf
-        self._misled = 0.0  # cost per number above its noise when finer harmonics were given, which bend to it
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
     def add(self, events: Sequence[Event]) -> None:
@@ -119,11 +116,6 @@ class GrowingBody:
             return _unknown(task, begun, "what explained the readings does so no more")
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
-        if first.found_twice and first.per_number < HOPELESS:
-            bent = finer(task, first, FINER_LIVE)
-            if bent.order > first.order:
-                self._misled = first.unexplained
-            first = ended[0] = bent
         grown = first
         if not begins:  # else the answer would wait for it
             ended = self._found_again(task, ended)
@@ -267,7 +259,7 @@ class GrowingBody:
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
         touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
-        centre_sd = beliefs.centre_sd(task.noise.reading, max(first.unexplained, self._misled))
+        centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained)
         h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         covariance = beliefs.with_centre(covariance, STATES, centre_sd)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S

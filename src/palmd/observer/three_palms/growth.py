@@ -279,18 +279,18 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
     def near(each: Grown) -> bool:
         return each.intervals == first.intervals and each.cost < first.cost + BEHIND
 
-    return [finer(task, each, task.finer) if near(each) else each for each in ended]
+    return [_finer(task, each) if near(each) else each for each in ended]
 
 
-def finer(task: Task, now: Grown, orders: tuple[int, ...]) -> Grown:
-    """With an outline up to finer degrees, one after the other, as far as they pay; all of its record is fitted."""
+def _finer(task: Task, now: Grown) -> Grown:
+    """With an outline up to finer degrees, one after the other, as far as they pay; all of it is fitted."""
     if now.refined == now.intervals:
         return now
     now = replace(now, refined=now.intervals)
-    for order in orders:
+    for order in task.finer:
         if order <= now.order or now.strange < STRANGE:
             continue
-        prior = beliefs.raised_belief(now.prior, order)
+        prior = beliefs.prior(Y00 * float(now.prior.mean[0]), order, task.spin_sd)
         smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
         fit = smoother.fit(replace(now.motion, p=beliefs.raised(now.motion.p, order)), FINE_TRIES)
         if fit.cost > now.cost - BEHIND:
@@ -446,8 +446,7 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
 
     for way in ways:
         first = rivals[0]
-        most, orders = (first.cost, ()) if first.order == ORDER else (math.inf, (first.order,))
-        for again in (finer(task, each, orders) for each in anew(task, first.record, [way], most)):
+        for again in anew(task, first.record, [way], first.cost):
             if (both := _met(again, first, believed=believed)) is not None:
                 return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
@@ -522,7 +521,7 @@ def _sure(task: Task, now: Grown) -> Grown:
     """
     if not task.finer or now.strange < STRANGE:
         return now
-    now = finer(task, now, task.finer) if now.motion.p[-2] < RUBS else now
+    now = _finer(task, now) if now.motion.p[-2] < RUBS else now
     return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 

@@ -19,7 +19,7 @@ from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
 from palmd.observer.three_palms import body_filter, kernels
-from palmd.observer.three_palms.body import FINER_LIVE, ORDER, inertia
+from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.joint_track import STEADY, JointTrack
 from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyOutlook, ThreePalmsRig
@@ -29,7 +29,7 @@ NAME = "space"
 HELD_S = 0.02  # how late readings are fused
 KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
 MOST_KEPT = 8192  # of readings, before older ones are let go: some 27 s
-A_TICK, A_TICK_FINE = 12, 6  # readings that a filter which catches up takes beyond the new ones; of finer harmonics
+A_TICK = 12  # readings that a filter which catches up takes beyond the new ones
 NIS_MOST = 1.35  # six of the standard deviations that it has where all is as believed
 NIS_FORESEEN = 4.0  # up to which what is believed still tells where the body goes
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
@@ -84,10 +84,9 @@ class BodyObserver:
     def warm_up(self) -> None:
         """Load the kernels, and the directions of a surface."""
         icosphere()
-        for order in (ORDER, *FINER_LIVE):
-            if body_filter.steps(order, self._rig) is None:
-                kernels.acceleration(order)
-                kernels.reading(order)
+        if body_filter.steps(ORDER, self._rig) is None:
+            kernels.acceleration(ORDER)
+            kernels.reading(ORDER)
 
     def feed(self, event: Event) -> None:
         """Take one event; a reading of a time that has been fused already is counted and dropped."""
@@ -234,8 +233,7 @@ class BodyObserver:
             if not self._before.nis < NIS_FORESEEN:
                 self._before = None
         if self._next is not None:
-            more = A_TICK if self._next.order == ORDER else A_TICK_FINE
-            self._catch_up(self._next, until, more + len(new))
+            self._catch_up(self._next, until, A_TICK + len(new))
 
     def _catch_up(self, behind: BodyFilter, until: float, most: int) -> None:
         begin = bisect.bisect_right(self._kept, behind.t, key=_time)
