@@ -37,6 +37,8 @@ typedef int64_t mask __attribute__((vector_size(8 * WIDE)));
 INLINE mask bits(lane a) { mask m; memcpy(&m, &a, sizeof m); return m; }
 INLINE lane real(mask m) { lane a; memcpy(&a, &m, sizeof a); return a; }
 INLINE lane either(mask test, lane yes, lane no) { return real((bits(yes) & test) | (bits(no) & ~test)); }
+INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
+INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
 
 #if LANES == 1
 INLINE lane gather(const double *from, long stride) { (void)stride; return *from; }

@@ -25,9 +25,6 @@ typedef struct {
   int waiting;
 } Sum;
 
-INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
-INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
-
 /* to (HIGH rows `across` apart, `columns` registers wide) += aᵀ b of `count` rows `stride` apart, one after the other;
    `less`: −= the sum of all */
 INLINE void tile(double *to, long across, const double *a, const double *b, long stride, long count, const int columns,

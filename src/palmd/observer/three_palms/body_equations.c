@@ -4,6 +4,7 @@
 
 #define LANES 8
 #include "lanes.h"
+#include "turns.h"
 
 #define STATES 6
 #define PALM_INPUTS 36
@@ -40,9 +41,6 @@ typedef struct {
   double alpha[CHUNK][3], force[CHUNK][3], by_turn[CHUNK][9], by_omega[CHUNK][9], *by_p; /* (CHUNK, m, 3) */
 } Accelerations;
 
-INLINE lane load(const double *from) { lane a; memcpy(&a, from, sizeof a); return a; }
-INLINE void store(double *to, lane a) { memcpy(to, &a, sizeof a); }
-
 static long columns_of(long count) { return (count + LANES - 1) / LANES * LANES; }
 
 /* rows of `size` numbers for as many columns as that takes, the last one repeated */
@@ -66,28 +64,6 @@ static void accelerate(const Model *model, long count, const double *R, const do
   const double *in[] = {turned[0], spin[0], palm[0], p, &model->gravity};
   double *out[] = {told->alpha[0], told->force[0], told->by_turn[0], told->by_omega[0], told->by_p};
   model->acceleration(in, out, columns_of(count));
-}
-
-static void cross(const double *a, const double *b, double *out) {
-  out[0] = a[1] * b[2] - a[2] * b[1];
-  out[1] = a[2] * b[0] - a[0] * b[2];
-  out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-static double sinc(double angle) { return angle == 0.0 ? 1.0 : sin(angle) / angle; }
-
-/* exp[v]R */
-static void turned(const double *v, const double *R, double *to) {
-  const double square = dot(v, v), angle = sqrt(square), first = sinc(angle), half = sinc(angle / 2);
-  const double S[3][3] = {{0, -v[2], v[1]}, {v[2], 0, -v[0]}, {-v[1], v[0], 0}};
-  for (int i = 0; i < 3; i++) {
-    double E[3];
-    for (int j = 0; j < 3; j++)
-      E[j] = (i == j) + first * S[i][j] + half * half / 2 * (v[i] * v[j] - (i == j) * square);
-    for (int j = 0; j < 3; j++) to[3 * i + j] = E[0] * R[j] + E[1] * R[3 + j] + E[2] * R[6 + j];
-  }
 }
 
 /* the vector of the turn from R to `next` */
@@ -179,17 +155,25 @@ static void step_rows(const Record *record, long m, const double *omega, const B
   }
 }
 
+/* of a cubic that begins at 0: weights of the end's value, the beginning's rate and the end's rate */
+typedef struct {
+  double there, out, back;
+} Hermite;
+
+static Hermite hermite(double s) {
+  return (Hermite){s * s * (3 - 2 * s), s * (1 - s) * (1 - s), s * s * (s - 1)};
+}
+
 /* a reading's rows: y (2), by_turn (2, 3) and by_c (2, harmonics) by columns */
-static void reading_rows(const Record *record, long m, long harmonics, double share, const double *residual,
+static void reading_rows(const Record *record, long m, long harmonics, Hermite at, const double *residual,
                          const double *by_turn, const double *by_c, double *r, double *sides, double *by) {
-  const double there = share * share * (3 - 2 * share), back = share * share * (share - 1);
-  const double out = share * (1 - share) * (1 - share), h = record->spacing, weight = 1.0 / record->reading;
+  const double h = record->spacing, weight = 1.0 / record->reading;
   for (int i = 0; i < 2; i++) {
     r[i] = weight * residual[i];
     for (int j = 0; j < 3; j++) {
       const double turn = weight * by_turn[2 * j + i];
       double *side = sides + i * SIDES + j;
-      side[0] = (1 - there) * turn, side[3] = h * out * turn, side[6] = there * turn, side[9] = h * back * turn;
+      side[0] = (1 - at.there) * turn, side[3] = h * at.out * turn, side[6] = at.there * turn, side[9] = h * at.back * turn;
     }
     for (long j = 0; j < m; j++) by[i * m + j] = j < harmonics ? weight * by_c[2 * j + i] : 0.0;
   }
@@ -264,14 +248,15 @@ double body_equations(const Model *model, const Record *record, const double *R,
       const long left = record->first[end] - from, some = left < CHUNK ? left : CHUNK;
       double there[CHUNK][9], at[CHUNK][9], geometry[CHUNK][GEOMETRY], y[CHUNK][2], by_turn[CHUNK][6];
       long of[CHUNK];
+      Hermite weights[CHUNK];
       for (long i = 0; i < some; i++) {
         while (record->first[k + 1] <= from + i) k++;
         const Between *own = between + k - begin;
-        const double s = record->share[from + i], h = record->spacing, *spin = omega + 3 * k;
+        const Hermite weight = weights[i] = hermite(record->share[from + i]);
+        const double *spin = omega + 3 * k;
         double v[3];
         for (int j = 0; j < 3; j++)
-          v[j] = s * s * (3 - 2 * s) * own->phi[j] +
-                 h * (s * (1 - s) * (1 - s) * spin[j] + s * s * (s - 1) * own->ending[j]);
+          v[j] = weight.there * own->phi[j] + record->spacing * (weight.out * spin[j] + weight.back * own->ending[j]);
         turned(v, R + 9 * k, there[i]);
         of[i] = k;
       }
@@ -284,7 +269,7 @@ double body_equations(const Model *model, const Record *record, const double *R,
         const long which = from + i, row = OF_STEP * (of[i] + 1) + 2 * which;
         double *residual = to->residual + 2 * which;
         for (int j = 0; j < 2; j++) residual[j] = y[i][j] - record->value[2 * which + j];
-        reading_rows(record, m, n, record->share[which], residual, by_turn[i], by_c + 2 * n * i, to->r + row,
+        reading_rows(record, m, n, weights[i], residual, by_turn[i], by_c + 2 * n * i, to->r + row,
                      to->sides + SIDES * row, to->by + m * row);
       }
     }

@@ -9,6 +9,8 @@
 #pragma GCC optimize("O3") /* loops in vector registers; no sum is taken in another order */
 #endif
 
+#include "turns.h"
+
 #define STATES 6
 #define PALM_INPUTS 36
 #define GEOMETRY 24
@@ -68,12 +70,6 @@ void joints_at(const Track *track, double t, double *joints) {
   }
 }
 
-static void cross(const double *a, const double *b, double *out) {
-  out[0] = a[1] * b[2] - a[2] * b[1];
-  out[1] = a[2] * b[0] - a[0] * b[2];
-  out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
 /* as `system.three_palms.palms_at`; axes: a and b of each pad */
 static void palms_at(const double *joints, double *palms, double axes[3][2][3]) {
   static const double TURNS[3] = {0.0, 1.0, -1.0};
@@ -126,16 +122,9 @@ static void by_columns(const double R[3][3], double *out) {
 
 /* R <- exp[v]R */
 static void turn(double R[3][3], const double *v) {
-  const double square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], angle = sqrt(square);
-  const double first = angle > 0.0 ? sin(angle) / angle : 1.0, half = angle > 0.0 ? sin(angle / 2) / (angle / 2) : 1.0;
-  const double S[3][3] = {{0, -v[2], v[1]}, {v[2], 0, -v[0]}, {-v[1], v[0], 0}};
-  double E[3][3], turned[3][3];
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++)
-      E[i][j] = (i == j) + first * S[i][j] + half * half / 2 * (v[i] * v[j] - (i == j) * square);
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) turned[i][j] = E[i][0] * R[0][j] + E[i][1] * R[1][j] + E[i][2] * R[2][j];
-  memcpy(R, turned, sizeof turned);
+  double after[3][3];
+  turned(v, R[0], after[0]);
+  memcpy(R, after, sizeof after);
 }
 
 /* M <- A^-1; A is spoilt */

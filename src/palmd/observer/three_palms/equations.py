@@ -16,7 +16,7 @@ from palmd.model import rotation
 from palmd.model.spherical import count
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.arrow import STATES, Arrow
-from palmd.observer.three_palms.kernels import by_columns
+from palmd.observer.three_palms.kernels import BlockKernel, by_columns
 from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
 from palmd.observer.three_palms.record import BodyRecord
 
@@ -85,14 +85,16 @@ class Equations:
     def __init__(self, record: BodyRecord, noise: Noise, gravity: float, order: int) -> None:
         self._record, self._noise, self._gravity = record, noise, gravity
         self._shape = slice(0, count(order))
-        self._acceleration, self._reading = kernels.acceleration(order), kernels.reading(order)
-        self._accelerated, self._read_off = kernels.acceleration_of_motion(order), kernels.reading_of_motion(order)
+        self._of_all, self._of_motion = (
+            (kernels.acceleration(order, of_motion=each), kernels.reading(order, of_motion=each))
+            for each in (False, True)
+        )
 
     def at(self, motion: BodyMotion, *, nodes_alone: bool = False) -> SumOfSquares:
         """At `motion`; `nodes_alone`: as if the parameters were known, in less time."""
         record, noise, p = self._record, self._noise, motion.p
         K, h = len(record.middle_palms), record.spacing
-        m, acceleration = (0, self._accelerated) if nodes_alone else (len(p), self._acceleration)
+        m, (acceleration, reading) = (0, self._of_motion) if nodes_alone else (len(p), self._of_all)
         R, omega = motion.R, motion.omega
         shared = (p, self._gravity)
         f, force, f_turn, f_omega, *by_p = acceleration((by_columns(R), omega, record.node_palms), shared)
@@ -134,20 +136,19 @@ class Equations:
         for block in (left, right, by):
             block[:, 3:6] *= spin_weight[:, None, None]
 
-        residual = self._read(motion, phi, ending, r, left, right, by)
+        residual = self._read(reading, motion, phi, ending, r, left, right, by)
         arrow = Arrow.empty(K + 1, m)
         arrow.couple(r, left, right, by)
         return SumOfSquares(arrow, float((r**2).sum()), residual, force)
 
     def _read(
-        self, motion: BodyMotion, phi: FloatArray, ending: FloatArray,
+        self, reading: BlockKernel, motion: BodyMotion, phi: FloatArray, ending: FloatArray,
         r: FloatArray, left: FloatArray, right: FloatArray, by: FloatArray,
     ) -> FloatArray:  # fmt: skip
         """Fill in the readings' rows; returns what they miss by (S, 2) (m)."""
         record, h = self._record, self._record.spacing
         k, (there, out, back) = record.interval, _hermite(record.share)
         R = _between(record, motion.R, motion.omega, phi, ending)
-        reading = self._reading if by.shape[2] else self._read_off
         y, by_turn, *by_shape = reading((by_columns(R), record.geometry), (motion.p[self._shape],))
         residual = y - record.readings.value
         weight = 1.0 / self._noise.reading

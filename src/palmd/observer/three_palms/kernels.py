@@ -79,32 +79,30 @@ def backend(order: int) -> str:
 
 
 @cache
-def acceleration(order: int) -> BlockKernel:
-    """(R, ω, palms; p, g) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p)."""
+def acceleration(order: int, *, of_motion: bool = False) -> BlockKernel:
+    """(R, ω, palms; p, g) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p); of the motion alone: without the last."""
     m = count(order) + BODY
     shapes = [(3,), (3,), (3, 3), (3, 3), (3, m)]
-    return BlockKernel(three_palms.library(order), "acceleration_block", (9, 3, PALM_INPUTS), (m, 1), shapes)
+    return _kernel("acceleration", order, (9, 3, PALM_INPUTS), (m, 1), shapes, of_motion)
 
 
 @cache
-def acceleration_of_motion(order: int) -> BlockKernel:
-    """As `acceleration` without ∂/∂p."""
-    sizes, shapes = (count(order) + BODY, 1), [(3,), (3,), (3, 3), (3, 3)]
-    return BlockKernel(three_palms.library(order), "acceleration_of_motion_block", (9, 3, PALM_INPUTS), sizes, shapes)
-
-
-@cache
-def reading(order: int) -> BlockKernel:
-    """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""
+def reading(order: int, *, of_motion: bool = False) -> BlockKernel:
+    """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c); of the motion alone: without the last."""
     n = count(order)
-    return BlockKernel(three_palms.library(order), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
+    return _kernel("reading", order, (9, 24), (n,), [(2,), (2, 3), (2, n)], of_motion)
 
 
-@cache
-def reading_of_motion(order: int) -> BlockKernel:
-    """As `reading` without ∂/∂c."""
-    shapes = [(2,), (2, 3)]
-    return BlockKernel(three_palms.library(order), "reading_of_motion_block", (9, 24), (count(order),), shapes)
+def _kernel(
+    what: str,
+    order: int,
+    each: Sequence[int],
+    shared: Sequence[int],
+    shapes: Sequence[tuple[int, ...]],
+    of_motion: bool,
+) -> BlockKernel:
+    name, told = (f"{what}_of_motion_block", shapes[:-1]) if of_motion else (f"{what}_block", shapes)
+    return BlockKernel(three_palms.library(order), name, each, shared, told)
 
 
 @cache

@@ -46,7 +46,7 @@ TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped
 KEPT = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True)  # no slots: `whole` is kept
 class Task:
     """What is given: the joints' path, all readings with their smoothed course, and the rig.
 

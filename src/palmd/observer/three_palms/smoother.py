@@ -61,7 +61,6 @@ class BodyFit:
     chi2: float
     force: FloatArray
     arrow: Arrow
-    residual: FloatArray
     iterations: int
 
 
@@ -82,7 +81,7 @@ class BodySmoother:
         told.arrow.believe(prior.information[known, known], (prior.information @ off)[known])
         cost = told.squares + float(off @ prior.information @ off)
         chi2 = float((told.residual**2).mean()) / self._reading_sd**2
-        return BodyFit(motion, cost, chi2, told.force, told.arrow, told.residual, 0)
+        return BodyFit(motion, cost, chi2, told.force, told.arrow, 0)
 
     def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = DAMPING) -> BodyFit:
         """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations.
