@@ -23,7 +23,7 @@ TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched,
 FELT_N = 0.05  # that a pad surely feels
 CAREFUL = 2.0  # times the force, while a body is not claimed
 # That strides turn a body by: which is claimed, which has been in the same frame, and which has not.
-STRIDE_RAD_S, SLOWER_RAD_S, SHORT_RAD_S = 2.0, 1.2, 0.35
+STRIDE_RAD_S, SLOWER_RAD_S, SHORT_RAD_S = 3.0, 1.2, 0.35
 STOOD_S = 1.0  # without a safe move, after which a body that is not claimed is swung: it stays, whatever is believed
 SHORTEST_S = 0.7  # of a move: the next one is asked for while it is under way, and is answered no sooner
 DECIDED_S = 0.3  # that a decision takes: so long the palms stand where no move is under way

@@ -47,7 +47,8 @@ AT_ONCE = COLUMNS // BODIES  # moves
 TRIED = 6 * AT_ONCE  # of them, before the palms rather stand
 SURE_MOVES = 2  # that are tried so, one after the other
 PEAK = 2.5  # times the mean of a stride, that it may spin the body by on the way
-SURE_PEAK = 1.5  # times that, for any of the bodies that are drawn
+SURE_PEAK = 1.5  # times that, for the bodies that are drawn
+MAY_SPIN = 1  # of the bodies that are drawn, which is one in twelve: what leads out of a well goes over an edge
 SLOWEST = 3.0  # times as long as they must, that strides may take which have to turn it slowly
 
 Bools = npt.NDArray[np.bool_]
@@ -190,9 +191,10 @@ class BodyExplorer:
             durations = np.repeat([move.duration for move in moves], BODIES)
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
             safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-            safe &= foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
+            slow = foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
             safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
-            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1), np.bool_)
+            few = (~slow).reshape(-1, BODIES).sum(axis=1) <= MAY_SPIN
+            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1) & few, np.bool_)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
             further = np.array(

@@ -246,6 +246,20 @@ def test_a_body_is_to_be_held_however_it_may_be():
     np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
 
 
+def test_one_body_that_is_drawn_may_spin_and_no_more(monkeypatch):
+    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
+    who, p = explorer(), stand()[1]
+    gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
+    known = BodyDraws.of(p, np.diag(np.full(6 + len(p), 1e-14)), np.random.default_rng(0))
+    who._most_rad_s = 0.5  # and any of those that are drawn by 1.9 at its most
+    held = []
+    for spinning in range(3):
+        fast = np.arange(BODIES) >= BODIES - spinning
+        draws = dataclasses.replace(known, spin=np.where(fast[:, None], (2.5, 0.0, 0.0), 0.0))
+        held += who._held(bearings(1), [(gentle,)], draws)
+    assert held == [1, 1, 0]
+
+
 def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
     monkeypatch.setattr(body_explorer, "BODIES", 4000)
     p = np.zeros(count(1) + BODY)

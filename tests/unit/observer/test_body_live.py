@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import msgpack
 import numpy as np
@@ -16,14 +17,14 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, growing, growth, live, reconstruct
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.body import ORDER, inertia
+from palmd.observer.three_palms.body import FINER_LIVE, ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.equations import BodyMotion
+from palmd.observer.three_palms.felt_outline import felt_outline, near
 from palmd.observer.three_palms.growing import GrowingBody
 from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
-from palmd.observer.three_palms.reconstruct import near
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms
@@ -522,6 +523,21 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     assert (told.touched > 0).tolist() == near(ended[0].felt).tolist()
 
 
+def test_the_loop_is_told_an_outline_of_the_usual_degree_as_what_was_felt_tells_it(lived):
+    task, (first, *_) = lived.raced
+    p, ahead = beliefs.raised(first.motion.p, 16), beliefs.raised_belief(first.ahead, 16)
+    finer = replace(first, motion=replace(first.motion, p=p), ahead=ahead)
+    told = lived.smoother._answer(task, [finer])
+    assert len(told.p) == len(first.motion.p)
+    touched = told.touched > 0
+    mean, covariance = felt_outline(ahead.mean, np.linalg.inv(ahead.information), touched, ORDER)
+    np.testing.assert_allclose(told.p, mean, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(np.diagonal(told.covariance)[10:], np.diagonal(covariance)[10:], rtol=1e-4)
+    rows = evaluator(ORDER)(icosphere()[0])[0]
+    np.testing.assert_allclose(told.h[~touched], (rows @ told.p[: count(ORDER)])[~touched], rtol=1e-9)
+    np.testing.assert_allclose(told.h[touched], (rows @ ahead.mean[: count(ORDER)])[touched], atol=1e-6)
+
+
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     task, ended = lived.raced
     costing = ([replace(ended[0], cost=share * ended[0].record.numbers)] for share in (1.0, 1.2))
@@ -573,6 +589,64 @@ def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smo
     assert answer is not None
     assert answer.t > lived.answer.t + 0.5
     assert math.isfinite(answer.mass)
+
+
+def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monkeypatch):
+    def lived_again(twice, task, running, **__):
+        return [replace(each, confirmed=twice * each.intervals) for each in raced(task, running)]
+
+    asked = []
+    monkeypatch.setattr(growing, "anew", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(growing, "finer", lambda _, now, orders: asked.append((now.found_twice, orders)) or now)
+    for twice in (False, True):
+        smoother = GrowingBody(lived.rig)
+        smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
+        monkeypatch.setattr(growing, "raced", partial(lived_again, twice))
+        smoother.answer()
+    assert asked == [(True, FINER_LIVE)]
+
+
+def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
+    def bent(_, now, __):
+        p = beliefs.raised(now.motion.p, 16)
+        return replace(now, motion=replace(now.motion, p=p), ahead=beliefs.raised_belief(now.ahead, 16))
+
+    def dear(_, running, **__):
+        return [replace(each, cost=1.2 * each.record.numbers, confirmed=each.intervals) for each in running]
+
+    def told(finer):
+        smoother = GrowingBody(lived.rig)
+        smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
+        monkeypatch.setattr(growing, "finer", finer)
+        smoother.answer()
+        return smoother._misled
+
+    monkeypatch.setattr(growing, "anew", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(growing, "raced", dear)
+    assert told(lambda _, now, __: now) == 0.0
+    assert 0.15 < told(bent) < 0.2
+
+
+def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(lived, monkeypatch):
+    task, ended = lived.raced
+    said = lived.smoother._answer(task, ended)
+    monkeypatch.setattr(lived.smoother, "_misled", 0.1)
+    hidden = lived.smoother._answer(task, ended)
+    assert (hidden.h_sd**2 - said.h_sd**2).min() > 0.5 * 0.1 * task.noise.reading**2
+    assert (np.diagonal(hidden.covariance)[7:10] > np.diagonal(said.covariance)[7:10]).all()
+
+
+def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, monkeypatch):
+    task, (first, *_) = lived.raced
+    asked = []
+    monkeypatch.setattr(growth, "anew", lambda *given: asked.append(given[-1]) or [first])
+    monkeypatch.setattr(growth, "finer", lambda _, now, orders: asked.append(orders) or now)
+    assert growth.found_again(task, [replace(first, confirmed=0)], [None])[0].found_twice
+    assert asked == [first.cost, ()]
+    asked.clear()
+    p = beliefs.raised(first.motion.p, 16)
+    growth.found_again(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
+    assert asked == [math.inf, (16,)]  # it costs more until it has been bent
 
 
 def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_for_them(lived, monkeypatch):

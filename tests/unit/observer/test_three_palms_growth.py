@@ -20,6 +20,7 @@ from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.compiled_equations import CompiledEquations, equations_of
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.equations import BodyMotion, Equations
+from palmd.observer.three_palms.felt_outline import foretelling, near
 from palmd.observer.three_palms.needed import needed
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.record import lay_out
@@ -228,17 +229,30 @@ def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, 
     monkeypatch.setattr(BodySmoother, "fit", gained)
     monkeypatch.setattr(growth, "STRANGE", -math.inf)
     monkeypatch.setattr(growth, "FINE_TRIES", 1)
-    assert growth._finer(replace(task, finer=(3, 4, 5, 6, 7)), coarse).order == 5
+    assert growth.finer(task, coarse, (3, 4, 5, 6, 7)).order == 5
     assert asked == [count(order) + BODY for order in (4, 5, 6)]
 
 
 def test_who_is_explained_by_finer_harmonics_is_asked_for_no_finer_ones(task, coarse):
-    assert growth._finer(replace(task, finer=(ORDER, ORDER + 1)), coarse).order == ORDER
+    assert growth.finer(task, coarse, (ORDER, ORDER + 1)).order == ORDER
+
+
+def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_what_is_believed_of_any_body(coarse):
+    raised = beliefs.raised_belief(coarse.ahead, 5)
+    n, more = 6 + count(COARSE_ORDER), count(5) - count(COARSE_ORDER)
+    kept = np.r_[:n, n + more : len(raised.information)]
+    np.testing.assert_array_equal(raised.information[np.ix_(kept, kept)], coarse.ahead.information)
+    np.testing.assert_array_equal(raised.mean[kept[6:] - 6], coarse.ahead.mean)
+    assert (raised.mean[n - 6 : n - 6 + more] == 0.0).all()
+    added = raised.information[n : n + more]
+    variance = beliefs.shape_variance(Y00 * coarse.ahead.mean[0], 5)[count(COARSE_ORDER) :]
+    np.testing.assert_allclose(added[:, n : n + more], np.diag(1.0 / variance))
+    assert np.count_nonzero(added) == more
 
 
 def test_who_is_fitted_as_it_grows_is_explained_by_finer_harmonics_or_given_up(task, right, coarse, monkeypatch):
     assert growth._sure(task, right) is right
-    monkeypatch.setattr(growth, "_finer", lambda _, now: replace(now, cost=right.cost))
+    monkeypatch.setattr(growth, "finer", lambda _, now, __: replace(now, cost=right.cost))
     slippery = replace(coarse, motion=replace(coarse.motion, p=np.append(coarse.motion.p[:-2], [0.0, -4.6])))
     assert growth._sure(task, slippery) == replace(slippery, cost=right.cost)
     assert growth._sure(task, coarse) == replace(coarse, astray=True)
@@ -534,12 +548,25 @@ def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
     chance = math.sqrt(2.0 / now.record.numbers)
     assert costly.unexplained == pytest.approx(0.2 - chance)
     assert replace(now, cost=(1.0 + 0.9 * chance) * now.record.numbers).unexplained == 0.0
-    kept = growth.folded(task, costly, now.intervals // 2)
+    touched = near(now.felt)
+    kept = growth.folded(task, costly, now.intervals // 2, touched)
     assert kept.folded[0] + kept.record.numbers == now.record.numbers
     assert kept.unexplained == pytest.approx(costly.unexplained)
     assert kept.per_number < 1.1  # of what is left
-    again = growth.folded(task, kept, kept.intervals // 2)
+    again = growth.folded(task, kept, kept.intervals // 2, touched)
     assert again.unexplained == pytest.approx(costly.unexplained)
+
+
+def test_what_is_folded_is_believed_as_what_was_felt_tells_it(task, monkeypatch):
+    """Else few harmonics hold on to all that was read, and tell surface that nobody has felt."""
+    now, asked = started(task), []
+    monkeypatch.setattr(growth, "foretelling", lambda *given: asked.append(given) or foretelling(*given))
+    touched = near(now.felt)
+    prior = growth.folded(task, now, now.intervals // 2, touched).prior
+    ((ahead, felt),) = asked
+    assert felt is touched
+    np.testing.assert_array_equal(prior.mean, foretelling(ahead, touched).mean)
+    assert not np.allclose(prior.mean, ahead.mean)
 
 
 def test_what_folds_over_is_drawn_in_and_what_is_convex_stays():

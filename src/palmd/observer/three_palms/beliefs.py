@@ -12,6 +12,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model.spherical import Y00, count, degrees
 from palmd.model.three_palms import BODY
+from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.driven import BallBelief
 from palmd.observer.three_palms.smoother import BodyPrior
 
@@ -106,6 +107,18 @@ def raised(p: FloatArray, order: int) -> FloatArray:
     """The same parameters with an outline up to degree `order`, no lower than theirs."""
     n = len(p) - BODY
     return np.concatenate([p[:n], np.zeros(count(order) - n), p[n:]])
+
+
+def raised_belief(prior: BodyPrior, order: int) -> BodyPrior:
+    """The same belief of an outline up to degree `order`, no lower than its own; of what it adds as of any body."""
+    mean = raised(prior.mean, order)
+    old, new = len(prior.mean) - BODY, len(mean) - BODY
+    added = STATES + np.arange(old, new)
+    kept = np.setdiff1d(np.arange(STATES + len(mean)), added)
+    information = np.zeros((STATES + len(mean),) * 2)
+    information[np.ix_(kept, kept)] = prior.information
+    information[added, added] = 1.0 / shape_variance(Y00 * float(mean[0]), order)[old:]
+    return BodyPrior(prior.R, prior.spin, mean, information)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,10 @@ from palmd.model.three_palms import MOMENT
 
 ORDER = 12
 """The degree up to which outlines are estimated."""
+FINER_LIVE = (16,)
+"""The same of a live body that is found twice, but not explained to its noise by that."""
 FINER = (20, 26)
-"""The same of a whole record that is not explained to its noise by that, one after the other."""
+"""The same of a whole record, one after the other."""
 
 
 def inertia(p: FloatArray) -> FloatArray:

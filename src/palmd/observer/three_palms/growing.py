@@ -21,7 +21,9 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
+from palmd.observer.three_palms.body import FINER_LIVE, ORDER
 from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.felt_outline import felt_outline, near
 from palmd.observer.three_palms.growth import (
     BEHIND,
     SURE,
@@ -29,13 +31,14 @@ from palmd.observer.three_palms.growth import (
     anew,
     apart,
     begun_in_ways,
+    finer,
     folded,
     found_again,
     raced,
     smoothed,
 )
 from palmd.observer.three_palms.path import joint_path
-from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, near, surface
+from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, surface
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import CHANCE, HOPELESS, SPACING_S, Task, rivals
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
@@ -88,6 +91,7 @@ class GrowingBody:
         self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
         self._owed = False  # short starts, in the next lap
         self._believed_since = math.inf
+        self._misled = 0.0  # cost per number above its noise when finer harmonics were given, which bend to it
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
     def add(self, events: Sequence[Event]) -> None:
@@ -116,6 +120,11 @@ class GrowingBody:
             return _unknown(task, begun, "what explained the readings does so no more")
         if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
             first = ended[0] = smoothed(task, first)
+        if first.found_twice and first.per_number < HOPELESS:
+            bent = finer(task, first, FINER_LIVE)
+            if bent.order > first.order:
+                self._misled = first.unexplained
+            first = ended[0] = bent
         grown = first
         if not begins:  # else the answer would wait for it
             ended = self._found_again(task, ended)
@@ -131,7 +140,7 @@ class GrowingBody:
             self._folded = True
             more = first.intervals - round(KEPT_S / SPACING_S)
             self._before |= near(first.felt[: len(PALMS) * more])
-            self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more)]
+            self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more, self._before)]
             self._heard.forget(self._start - CONTACTS_S)
         return said
 
@@ -259,8 +268,12 @@ class GrowingBody:
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
         touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
-        centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained)
-        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
+        centre_sd = beliefs.centre_sd(task.noise.reading, max(first.unexplained, self._misled))
+        of_surface = first.whole.chi2, centre_sd
+        felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, *of_surface)
+        p, covariance = felt_outline(p, covariance, touched, ORDER)
+        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, *of_surface)
+        h[touched], h_sd[touched] = felt[touched], felt_sd[touched]  # what was felt, as finely as it is known
         covariance = beliefs.with_centre(covariance, STATES, centre_sd)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)

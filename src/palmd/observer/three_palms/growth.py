@@ -25,6 +25,7 @@ from palmd.observer.three_palms.beliefs import Hypothesis
 from palmd.observer.three_palms.body import FINER, ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.equations import BodyMotion
+from palmd.observer.three_palms.felt_outline import Bools, foretelling
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
@@ -279,18 +280,18 @@ def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
     def near(each: Grown) -> bool:
         return each.intervals == first.intervals and each.cost < first.cost + BEHIND
 
-    return [_finer(task, each) if near(each) else each for each in ended]
+    return [finer(task, each, task.finer) if near(each) else each for each in ended]
 
 
-def _finer(task: Task, now: Grown) -> Grown:
-    """With an outline up to finer degrees, one after the other, as far as they pay; all of it is fitted."""
+def finer(task: Task, now: Grown, orders: tuple[int, ...]) -> Grown:
+    """With an outline up to finer degrees, one after the other, as far as they pay; all of its record is fitted."""
     if now.refined == now.intervals:
         return now
     now = replace(now, refined=now.intervals)
-    for order in task.finer:
+    for order in orders:
         if order <= now.order or now.strange < STRANGE:
             continue
-        prior = beliefs.prior(Y00 * float(now.prior.mean[0]), order, task.spin_sd)
+        prior = beliefs.raised_belief(now.prior, order)
         smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
         fit = smoother.fit(replace(now.motion, p=beliefs.raised(now.motion.p, order)), FINE_TRIES)
         if fit.cost > now.cost - BEHIND:
@@ -446,7 +447,8 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
 
     for way in ways:
         first = rivals[0]
-        for again in anew(task, first.record, [way], first.cost):
+        most, orders = (first.cost, ()) if first.order == ORDER else (math.inf, (first.order,))
+        for again in (finer(task, each, orders) for each in anew(task, first.record, [way], most)):
             if (both := _met(again, first, believed=believed)) is not None:
                 return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
@@ -473,12 +475,16 @@ def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, confirmed=0)
 
 
-def folded(task: Task, now: Grown, intervals: int) -> Grown:
-    """The rival without so many of its first intervals, which become the belief that its record begins with."""
+def folded(task: Task, now: Grown, intervals: int, touched: Bools) -> Grown:
+    """The rival without so many of its first intervals, which become the belief that its record begins with.
+
+    touched: (D,) which directions of the body have been until then.
+    """
     R, omega, p = now.motion.R, now.motion.omega, now.motion.p
     head = task.whole.first(intervals)
     smoother = BodySmoother(head, now.prior, task.noise, task.rig.gravity)
-    prior = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
+    ahead = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
+    prior = foretelling(ahead, touched)
     start = task.start + intervals * SPACING_S
     tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
@@ -521,7 +527,7 @@ def _sure(task: Task, now: Grown) -> Grown:
     """
     if not task.finer or now.strange < STRANGE:
         return now
-    now = _finer(task, now) if now.motion.p[-2] < RUBS else now
+    now = finer(task, now, task.finer) if now.motion.p[-2] < RUBS else now
     return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
 
 

@@ -8,7 +8,7 @@ from palmd.observer.kernels import Part
 def needed(_config: object) -> list[Part]:
     """Its kernels, whatever its configuration says: as `palmd.observer.kernels.needed`."""
     from palmd.model import body_rollout, three_palms
-    from palmd.observer.three_palms.body import ORDER
+    from palmd.observer.three_palms.body import FINER_LIVE, ORDER
     from palmd.observer.three_palms.body_filter import steps
     from palmd.observer.three_palms.compiled_equations import written
     from palmd.observer.three_palms.search import COARSE
@@ -19,7 +19,7 @@ def needed(_config: object) -> list[Part]:
 
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
-        *(space(order) for order in (*(order for order, _ in COARSE), ORDER)),
+        *(space(order) for order in (*(order for order, _ in COARSE), ORDER, *FINER_LIVE)),
         ("three palms in space, the smoother's equations", lambda: "python" if written() is None else "c"),
         ("three palms in space, foresight", lambda: body_rollout.library(ORDER, body_rollout.STEP_S).backend),
         (

@@ -19,6 +19,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import FINER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
+from palmd.observer.three_palms.felt_outline import near
 from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
@@ -26,7 +27,6 @@ from palmd.observer.three_palms.search import Task
 from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5
-NEAR = math.cos(math.radians(4.0))
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 SHARP_M = 7e-5
 ALONE = "no second start has come to the same motion yet"
@@ -126,15 +126,6 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
         centre=centres_of(R, record.node_palms, p), contacts=(evaluator(order)(felt)[1] @ p[:n]).reshape(-1, 3, 3),
         seconds=time.perf_counter() - begun,
     )  # fmt: skip
-
-
-def near(felt: FloatArray) -> npt.NDArray[np.bool_]:
-    """(D,) which of the directions lie within 4 degrees of these."""
-    directions, _ = icosphere()
-    touched = np.zeros(len(directions), dtype=bool)
-    for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
-        touched |= (directions @ chunk.T).max(axis=1) >= NEAR
-    return touched
 
 
 def surface(

@@ -1,0 +1,137 @@
+"""A body's outline as what was felt tells it, of bodies that no finite set of harmonics holds."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.model.icosphere import icosphere
+from palmd.model.spherical import Y00, count, evaluator
+from palmd.model.three_palms import BODY
+from palmd.observer.three_palms.beliefs import beyond_sd, shape_variance
+from palmd.observer.three_palms.body import ORDER, inertia
+from palmd.observer.three_palms.felt_outline import felt_outline, foretelling, near
+from palmd.observer.three_palms.smoother import BodyPrior
+
+RADIUS, TRUE_ORDER = 0.028, 20
+N = count(ORDER)
+DIRECTIONS = icosphere()[0]
+TOUCHED = DIRECTIONS[:, 2] > math.cos(math.radians(60.0))
+UNTOUCHED = DIRECTIONS[:, 2] < math.cos(math.radians(75.0))
+
+
+def fitted(seed):
+    """Heights of a body all over, and what a fit of degree `ORDER` makes of very many readings of a part of it."""
+    random = np.random.default_rng(seed)
+    coefficients = random.normal(0.0, np.sqrt(shape_variance(RADIUS, TRUE_ORDER)))
+    coefficients[0] = RADIUS / Y00
+    heights = evaluator(TRUE_ORDER)(DIRECTIONS)[0] @ coefficients
+    rows, weight = evaluator(ORDER)(DIRECTIONS[TOUCHED])[0], 1e-5**-2
+    mean = np.zeros(N)
+    mean[0] = RADIUS / Y00
+    covariance = np.linalg.inv(weight * rows.T @ rows + np.diag(1.0 / shape_variance(RADIUS, ORDER)))
+    c = mean + covariance @ (weight * rows.T @ (heights[TOUCHED] - rows @ mean))
+    lam = random.normal(0.0, 0.1, 6)
+    whole = 1e-4 * np.eye(6 + N + BODY)
+    whole[6 : 6 + N, 6 : 6 + N] = covariance
+    return heights, np.concatenate([c, lam, [0.0, 0.1, -4.6]]), whole
+
+
+def told(p):
+    return evaluator(ORDER)(DIRECTIONS)[0] @ p[:N]
+
+
+def bands(covariance):
+    rows = evaluator(ORDER)(DIRECTIONS)[0]
+    return np.sqrt(((rows @ covariance[6 : 6 + N, 6 : 6 + N]) * rows).sum(axis=1))
+
+
+def rms(x):
+    return math.sqrt(np.mean(np.square(x)))
+
+
+def test_what_was_never_felt_is_told_better_and_within_its_bands():
+    before, after, sigmas, kept = [], [], [], []
+    for seed in range(8):
+        heights, p, covariance = fitted(seed)
+        q, known = felt_outline(p, covariance, TOUCHED)
+        before.append(rms((told(p) - heights)[UNTOUCHED]))
+        after.append(rms((told(q) - heights)[UNTOUCHED]))
+        sigmas.append(rms(((told(q) - heights) / bands(known))[UNTOUCHED]))
+        kept.append(rms((told(q) - told(p))[TOUCHED]) / beyond_sd(RADIUS, ORDER, TOUCHED).min())
+    assert np.median(after) < 0.7 * np.median(before)
+    assert rms(sigmas) < 1.5
+    assert rms(((told(p) - heights) / bands(covariance))[UNTOUCHED]) > 2.0  # as the fit has it
+    assert max(kept) < 2.0
+
+
+def test_what_heights_are_off_by_together_is_not_forgotten():
+    """As where the centre of mass is hardly known: all heights are told from there."""
+    _, p, covariance = fitted(4)
+    covariance[7:10, 7:10] += 4.0 * np.pi / 3.0 * (2e-4) ** 2 * np.eye(3)
+    _, known = felt_outline(p, covariance, TOUCHED)
+    before, after = (np.median(bands(each)[TOUCHED]) for each in (covariance, known))
+    assert before > 1e-4
+    assert 0.9 * before < after < 1.1 * before
+
+
+def test_the_inertia_is_the_same_and_as_well_known():
+    _, p, covariance = fitted(3)
+    random = np.random.default_rng(0)
+    covariance[6, 6 + N : 12 + N] = covariance[6 + N : 12 + N, 6] = (
+        1e-3 * random.normal(size=6) * covariance[6, 6] ** 0.5
+    )
+    q, known = felt_outline(p, covariance, TOUCHED)
+    assert q[0] != p[0]
+    np.testing.assert_allclose(inertia(q), inertia(p), rtol=1e-12)
+
+    def spread(p, covariance):
+        slopes = []
+        for k in (0, *range(N, N + 6)):
+            step = np.zeros(len(p))
+            step[k] = 1e-6 * max(abs(p[k]), 1e-2)
+            slopes.append((inertia(p + step) - inertia(p - step)).ravel() / (2 * step[k]))
+        J, at = np.stack(slopes, axis=1), np.array([6, *range(6 + N, 12 + N)])
+        return J @ covariance[np.ix_(at, at)] @ J.T
+
+    np.testing.assert_allclose(spread(q, known), spread(p, covariance), rtol=1e-4, atol=1e-22)
+    np.testing.assert_allclose(known, known.T, atol=1e-16)
+    assert np.linalg.eigvalsh(known)[0] > 0.0
+
+
+def test_turn_spin_and_friction_stay_as_they_are_believed():
+    _, p, covariance = fitted(1)
+    covariance[0, 3] = covariance[3, 0] = 5e-5
+    q, known = felt_outline(p, covariance, TOUCHED)
+    np.testing.assert_array_equal(q[-3:], p[-3:])
+    np.testing.assert_array_equal(known[:6, :6], covariance[:6, :6])
+    np.testing.assert_array_equal(known[-3:, -3:], covariance[-3:, -3:])
+
+
+def test_a_finer_outline_is_told_by_fewer_degrees():
+    random = np.random.default_rng(5)
+    n = count(16)
+    c = random.normal(0.0, np.sqrt(shape_variance(RADIUS, 16)))
+    c[0] = RADIUS / Y00
+    p = np.concatenate([c, np.zeros(BODY)])
+    everywhere = np.ones(len(DIRECTIONS), np.bool_)
+    q, known = felt_outline(p, 1e-14 * np.eye(6 + n + BODY), everywhere, ORDER)
+    assert (len(q), known.shape) == (N + BODY, (6 + N + BODY,) * 2)
+    off = rms(told(q) - evaluator(16)(DIRECTIONS)[0] @ c)
+    assert off < 1.3 * rms(evaluator(16)(DIRECTIONS)[0][:, N:] @ c[N:])  # no more than the degrees that are left out
+
+
+def test_a_record_goes_on_with_it_and_with_what_cannot_be_told_as_it_is():
+    _, p, covariance = fitted(2)
+    ahead = BodyPrior(np.eye(3), np.zeros(3), p, np.linalg.inv(covariance))
+    q, known = felt_outline(p, covariance, TOUCHED)
+    goes_on = foretelling(ahead, TOUCHED)
+    np.testing.assert_allclose(goes_on.mean, q, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.inv(goes_on.information), known, rtol=1e-3, atol=1e-12)
+    nothing = BodyPrior(np.eye(3), np.zeros(3), p, np.zeros_like(covariance))
+    assert foretelling(nothing, TOUCHED) is nothing
+
+
+def test_near_is_within_four_degrees():
+    felt = np.array([[0.0, 0.0, 1.0]])
+    assert near(felt) == pytest.approx(DIRECTIONS[:, 2] >= math.cos(math.radians(4.0)))
