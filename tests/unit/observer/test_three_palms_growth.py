@@ -480,6 +480,11 @@ def test_a_rival_that_foretells_nothing_is_lost(task):
     assert not replace(now, windows=((25, 9.0), (25, 1.0), (25, 1.0))).lost
 
 
+def test_who_was_startled_lately_says_so(task):
+    now = replace(started(task), windows=((25, 1.0), (5, 2.5), (20, 1.1), (5, 1.3)))
+    assert [now.startled(lately) for lately in (0, 25, 26)] == [False, False, True]
+
+
 def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
     directions = icosphere(2)[0]
     rows, points = evaluator(4)(directions)

@@ -112,9 +112,13 @@ class GrowingBody:
         if begins and not self._try(task):
             return _unknown(task, begun, "no motion is known yet that explains the readings")
         self._reached = task.end
+        before = 0 if begins else self._running[0].intervals
         ended = raced(task, self._running, forks=FORKED_A_LAP)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         first = ended[0]
+        if not begins and first.startled(first.intervals - before):  # ways on that differ may all be explained
+            first = ended[0] = replace(first, confirmed=0)
+            self._believed_since = math.inf
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
             return _unknown(task, begun, "what explained the readings does so no more")

@@ -89,6 +89,8 @@ TRIES = (4, 12)
 """Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
+STARTLED = 2.0
+"""The same of a window, from which on what explains the record has to be found by another start again."""
 LATELY_S, LOST = 1.0, 6.0
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
@@ -168,6 +170,16 @@ class Grown:
     def surprise(self) -> float:
         """What the last window cost per number read."""
         return self.windows[-1][1] if self.windows else 0.0
+
+    def startled(self, lately: int) -> bool:
+        """Whether a window of so many last intervals was foretold so badly that more than one way led on."""
+        for intervals, surprise in reversed(self.windows):
+            if lately <= 0:
+                break
+            if surprise > STARTLED:
+                return True
+            lately -= intervals
+        return False
 
     @property
     def lost(self) -> bool:
