@@ -606,7 +606,7 @@ def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monk
     assert asked == [(True, FINER_LIVE)]
 
 
-@pytest.mark.parametrize("surprise", [1.9, 2.1])
+@pytest.mark.parametrize("surprise", [2.9, 3.1])
 def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, surprise):
     """Ways on that differ may all be explained, the more so the further harmonics bend."""
     task, (first, *_) = lived.raced
@@ -618,8 +618,8 @@ def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, 
     monkeypatch.setattr(smoother, "_believed_since", -math.inf)
     monkeypatch.setattr(growing, "raced", lambda *_, **__: [on])
     said = smoother.answer()
-    assert smoother._running[0].found_twice is (surprise < 2.0)
-    assert (said.reason == reconstruct.ALONE) is (surprise > 2.0)
+    assert smoother._running[0].found_twice is (surprise < 3.0)
+    assert (said.reason == reconstruct.ALONE) is (surprise > 3.0)
 
 
 def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):

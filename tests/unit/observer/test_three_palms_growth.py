@@ -481,7 +481,7 @@ def test_a_rival_that_foretells_nothing_is_lost(task):
 
 
 def test_who_was_startled_lately_says_so(task):
-    now = replace(started(task), windows=((25, 1.0), (5, 2.5), (20, 1.1), (5, 1.3)))
+    now = replace(started(task), windows=((25, 1.0), (5, 3.5), (20, 1.1), (5, 1.3)))
     assert [now.startled(lately) for lately in (0, 25, 26)] == [False, False, True]
 
 

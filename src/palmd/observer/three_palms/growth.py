@@ -89,7 +89,7 @@ TRIES = (4, 12)
 """Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
-STARTLED = 2.0
+STARTLED = 3.0
 """The same of a window, from which on what explains the record has to be found by another start again."""
 LATELY_S, LOST = 1.0, 6.0
 """A rival is lost where so long a time cost that much per number read."""
