@@ -191,10 +191,9 @@ class BodyExplorer:
             durations = np.repeat([move.duration for move in moves], BODIES)
             foreseen = self._foresight.of(there, ends, durations, stand=STAND_S, p=p[: len(ends)])
             safe = (foreseen.least_force > 0.5 * self._least_force) & (foreseen.room > 0.5 * LEAST_ROOM_M)
-            slow = foreseen.spin < SURE_PEAK * PEAK * self._most_rad_s
             safe = np.where(known[: len(safe)], self._safe(foreseen), safe)
-            few = (~slow).reshape(-1, BODIES).sum(axis=1) <= MAY_SPIN
-            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1) & few, np.bool_)
+            fast = (foreseen.spin >= SURE_PEAK * PEAK * self._most_rad_s).reshape(-1, BODIES).sum(axis=1)
+            held: Bools = np.asarray(safe.reshape(-1, BODIES).all(axis=1) & (fast <= MAY_SPIN), np.bool_)
             for k in np.array(going)[held].tolist():
                 sure[k] += 1
             further = np.array(

@@ -99,6 +99,14 @@ def test_the_inertia_is_the_same_and_as_well_known():
     assert np.linalg.eigvalsh(known)[0] > 0.0
 
 
+def test_a_fit_that_tells_a_negative_radius_ends_nothing():
+    _, p, covariance = fitted(6)
+    p[0] *= -1.0
+    q, known = felt_outline(p, covariance, TOUCHED)
+    np.testing.assert_allclose(inertia(q), inertia(p), rtol=1e-12)
+    assert np.isfinite(known).all()
+
+
 def test_turn_spin_and_friction_stay_as_they_are_believed():
     _, p, covariance = fitted(1)
     covariance[0, 3] = covariance[3, 0] = 5e-5

@@ -8,18 +8,17 @@ a millimetre and hollows that no body has. Whoever goes on by them, or looks ahe
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator, order_of
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms.beliefs import beyond_sd, shape_variance
+from palmd.observer.three_palms.beliefs import Bools, beyond_sd, shape_variance
 from palmd.observer.three_palms.smoother import BodyPrior
 
-Bools = npt.NDArray[np.bool_]
 NEAR = math.cos(math.radians(4.0))
 _DIAGONAL, _BESIDE = -BODY + np.array([0, 2, 5]), -BODY + np.array([1, 3, 4])
 """Of what tells the inertia, in radii (`body.inertia`): logarithms on the diagonal, and what is beside it."""
@@ -32,6 +31,12 @@ def near(felt: FloatArray) -> Bools:
     for chunk in np.array_split(felt, max(len(felt) // 1000, 1)):
         touched |= (directions @ chunk.T).max(axis=1) >= NEAR
     return touched
+
+
+@cache
+def everywhere(order: int) -> tuple[FloatArray, FloatArray]:
+    """As `evaluator`, of all directions of `icosphere`."""
+    return evaluator(order)(icosphere()[0])
 
 
 def felt_outline(
@@ -47,8 +52,7 @@ def felt_outline(
     n = len(p) - BODY
     order = order_of(n) if order is None else order
     first, m = len(covariance) - len(p), count(order)
-    felt = icosphere()[0][touched]
-    told_rows, rows = evaluator(order_of(n))(felt)[0], evaluator(order)(felt)[0]
+    told_rows, rows = everywhere(order_of(n))[0][touched], everywhere(order)[0][touched]
     heights = told_rows @ p[:n]
     radius = float(heights.mean())
     mean = np.zeros(m)
@@ -59,24 +63,21 @@ def felt_outline(
     known = np.linalg.inv(rows.T @ weighed + np.diag(1.0 / shape_variance(radius, order)))
     known = 0.5 * (known + known.T)
     outline = mean + known @ (weighed.T @ (heights - rows @ mean))
-    larger = float(outline[0] / p[0])
+    larger = abs(float(outline[0] / p[0]))  # the inertia is as if the radius were positive
     told = np.concatenate([outline, p[n:]])
     told[_BESIDE] /= larger
     told[_DIAGONAL] -= math.log(larger)
-    kept = np.concatenate([np.arange(first), np.arange(first + n, len(covariance))])
-    by_radius = _by_radius(p)
-    rest = covariance[np.ix_(kept, kept)] + np.outer(by_radius, covariance[first, kept])
-    rest += np.outer(covariance[kept, first] + by_radius * covariance[first, first], by_radius)
-    rest[_BESIDE] /= larger
-    rest[:, _BESIDE] /= larger
-    by_radius = _by_radius(told)
-    apart = np.zeros((first + len(told),) * 2)
-    shape = first + np.arange(m)
-    others = np.setdiff1d(np.arange(len(apart)), shape)
-    apart[np.ix_(shape, shape)] = known
-    apart[np.ix_(others, shape)] = -np.outer(by_radius, known[0])
-    apart[np.ix_(shape, others)] = apart[np.ix_(others, shape)].T
-    apart[np.ix_(others, others)] = rest + known[0, 0] * np.outer(by_radius, by_radius)
+    in_metres = np.delete(np.eye(len(covariance)), slice(first, first + n), axis=0)
+    in_metres[:, first] = _by_radius(p)
+    in_metres[_BESIDE] /= larger
+    back = np.eye(first + len(told))
+    shape = slice(first, first + m)
+    others = np.delete(np.arange(len(back)), shape)
+    back[others, first] = -_by_radius(told)
+    apart = np.zeros_like(back)
+    apart[shape, shape] = known
+    apart[np.ix_(others, others)] = in_metres @ covariance @ in_metres.T
+    apart = back @ apart @ back.T
     return told, apart
 
 

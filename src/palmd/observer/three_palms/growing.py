@@ -112,7 +112,7 @@ class GrowingBody:
         if begins and not self._try(task):
             return _unknown(task, begun, "no motion is known yet that explains the readings")
         self._reached = task.end
-        before = 0 if begins else self._running[0].intervals
+        before = self._running[0].intervals
         ended = raced(task, self._running, forks=FORKED_A_LAP)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         first = ended[0]
@@ -273,10 +273,9 @@ class GrowingBody:
         turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
         touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
         centre_sd = beliefs.centre_sd(task.noise.reading, max(first.unexplained, self._misled))
-        of_surface = first.whole.chi2, centre_sd
-        felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, *of_surface)
+        felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         p, covariance = felt_outline(p, covariance, touched, ORDER)
-        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, *of_surface)
+        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         h[touched], h_sd[touched] = felt[touched], felt_sd[touched]  # what was felt, as finely as it is known
         covariance = beliefs.with_centre(covariance, STATES, centre_sd)
         proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S

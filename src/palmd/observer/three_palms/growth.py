@@ -21,11 +21,11 @@ from palmd.model.spherical import Y00, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.beliefs import Hypothesis
+from palmd.observer.three_palms.beliefs import Bools, Hypothesis
 from palmd.observer.three_palms.body import FINER, ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.equations import BodyMotion
-from palmd.observer.three_palms.felt_outline import Bools, foretelling
+from palmd.observer.three_palms.felt_outline import foretelling
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
@@ -90,7 +90,7 @@ TRIES = (4, 12)
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
 STARTLED = 3.0
-"""The same of a window, from which on what explains the record has to be found by another start again."""
+"""Cost per number read of a window, above which what explains the record has to be found by another start again."""
 LATELY_S, LOST = 1.0, 6.0
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
@@ -173,25 +173,25 @@ class Grown:
 
     def startled(self, lately: int) -> bool:
         """Whether a window of so many last intervals was foretold so badly that more than one way led on."""
-        for intervals, surprise in reversed(self.windows):
-            if lately <= 0:
-                break
-            if surprise > STARTLED:
-                return True
-            lately -= intervals
-        return False
+        return any(surprise > STARTLED for _, surprise in self._last_windows(lately))
 
     @property
     def lost(self) -> bool:
         """Whether what it foretells has nothing to do with what is read any more."""
         if self.astray:
             return True
-        length, cost = 0, 0.0
-        for intervals, surprise in reversed(self.windows):
-            length, cost = length + intervals, cost + intervals * surprise
-            if length >= LATELY_S / SPACING_S:
-                return cost > LOST * length
-        return False
+        lately = LATELY_S / SPACING_S
+        windows = self._last_windows(lately)
+        length = sum(intervals for intervals, _ in windows)
+        return length >= lately and sum(intervals * surprise for intervals, surprise in windows) > LOST * length
+
+    def _last_windows(self, intervals: float) -> tuple[tuple[int, float], ...]:
+        """The fewest that reach back so far; all, if they do not."""
+        length, first = 0, len(self.windows)
+        while length < intervals and first > 0:
+            first -= 1
+            length += self.windows[first][0]
+        return self.windows[first:]
 
     @property
     def plausible(self) -> bool:

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import FINER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.felt_outline import near
+from palmd.observer.three_palms.felt_outline import everywhere, near
 from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, SURE, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
@@ -105,7 +104,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     n = len(p) - BODY
     order = order_of(n)
     directions, triangles = icosphere()
-    point_rows = _everywhere(order)[1]
+    point_rows = everywhere(order)[1]
     try:
         covariance: FloatArray = np.asarray(np.linalg.inv(fit.arrow.information()), np.float64)
     except np.linalg.LinAlgError:
@@ -140,18 +139,12 @@ def surface(
     directions, _ = icosphere()
     n = len(p) - BODY
     order = order_of(n)
-    rows, point_rows = _everywhere(order)
+    rows, point_rows = everywhere(order)
     form = without_turns(rows, np.cross(directions, point_rows @ p[:n]), touched)
     sd = np.sqrt(np.maximum(((form @ covariance[:n, :n]) * form).sum(axis=1), 0.0))
     beyond = beliefs.beyond_sd(Y00 * p[0], order, touched, chi2)
     alike = 1.0 + beliefs.NUMBERS_ALIKE * max(chi2 - 1.0, 0.0)
     return rows @ p[:n], np.asarray(np.sqrt(alike * sd**2 + beyond**2 + centre_sd**2), np.float64)
-
-
-@cache
-def _everywhere(order: int) -> tuple[FloatArray, FloatArray]:
-    """As `evaluator`, of all directions."""
-    return evaluator(order)(icosphere()[0])
 
 
 def within(points: FloatArray, directions: FloatArray, h: FloatArray) -> FloatArray:
