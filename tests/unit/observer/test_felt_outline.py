@@ -101,8 +101,11 @@ def test_the_inertia_is_the_same_and_as_well_known():
 
 def test_a_fit_that_tells_a_negative_radius_ends_nothing():
     _, p, covariance = fitted(6)
-    p[0] *= -1.0
+    rows = evaluator(ORDER)(DIRECTIONS)[0]
+    p[:N] = np.linalg.lstsq(rows, RADIUS * (4.0 * DIRECTIONS[:, 2] - 1.0), rcond=None)[0]  # above 0 where it was felt
+    assert p[0] < 0.0
     q, known = felt_outline(p, covariance, TOUCHED)
+    assert q[0] > 0.0
     np.testing.assert_allclose(inertia(q), inertia(p), rtol=1e-12)
     assert np.isfinite(known).all()
 
