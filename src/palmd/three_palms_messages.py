@@ -80,6 +80,7 @@ _PLAIN = {
     "hypotheses": "hypotheses",
     "mass_kg": "mass",
     "mass_sd_kg": "mass_sd",
+    "rough_m": "rough",
 }
 
 
@@ -93,11 +94,15 @@ def answer_fields(t_tick: float, answer: BodyAnswer) -> Fields:
 
 
 def answer_of(fields: Mapping[str, Any]) -> BodyAnswer:
-    """The answer that `answer_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
+    """The answer that `answer_fields` was given, bit for bit; raises KeyError, ValueError for other fields.
+
+    Recordings of before 2026-11-28 have no `rough_m`: readings were noise alone.
+    """
     arrays: dict[str, FloatArray] = {
         attribute: np.array(fields[name], dtype=np.float64) for name, attribute in _ARRAYS.items()
     }
-    return shaped(**{attribute: fields[name] for name, attribute in _PLAIN.items()}, **arrays)
+    plain = {attribute: fields[name] for name, attribute in _PLAIN.items() if name in fields or name != "rough_m"}
+    return shaped(**plain, **arrays)
 
 
 def shaped(**told: Any) -> BodyAnswer:

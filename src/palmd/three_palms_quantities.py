@@ -138,6 +138,7 @@ PALM3_ANSWER = Topic(
         Quantity("inertia_sd_m2", "numbers", "m²", "one-sigma of the inertia per unit mass, row after row"),
         Quantity("mass_kg", "number", "kg", "mass of the object; none where no force was read"),
         Quantity("mass_sd_kg", "number", "kg", "its one-sigma"),
+        Quantity("rough_m", "number", "m", "what a reading misses the body by besides its noise, one-sigma"),
     ),
 )
 PALM3_INFO = Topic(

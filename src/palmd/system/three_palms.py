@@ -181,8 +181,9 @@ class BodyAnswer:
     begun: where its record begins (s), another after a palm has been let go. R: (3, 3) body to world, omega (3,)
     (rad/s) at `t`, p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the world, omega
     and p. h, h_sd: the surface (m), its one-sigma, and `touched`, for each of the directions. inertia_sd: (9,) per unit
-    mass (m²). mass, mass_sd: kg, NaN where no force was read. Arrays are empty where no motion is known; where one is
-    but is not `claimed`, the belief is told and is not to be believed.
+    mass (m²). mass, mass_sd: kg, NaN where no force was read. rough: what a reading misses all that by besides its
+    noise (m), one-sigma: what harmonics leave out. Arrays are empty where no motion is known; where one is but is not
+    `claimed`, the belief is told and is not to be believed.
     """
 
     t: float
@@ -200,3 +201,4 @@ class BodyAnswer:
     inertia_sd: FloatArray
     mass: float
     mass_sd: float
+    rough: float = 0.0

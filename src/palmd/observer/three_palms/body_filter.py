@@ -63,9 +63,10 @@ class BodyFilter:
         self.P: FloatArray = np.array(answer.covariance, order="C")
         self._body: FloatArray = np.concatenate([answer.R.ravel(), answer.omega, [1.0], answer.p])
         self._rig = rig
+        self._variance = rig.pad.reading_variance + answer.rough**2
         self._order = order_of(len(answer.p) - BODY)
         self._shape = slice(STATES, STATES + len(answer.p) - BODY)
-        self._does = steps(self._order, rig) if compiled else None
+        self._does = steps(self._order, rig, answer.rough) if compiled else None
 
     @property
     def R(self) -> FloatArray:
@@ -147,7 +148,7 @@ class BodyFilter:
     def _correct(self, reading: PlaneReading, geometry: FloatArray) -> None:
         y, H = self._looked(geometry[None])
         PH = self.P @ H.T
-        S = H @ PH + self._rig.pad.reading_variance * np.eye(2)
+        S = H @ PH + self._variance * np.eye(2)
         miss = np.array([reading.a, reading.b]) - y
         weighed = np.linalg.solve(S, np.column_stack([miss, PH.T]))
         strange = 0.5 * float(miss @ weighed[:, 0])
@@ -184,11 +185,11 @@ class BodyFilter:
         return y, H @ self.P @ H.T, inputs[0], force[0]
 
 
-def steps(order: int, rig: ThreePalmsRig) -> compiled_filter.CompiledSteps | None:
-    """What is compiled of a filter; None where nothing can be."""
+def steps(order: int, rig: ThreePalmsRig, rough: float = 0.0) -> compiled_filter.CompiledSteps | None:
+    """What is compiled of a filter; None where nothing can be. rough: as in `BodyAnswer` (m)."""
     return compiled_filter.steps(
-        order, gravity=rig.gravity, variance=rig.pad.reading_variance, gate=GATE, learnt=LEARNT, turn=TURN, spin=SPIN,
-        by_spin=BY_SPIN,
+        order, gravity=rig.gravity, variance=rig.pad.reading_variance + rough**2, gate=GATE, learnt=LEARNT, turn=TURN,
+        spin=SPIN, by_spin=BY_SPIN,
     )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ MOST_RIVALS = 2
 OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
 SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
 FORKED_A_LAP = 1  # windows of each: whoever needs more is found sooner from contacts of the whole record
-PROVEN_S = 5.0  # of going on since it was first believed: whoever is wrong is lost by then
+PROVEN_S = 5.0  # of going on since two starts led to it: whoever is wrong is lost by then
 LATENCY_S = 0.7  # that a simulated one takes; its first answer takes longer
 FIRST_LATENCY_S = 1.5
 
@@ -90,8 +90,8 @@ class GrowingBody:
         self._reached = -math.inf
         self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
         self._owed = False  # short starts, in the next lap
-        self._believed_since = math.inf
-        self._misled = 0.0  # cost per number above its noise when finer harmonics were given, which bend to it
+        self._met_since = self._believed_since = math.inf  # by two starts, and claimed
+        self._bent = 0.0  # what it cost more before it was given finer harmonics
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
 
     def add(self, events: Sequence[Event]) -> None:
@@ -118,7 +118,8 @@ class GrowingBody:
         first = ended[0]
         if not begins and first.startled(first.intervals - before):  # ways on that differ may all be explained
             first = ended[0] = replace(first, confirmed=0)
-            self._believed_since = math.inf
+            self._looked = 0
+            self._met_since = self._believed_since = math.inf
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
             return _unknown(task, begun, "what explained the readings does so no more")
@@ -127,14 +128,16 @@ class GrowingBody:
         if first.found_twice and first.per_number < HOPELESS:
             bent = finer(task, first, FINER_LIVE)
             if bent.order > first.order:
-                self._misled = first.unexplained
+                self._bent += first.cost - bent.cost
             first = ended[0] = bent
         grown = first
         if not begins:  # else the answer would wait for it
             ended = self._found_again(task, ended)
             first = ended[0]
         if not (first.found_twice or first.same_as(grown)):
-            self._believed_since = math.inf
+            self._met_since = self._believed_since = math.inf
+        elif first.found_twice:
+            self._met_since = min(self._met_since, float(first.record.t[-1]))
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
         self._running = near_it[:MOST_RIVALS]
         said = self._answer(task, ended)
@@ -237,11 +240,13 @@ class GrowingBody:
             ended = self._short_starts(task, ended)
             if ended[0].same_as(first):
                 return ended
-        elif self._folded or first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and not strange):
+        elif first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and (self._folded or not strange)):
             return ended
         else:
             self._owed = strange and short
         self._looked = first.intervals
+        if self._folded:
+            return [_moved_alike(task, first), *ended[1:]]
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
         believed = math.isfinite(self._believed_since)
         return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=believed)
@@ -259,7 +264,7 @@ class GrowingBody:
         """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
         lost_at = float(first.record.t[-1])
         self._running = []
-        self._believed_since = math.inf
+        self._met_since = self._believed_since = math.inf
         if lost_at - task.start > WORTH_S or self._attempt == 0:
             self._begin_anew(max(lost_at, task.end - LEAST_S))
 
@@ -272,13 +277,13 @@ class GrowingBody:
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
         touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
-        centre_sd = beliefs.centre_sd(task.noise.reading, max(first.unexplained, self._misled))
+        centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained(self._bent))
         felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         p, covariance = felt_outline(p, covariance, touched, ORDER)
         h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         h[touched], h_sd[touched] = felt[touched], felt_sd[touched]  # what was felt, as finely as it is known
         covariance = beliefs.with_centre(covariance, STATES, centre_sd)
-        proven = float(first.record.t[-1]) - self._believed_since > PROVEN_S
+        proven = float(first.record.t[-1]) - self._met_since > PROVEN_S
         reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)
         if not reason and not first.found_twice:
             reason = ALONE
@@ -293,7 +298,16 @@ class GrowingBody:
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
+            rough=task.noise.reading * math.sqrt(max(first.per_number - 1.0, 0.0)),
         )  # fmt: skip
+
+
+def _moved_alike(task: Task, first: Grown) -> Grown:
+    """What goes on from a fold, confirmed where a blind start of the same record, nothing behind it, moves alike."""
+    orders = () if first.order == ORDER else (first.order,)
+    others = anew(task, first.record, islice(beliefs.hypotheses(), OTHER_WAYS))
+    alike = any(finer(task, each, orders).moves_as(first) for each in others)
+    return replace(first, confirmed=first.intervals) if alike else first
 
 
 def _unknown(task: Task, begun: float, reason: str) -> BodyAnswer:

@@ -89,8 +89,8 @@ TRIES = (4, 12)
 """Iterations of the whole that a way is tried with, while it is cheap enough."""
 FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
 """Ways that are tried, in standard deviations of the spin along its least known axis."""
-STARTLED = 3.0
-"""Cost per number read of a window, above which what explains the record has to be found by another start again."""
+STARTLED, TUMBLES_RAD_S = 3.0, 6.0
+"""Cost per number read of a window, above which what has spun so fast lately has to be found again."""
 LATELY_S, LOST = 1.0, 6.0
 """A rival is lost where so long a time cost that much per number read."""
 AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
@@ -131,10 +131,12 @@ class Grown:
         """Cost per number read."""
         return self.cost / self.record.numbers
 
-    @property
-    def unexplained(self) -> float:
-        """What it cost more than 1 and its one-sigma for each number that was ever read; 0 where all is explained."""
-        numbers, cost = self.folded[0] + self.record.numbers, self.folded[1] + self.cost
+    def unexplained(self, bent: float = 0.0) -> float:
+        """What it cost more than 1 and its one-sigma for each number that was ever read; 0 where all is explained.
+
+        bent: what it cost besides before it was given finer harmonics, which bend to what is wrong.
+        """
+        numbers, cost = self.folded[0] + self.record.numbers, self.folded[1] + self.cost + bent
         return max(cost / numbers - 1.0 - math.sqrt(2.0 / numbers), 0.0)
 
     @property
@@ -172,8 +174,17 @@ class Grown:
         return self.windows[-1][1] if self.windows else 0.0
 
     def startled(self, lately: int) -> bool:
-        """Whether a window of so many last intervals was foretold so badly that more than one way led on."""
-        return any(surprise > STARTLED for _, surprise in self._last_windows(lately))
+        """Whether a window of so many last intervals was foretold badly, after a tumble: more than one way led on.
+
+        What turns slowly and is foretold badly is sharper than its harmonics; contacts tell where that goes.
+        """
+        spin, until = np.linalg.norm(self.motion.omega, axis=1), self.intervals
+        for intervals, surprise in reversed(self._last_windows(lately)):
+            since = max(until - intervals - round(LATELY_S / SPACING_S), 0)
+            if surprise > STARTLED and spin[since : until + 1].max() > TUMBLES_RAD_S:
+                return True
+            until -= intervals
+        return False
 
     @property
     def lost(self) -> bool:

@@ -35,7 +35,7 @@ NIS_FORESEEN = 4.0  # up to which what is believed still tells where the body go
 KNOWN_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
 AWAY_S = 0.5  # without any contact, after which it is another object
 LONGEST_S = 1e-2  # of a step ahead of the last reading
-TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and of the spin
+TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and spin, at least
 FORCE_SHARE = 0.03
 SEEN_S = 0.02  # how often it is kept where the palms touch the body
 
@@ -302,6 +302,8 @@ class BodyObserver:
         assert self._joints is not None
         seen = now.seen(self._joints, t)
         diagonal = np.sqrt(np.maximum(np.diagonal(now.P), 0.0))
+        left = math.hypot(TRUNCATED_M, answer.rough)  # open, by what harmonics leave out
+        of_spin = TRUNCATED_RAD_S * left / TRUNCATED_M
         of_inertia, inertia_sd = inertia(now.p), answer.inertia_sd.reshape(3, 3)
         values: dict[str, float] = {}
         sd: dict[str, float] = {}
@@ -310,12 +312,12 @@ class BodyObserver:
             values[name], sd[name] = float(value), float(band)
 
         for k, axis in enumerate(WORLD_AXES):
-            tell(f"omega_{axis}_rad_s", now.omega[k], math.hypot(diagonal[3 + k], TRUNCATED_RAD_S))
-            tell(f"com_{axis}_m", seen.centre[0][k], math.hypot(seen.centre[1][k], TRUNCATED_M))
+            tell(f"omega_{axis}_rad_s", now.omega[k], math.hypot(diagonal[3 + k], of_spin))
+            tell(f"com_{axis}_m", seen.centre[0][k], math.hypot(seen.centre[1][k], left))
         for i, palm in enumerate(PALMS):
             for k, side in enumerate("ab"):
-                tell(f"{side}{palm}_m", seen.contacts[0][i, k], math.hypot(seen.contacts[1][i, k], TRUNCATED_M))
-            tell(f"h{palm}_m", seen.heights[0][i], math.hypot(seen.heights[1][i], TRUNCATED_M))
+                tell(f"{side}{palm}_m", seen.contacts[0][i, k], math.hypot(seen.contacts[1][i, k], left))
+            tell(f"h{palm}_m", seen.heights[0][i], math.hypot(seen.heights[1][i], left))
             if math.isfinite(answer.mass):
                 force = answer.mass * float(seen.force[i])
                 tell(f"f{palm}_n", force, abs(force) * math.hypot(answer.mass_sd / answer.mass, FORCE_SHARE))

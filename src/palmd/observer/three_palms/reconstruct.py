@@ -19,7 +19,7 @@ from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import FINER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.felt_outline import everywhere, near
-from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, SURE, Grown, best
+from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, Grown, best
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
@@ -28,6 +28,8 @@ from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 LEAST_S = 2.5
 MOST_CHI2 = beliefs.EXPLAINED_CHI2
 SHARP_M = 7e-5
+PROVEN, PROVEN_M = 2.0, 1e-4
+"""Cost per number read, and one-sigma of what was touched, that a live body may have which has foretold for long."""
 ALONE = "no second start has come to the same motion yet"
 
 
@@ -112,7 +114,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     p, hollow = first.made_convex(p, covariance)
     R, felt = fit.motion.R, first.felt
     touched = near(felt)
-    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained))
+    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained()))
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
@@ -175,7 +177,7 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, hollow: float, *, 
     long what came: what more it costs is truncation.
     """
     first = ended[0]
-    most_chi2, most_cost = (SURE, SURE) if proven else (MOST_CHI2, MOST_COST)
+    most_chi2, most_cost, most_sd = (PROVEN, PROVEN, PROVEN_M) if proven else (MOST_CHI2, MOST_COST, SHARP_M)
     if first.record.t[-1] < task.end - 0.1:
         return f"what explains the first readings fails after {first.record.t[-1] - task.start:.1f} s"
     if first.whole.chi2 > most_chi2:
@@ -190,7 +192,7 @@ def doubt(task: Task, ended: Sequence[Grown], sd: FloatArray, hollow: float, *, 
         return "only an inertia that no such body has explains the readings"
     if hollow > HOLLOW_CHI2:
         return "only a hollow body explains the readings"
-    if float(np.sqrt(np.mean(sd**2))) > SHARP_M:
+    if float(np.sqrt(np.mean(sd**2))) > most_sd:
         return "the readings tell too little of the shape"
     return ""
 
