@@ -155,6 +155,7 @@ def test_readings_that_are_missed_by_more_than_their_noise_surprise_as_little_wh
     for each in (told, untold):
         carried(each, readings[:-1], rolled.t[-1])
     assert 0.7 < told.nis < 1.3 < untold.nis
+    assert told._does is untold._does  # nothing is kept of each answer
 
 
 def test_what_is_compiled_is_its_twin_in_numpy(rolled):

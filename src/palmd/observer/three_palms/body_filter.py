@@ -66,7 +66,7 @@ class BodyFilter:
         self._variance = rig.pad.reading_variance + answer.rough**2
         self._order = order_of(len(answer.p) - BODY)
         self._shape = slice(STATES, STATES + len(answer.p) - BODY)
-        self._does = steps(self._order, rig, answer.rough) if compiled else None
+        self._does = steps(self._order, rig) if compiled else None
 
     @property
     def R(self) -> FloatArray:
@@ -101,7 +101,7 @@ class BodyFilter:
         """On to `until` (s) past these readings, in their order."""
         if self._does is not None:
             rows = np.array([(each.t, each.a, each.b, each.pad) for each in readings]).reshape(-1, READING)
-            self.t = self._does.carry(self._body, self.P, self.t, joints, rows, until, longest_s)
+            self.t = self._does.carry(self._body, self.P, self.t, joints, rows, self._variance, until, longest_s)
             return
         for number, end in enumerate((*(each.t for each in readings), until)):
             middles, h = _steps(self.t, end, longest_s)
@@ -185,11 +185,10 @@ class BodyFilter:
         return y, H @ self.P @ H.T, inputs[0], force[0]
 
 
-def steps(order: int, rig: ThreePalmsRig, rough: float = 0.0) -> compiled_filter.CompiledSteps | None:
-    """What is compiled of a filter; None where nothing can be. rough: as in `BodyAnswer` (m)."""
+def steps(order: int, rig: ThreePalmsRig) -> compiled_filter.CompiledSteps | None:
+    """What is compiled of a filter; None where nothing can be."""
     return compiled_filter.steps(
-        order, gravity=rig.gravity, variance=rig.pad.reading_variance + rough**2, gate=GATE, learnt=LEARNT, turn=TURN,
-        spin=SPIN, by_spin=BY_SPIN,
+        order, gravity=rig.gravity, gate=GATE, learnt=LEARNT, turn=TURN, spin=SPIN, by_spin=BY_SPIN,
     )  # fmt: skip
 
 

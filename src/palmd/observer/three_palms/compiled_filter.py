@@ -44,7 +44,10 @@ class CompiledSteps:
     """
 
     def __init__(self, path: Path, order: int, **constants: float) -> None:
-        """Constants are named as in `body_filter.c`; RuntimeError where the library at `path` has other sizes."""
+        """Constants are named as in `body_filter.c`, and a reading's variance is told with each call.
+
+        RuntimeError where the library at `path` has other sizes.
+        """
         library = ctypes.CDLL(str(path))
         sizes = (STATES, PALM_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:
@@ -61,10 +64,14 @@ class CompiledSteps:
         self._seen.argtypes, self._seen.restype = (*(pointer,) * 4, number, number, *(pointer,) * 4), None
 
     def carry(
-        self, body: FloatArray, P: FloatArray, t: float, joints: JointTrack, readings: FloatArray, until: float,
-        longest_s: float,
+        self, body: FloatArray, P: FloatArray, t: float, joints: JointTrack, readings: FloatArray,
+        variance: float, until: float, longest_s: float,
     ) -> float:  # fmt: skip
-        """From `t` past readings (N, `READING`) to `until`, by steps of `longest_s` at most; where that is (s)."""
+        """From `t` past readings (N, `READING`) to `until`, by steps of `longest_s` at most; where that is (s).
+
+        variance: of a reading (m²).
+        """
+        self._model.variance = variance
         at = body.ctypes.data, P.ctypes.data, t, readings.ctypes.data, len(readings)
         told: float = self._carry(self._at, ctypes.byref(_track(joints)), *at, until, longest_s)
         return told
