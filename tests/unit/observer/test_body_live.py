@@ -568,6 +568,7 @@ def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     task, ended = lived.raced
     costing = ([replace(ended[0], cost=share * ended[0].record.numbers)] for share in (1.0, 1.2))
     explained, unexplained = (lived.smoother._answer(task, each) for each in costing)
+    assert (explained.rough, unexplained.rough) == pytest.approx((0.0, math.sqrt(0.2) * task.noise.reading))
     variance = (0.2 - math.sqrt(2.0 / ended[0].record.numbers)) * task.noise.reading**2
     np.testing.assert_allclose(unexplained.h_sd**2 - explained.h_sd**2, variance, rtol=1e-6)
     wider = np.diag(unexplained.covariance - explained.covariance)
