@@ -122,10 +122,9 @@ def test_forces_are_found_stored_and_told(rig, mine, tmp_path, capsys):
     found = result["configuration"]
     assert found["palm1"]["newtons_per_count"] == pytest.approx(0.024, rel=0.015)
     assert found["palm2"]["newtons_per_count"] == pytest.approx(0.017, rel=0.015)
-    assert result["found"]["rounds"] == 2
-    assert 28 <= result["found"]["rests"] <= 32  # one in which a busy machine held readings up is left out
+    assert (result["found"]["rests"], result["found"]["rounds"]) == (32, 2)
     out, _ = capsys.readouterr()
-    assert out.startswith(f"{result['found']['rests']} rests in 2 rounds, friction at rest ")
+    assert out.startswith("32 rests in 2 rounds, friction at rest ")
     assert f"{mine}: write in pads.palm2: newtons_per_count: {found['palm2']['newtons_per_count']}\n" in out
 
 
