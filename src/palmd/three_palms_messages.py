@@ -96,13 +96,13 @@ def answer_fields(t_tick: float, answer: BodyAnswer) -> Fields:
 def answer_of(fields: Mapping[str, Any]) -> BodyAnswer:
     """The answer that `answer_fields` was given, bit for bit; raises KeyError, ValueError for other fields.
 
-    Recordings of before 2026-11-28 have no `rough_m`: readings were noise alone.
+    Without `rough_m`, as older recordings are, readings are taken to be missed by their noise alone.
     """
     arrays: dict[str, FloatArray] = {
         attribute: np.array(fields[name], dtype=np.float64) for name, attribute in _ARRAYS.items()
     }
-    plain = {attribute: fields[name] for name, attribute in _PLAIN.items() if name in fields or name != "rough_m"}
-    return shaped(**plain, **arrays)
+    plain = {"rough_m": 0.0, **fields}
+    return shaped(**{attribute: plain[name] for name, attribute in _PLAIN.items()}, **arrays)
 
 
 def shaped(**told: Any) -> BodyAnswer:

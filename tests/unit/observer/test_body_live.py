@@ -580,10 +580,10 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     task, ended = lived.raced
     costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
     smoother = lived.smoother
-    monkeypatch.setattr(smoother, "_believed_since", math.inf)
+    monkeypatch.setattr(smoother, "_believed", False)
     monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - growing.PROVEN_S + 0.1)
     assert not smoother._answer(task, costly).claimed
-    assert smoother._believed_since == math.inf
+    assert not smoother._believed
     assert smoother._answer(task, ended).claimed  # from now on
     assert not smoother._answer(task, costly).claimed
     monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - growing.PROVEN_S - 0.1)
@@ -643,7 +643,7 @@ def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, 
     monkeypatch.setattr(smoother, "_task", lambda: task)
     monkeypatch.setattr(smoother, "_running", [replace(first, record=task.whole.first(first.intervals - 5))])
     monkeypatch.setattr(smoother, "_found_again", lambda _, ended: ended)
-    monkeypatch.setattr(smoother, "_believed_since", -math.inf)
+    monkeypatch.setattr(smoother, "_met_since", -math.inf)
     monkeypatch.setattr(growth, "TUMBLES_RAD_S", 0.0)
     monkeypatch.setattr(growing, "raced", lambda *_, **__: [on])
     said = smoother.answer()
@@ -701,7 +701,7 @@ def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, mon
 def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_for_them(lived, monkeypatch):
     task, (first, *_) = lived.raced
     smoother, tried = lived.smoother, []
-    for name in ("_owed", "_looked", "_folded", "_believed_since", "_met_since"):
+    for name in ("_owed", "_looked", "_folded", "_believed", "_met_since"):
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
     monkeypatch.setattr(growing, "CHANCE", -math.inf)
@@ -751,10 +751,10 @@ def test_what_goes_on_from_a_fold_is_found_again_by_who_moves_alike_and_goes_on_
     smoother._folded = True
     alone, turn = replace(first, confirmed=0), exp(np.array([0.3, -0.4, 0.2]))
     motion = replace(first.motion, R=first.motion.R @ turn, omega=first.motion.omega + off)
-    monkeypatch.setattr(growing, "anew", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)])
+    monkeypatch.setattr(growth, "anew", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)])
     (again,) = smoother._found_again(task, [alone])
     assert again == (replace(first, confirmed=first.intervals) if twice else alone)
-    monkeypatch.setattr(growing, "anew", None)
+    monkeypatch.setattr(growth, "anew", None)
     assert smoother._found_again(task, [again]) == [again]  # not again until there is more
 
 

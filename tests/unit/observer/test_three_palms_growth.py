@@ -562,9 +562,9 @@ def test_what_harmonics_leave_out_moves_the_centre_of_mass_less_the_more_is_touc
 def test_contacts_that_are_off_mislead_the_centre_of_mass_by_as_much():
     p, touched = np.zeros(count(ORDER) + BODY), np.arange(len(icosphere()[0])) < 100
     p[0] = 0.02 / Y00
-    sd = beliefs.centre_sd(1e-4, 0.25)
+    sd = beliefs.missed_sd(1e-4, 0.25)
     assert sd == pytest.approx(5e-5)
-    assert beliefs.centre_sd(1e-4, 0.0) == 0.0
+    assert beliefs.missed_sd(1e-4, 0.0) == 0.0
     known, misled = (surface(p, 1e-10 * np.eye(len(p)), touched, 1.1, each)[1] for each in (0.0, sd))
     np.testing.assert_allclose(misled**2 - known**2, sd**2)
     wider = beliefs.with_centre(np.zeros((6 + len(p), 6 + len(p))), 6, sd)

@@ -66,12 +66,12 @@ def beyond_sd(radius: float, order: int, touched: Bools, chi2: float = 1.0) -> F
     return sd
 
 
-def centre_sd(reading_sd: float, unexplained: float) -> float:
-    """One-sigma of each coordinate of the centre of mass in the body, from what harmonics leave out (m).
+def missed_sd(reading_sd: float, unexplained: float) -> float:
+    """By how much readings are missed besides their noise, one-sigma: what harmonics leave out (m).
 
-    Readings do not tell the centre, balance does, and contacts that are off mislead it by as much: `reading_sd` (m)
-    times the root of what a number read costs more than 1. It stays however long that goes on, for contacts on the
-    same sharp places are off alike.
+    `reading_sd` (m) times the root of what a number read costs more than 1. It is one-sigma of each coordinate of the
+    centre of mass in the body, too: readings do not tell it, balance does, and contacts that are off mislead it by as
+    much. It stays however long that goes on, for contacts on the same sharp places are off alike.
     """
     return reading_sd * math.sqrt(unexplained)
 

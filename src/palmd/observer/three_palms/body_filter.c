@@ -34,7 +34,7 @@ typedef void Kernel(const double *const *in, double *const *out, long columns);
 typedef struct {
   Kernel *acceleration, *reading;
   long parameters, harmonics;
-  double gravity, variance, gate, learnt; /* of a reading; of the mean NIS */
+  double gravity, gate, learnt; /* of a reading; of the mean NIS */
   double turn, spin, by_spin;             /* densities of the process noise */
 } Model;
 
@@ -251,14 +251,15 @@ static double across(const Model *model, const double *row, const Sight *at, int
   return sum;
 }
 
-/* a reading (a, b) (m) */
-static void correct(const Model *model, Body *body, double *P, const double *geometry, double a, double b) {
+/* a reading (a, b) (m) and its variance (m²) */
+static void correct(const Model *model, Body *body, double *P, const double *geometry, double a, double b,
+                    double variance) {
   const long n = STATES + model->parameters;
   Sight at;
   looked(model, body, P, geometry, &at);
-  const double lower = sqrt(across(model, at.HP[0], &at, 0) + model->variance);
+  const double lower = sqrt(across(model, at.HP[0], &at, 0) + variance);
   const double side = across(model, at.HP[1], &at, 0) / lower;
-  const double last = sqrt(across(model, at.HP[1], &at, 1) + model->variance - side * side);
+  const double last = sqrt(across(model, at.HP[1], &at, 1) + variance - side * side);
   const double first = (a - at.y[0]) / lower, second = (b - at.y[1] - side * first) / last;
   const double strange = (first * first + second * second) / 2;
   body->nis += (fmin(strange, model->gate) - body->nis) * model->learnt;
@@ -279,9 +280,10 @@ static void correct(const Model *model, Body *body, double *P, const double *geo
   for (long k = 0; k < model->parameters; k++) body->p[k] += move[STATES + k];
 }
 
-/* on from t to `until` (s) by steps of at most `longest` (s), past `count` readings; gives where it has come to */
+/* on from t to `until` (s) by steps of at most `longest` (s), past `count` readings of this `variance`; gives where it
+   has come to */
 double body_carry(const Model *model, const Track *track, Body *body, double *P, double t, const Reading *readings,
-                  long count, double until, double longest) {
+                  long count, double variance, double until, double longest) {
   double joints[JOINTS], palms[PALM_INPUTS], axes[3][2][3], geometry[GEOMETRY];
   for (long k = 0; k <= count; k++) {
     const double end = k < count ? readings[k].t : until, begun = t, span = end - begun;
@@ -299,7 +301,7 @@ double body_carry(const Model *model, const Track *track, Body *body, double *P,
     joints_at(track, end, joints);
     palms_at(joints, palms, axes);
     geometry_of(palms, axes, (int)readings[k].pad, geometry);
-    correct(model, body, P, geometry, readings[k].a, readings[k].b);
+    correct(model, body, P, geometry, readings[k].a, readings[k].b, variance);
   }
   return t;
 }

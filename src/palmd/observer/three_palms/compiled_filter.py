@@ -26,7 +26,7 @@ class _Model(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("acceleration", "reading")),
         *((name, ctypes.c_long) for name in ("parameters", "harmonics")),
-        *((name, ctypes.c_double) for name in ("gravity", "variance", "gate", "learnt", "turn", "spin", "by_spin")),
+        *((name, ctypes.c_double) for name in ("gravity", "gate", "learnt", "turn", "spin", "by_spin")),
     )  # fmt: skip
 
 
@@ -44,10 +44,7 @@ class CompiledSteps:
     """
 
     def __init__(self, path: Path, order: int, **constants: float) -> None:
-        """Constants are named as in `body_filter.c`, and a reading's variance is told with each call.
-
-        RuntimeError where the library at `path` has other sizes.
-        """
+        """Constants are named as in `body_filter.c`; RuntimeError where the library at `path` has other sizes."""
         library = ctypes.CDLL(str(path))
         sizes = (STATES, PALM_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:
@@ -59,7 +56,7 @@ class CompiledSteps:
         self._at = ctypes.addressof(self._model)
         pointer, number, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._carry, self._seen = library.body_carry, library.body_seen
-        self._carry.argtypes = (*(pointer,) * 4, number, pointer, integer, number, number)
+        self._carry.argtypes = (*(pointer,) * 4, number, pointer, integer, number, number, number)
         self._carry.restype = number
         self._seen.argtypes, self._seen.restype = (*(pointer,) * 4, number, number, *(pointer,) * 4), None
 
@@ -71,9 +68,8 @@ class CompiledSteps:
 
         variance: of a reading (m²).
         """
-        self._model.variance = variance
         at = body.ctypes.data, P.ctypes.data, t, readings.ctypes.data, len(readings)
-        told: float = self._carry(self._at, ctypes.byref(_track(joints)), *at, until, longest_s)
+        told: float = self._carry(self._at, ctypes.byref(_track(joints)), *at, variance, until, longest_s)
         return told
 
     def seen(

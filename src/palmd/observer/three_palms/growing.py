@@ -34,6 +34,7 @@ from palmd.observer.three_palms.growth import (
     finer,
     folded,
     found_again,
+    moves_so,
     raced,
     smoothed,
 )
@@ -90,9 +91,14 @@ class GrowingBody:
         self._reached = -math.inf
         self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
         self._owed = False  # short starts, in the next lap
-        self._met_since = self._believed_since = math.inf  # by two starts, and claimed
+        self._not_met()
         self._bent = 0.0  # what it cost more before it was given finer harmonics
         self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
+
+    def _not_met(self) -> None:
+        """Nothing is believed of who is followed until two starts have come to it."""
+        self._met_since = math.inf
+        self._believed = False  # claimed since
 
     def add(self, events: Sequence[Event]) -> None:
         """Events of some ticks; may be called while another thread answers."""
@@ -119,7 +125,7 @@ class GrowingBody:
         if not begins and first.startled(first.intervals - before):  # ways on that differ may all be explained
             first = ended[0] = replace(first, confirmed=0)
             self._looked = 0
-            self._met_since = self._believed_since = math.inf
+            self._not_met()
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
             return _unknown(task, begun, "what explained the readings does so no more")
@@ -135,7 +141,7 @@ class GrowingBody:
             ended = self._found_again(task, ended)
             first = ended[0]
         if not (first.found_twice or first.same_as(grown)):
-            self._met_since = self._believed_since = math.inf
+            self._not_met()
         elif first.found_twice:
             self._met_since = min(self._met_since, float(first.record.t[-1]))
         near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
@@ -233,7 +239,7 @@ class GrowingBody:
         """
         first = ended[0]
         short = first.intervals * SPACING_S < SHORT_UNTIL_S
-        searched = short or math.isinf(self._believed_since)  # later on it is what harmonics leave out that is strange
+        searched = short or not self._believed  # later on it is what harmonics leave out that is strange
         strange, owed = searched and first.strange > CHANCE, self._owed
         self._owed = False
         if owed and strange and not self._folded:
@@ -246,10 +252,10 @@ class GrowingBody:
             self._owed = strange and short
         self._looked = first.intervals
         if self._folded:
-            return [_moved_alike(task, first), *ended[1:]]
+            alike = moves_so(task, first, islice(beliefs.hypotheses(), OTHER_WAYS))  # of another frame
+            return [replace(first, confirmed=first.intervals) if alike else first, *ended[1:]]
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
-        believed = math.isfinite(self._believed_since)
-        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=believed)
+        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=self._believed)
 
     def _short_starts(self, task: Task, ended: list[Grown]) -> list[Grown]:
         """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""
@@ -264,7 +270,7 @@ class GrowingBody:
         """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
         lost_at = float(first.record.t[-1])
         self._running = []
-        self._met_since = self._believed_since = math.inf
+        self._not_met()
         if lost_at - task.start > WORTH_S or self._attempt == 0:
             self._begin_anew(max(lost_at, task.end - LEAST_S))
 
@@ -277,7 +283,7 @@ class GrowingBody:
         x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
         turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
         touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
-        centre_sd = beliefs.centre_sd(task.noise.reading, first.unexplained(self._bent))
+        centre_sd = beliefs.missed_sd(task.noise.reading, first.unexplained(self._bent))
         felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
         p, covariance = felt_outline(p, covariance, touched, ORDER)
         h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
@@ -290,7 +296,7 @@ class GrowingBody:
         if not reason and self._owed:
             reason = "the readings are not explained to their noise, and other starts are still to be tried"
         if not reason:
-            self._believed_since = min(self._believed_since, float(first.record.t[-1]))
+            self._believed = True
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
             t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,
@@ -298,16 +304,8 @@ class GrowingBody:
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
-            rough=task.noise.reading * math.sqrt(max(first.per_number - 1.0, 0.0)),
+            rough=beliefs.missed_sd(task.noise.reading, max(first.per_number - 1.0, 0.0)),
         )  # fmt: skip
-
-
-def _moved_alike(task: Task, first: Grown) -> Grown:
-    """What goes on from a fold, confirmed where a blind start of the same record, nothing behind it, moves alike."""
-    orders = () if first.order == ORDER else (first.order,)
-    others = anew(task, first.record, islice(beliefs.hypotheses(), OTHER_WAYS))
-    alike = any(finer(task, each, orders).moves_as(first) for each in others)
-    return replace(first, confirmed=first.intervals) if alike else first
 
 
 def _unknown(task: Task, begun: float, reason: str) -> BodyAnswer:

@@ -470,8 +470,7 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
 
     for way in ways:
         first = rivals[0]
-        most, orders = (first.cost, ()) if first.order == ORDER else (math.inf, (first.order,))
-        for again in (finer(task, each, orders) for each in anew(task, first.record, [way], most)):
+        for again in _begun_alike(task, first, [way], first.cost if first.order == ORDER else math.inf):
             if (both := _met(again, first, believed=believed)) is not None:
                 return [both, *rivals[1:]]
             rivals = sorted([again, *rivals], key=lambda each: each.cost)
@@ -482,6 +481,17 @@ def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, 
         found = [again, first] if both is None else [both]
         return sorted([*found, *others], key=lambda each: each.cost)
     return rivals
+
+
+def moves_so(task: Task, now: Grown, ways: Iterable[Hypothesis]) -> bool:
+    """Whether a blind start of the same record moves as it, which may go on from a belief and be in its frame."""
+    return any(each.moves_as(now) for each in _begun_alike(task, now, ways))
+
+
+def _begun_alike(task: Task, now: Grown, ways: Iterable[Hypothesis], most: float = math.inf) -> Iterator[Grown]:
+    """What blind starts of the same record lead to, with harmonics as fine as its own; see `anew`."""
+    orders = () if now.order == ORDER else (now.order,)
+    return (finer(task, each, orders) for each in anew(task, now.record, ways, most))
 
 
 def _met(again: Grown, first: Grown, *, believed: bool = False) -> Grown | None:

@@ -114,7 +114,7 @@ def answer(task: Task, ended: Sequence[Grown], begun: float) -> BodyReconstructi
     p, hollow = first.made_convex(p, covariance)
     R, felt = fit.motion.R, first.felt
     touched = near(felt)
-    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.centre_sd(task.noise.reading, first.unexplained()))
+    h, sd = surface(p, covariance, touched, fit.chi2, beliefs.missed_sd(task.noise.reading, first.unexplained()))
     mass, mass_sd = mass_of(task.rig, first)
     own, own_sd = inertia(p), inertia_sd(p, covariance)
     return BodyReconstruction(
