@@ -585,6 +585,7 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     assert not smoother._answer(task, costly).claimed
     assert not smoother._believed
     assert smoother._answer(task, ended).claimed  # from now on
+    assert smoother._believed
     assert not smoother._answer(task, costly).claimed
     monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - growing.PROVEN_S - 0.1)
     assert smoother._answer(task, costly).claimed
@@ -649,6 +650,7 @@ def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, 
     said = smoother.answer()
     assert smoother._running[0].found_twice is (surprise < 3.0)
     assert (said.reason == reconstruct.ALONE) is (surprise > 3.0)
+    assert (smoother._met_since == math.inf) is (surprise > 3.0)
 
 
 def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
