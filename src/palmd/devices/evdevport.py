@@ -22,6 +22,7 @@ from palmd.devices.touchdevice import AxisRange, TouchDevice, unsupported
 READ_RECORDS = 64
 CLOCK, GRAB = 0x400445A0, 0x40044590
 STATE_TRIES = 4
+LOOK = "ls -l /dev/input/by-path"
 _ABS_INFO = struct.Struct("<6i")  # value, least, most, fuzz, flat, resolution
 _KEY_BYTES, _AXIS_BYTES, _REL_BYTES, _PROPERTY_BYTES, _NAME_BYTES = 96, 8, 2, 4, 256
 _KEYS = 0x80000000 | _KEY_BYTES << 16 | 0x4518
@@ -141,9 +142,7 @@ def described(fd: int) -> TouchDevice | None:
 def _refuse_unsupported(path: str, device: TouchDevice, axis: Coordinate) -> None:
     reason = unsupported(device, axis)
     if reason is not None:
-        raise UnsupportedDeviceError(
-            f"{path} ({device.name}) {reason}; ls -l /dev/input/by-path shows the devices, sudo evtest names them"
-        )
+        raise UnsupportedDeviceError(f"{path} ({device.name}) {reason}: {LOOK} shows the devices")
 
 
 def _bits(fd: int, request: int, size: int) -> frozenset[int]:

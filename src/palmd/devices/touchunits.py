@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from palmd.config.pads import PRESSURE_GAIN_STD, EvdevConfig
+from palmd.devices.pad import PadRemark
 from palmd.devices.touchdevice import NEWTONS_PER_GRAM, TouchDevice
 
 ROUNDING = 0.5
@@ -41,13 +42,29 @@ class Units:
             self.newtons_per_count = device.newtons_per_count
 
 
+def unit_remarks(config: EvdevConfig, device: TouchDevice) -> Iterator[PadRemark]:
+    """The units that are used, or what is wrong with them."""
+    units = Units(config, device)
+    if units.missing is not None:
+        yield PadRemark("units", "missing", units.missing)
+        return
+    wrong = list(contradictions(config, device))
+    for key, says in wrong:
+        yield PadRemark("units", "off", says, key, f"leave {key} out, or measure it: palmd calibrate")
+    if not wrong:
+        force = units.newtons_per_count if config.pressure else None
+        says = "no force" if force is None else f"{force:.4g} N/count"
+        yield PadRemark("units", "ok", f"{units.counts_per_mm:g} counts/mm, {says}")
+
+
 def with_reported_units(config: EvdevConfig, device: TouchDevice) -> EvdevConfig:
     """The configuration with the units that it leaves to the device, as far as the device reports them."""
     units = Units(config, device)
     found: dict[str, float] = {} if units.missing else {"counts_per_mm": units.counts_per_mm}
     if units.newtons_per_count is not None:
         found["newtons_per_count"] = units.newtons_per_count
-    return config.model_copy(update={key: value for key, value in found.items() if value != getattr(config, key)})
+    update = {key: value for key, value in found.items() if value != getattr(config, key)}
+    return config.model_copy(update=update) if update else config
 
 
 def contradictions(config: EvdevConfig, device: TouchDevice) -> Iterator[tuple[str, str]]:

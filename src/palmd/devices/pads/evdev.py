@@ -9,11 +9,12 @@ from typing import Literal
 
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
-from palmd.devices.evdevport import EvdevPort
+from palmd.devices.evdevport import LOOK, EvdevPort, asked
 from palmd.devices.health import Limits, Shares, last_report
-from palmd.devices.pad import MARGIN_MM, PadFactory, PadReport, place_mm
+from palmd.devices.pad import MARGIN_MM, InspectedPad, PadFactory, PadRemark, PadReport, place_mm
 from palmd.devices.port import DevicePort
-from palmd.devices.touchunits import Units
+from palmd.devices.touchdevice import unsupported
+from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
@@ -194,6 +195,29 @@ class Evdev:
             return []
         self.touching, self._sample, self.parted = False, None, how
         return [PadLift(t, self._number)]
+
+
+NOTE = (
+    "a capacitive pad (touchpads, touch screens) feels no plastic, wood or ungrounded metal: cover the object with"
+    " conductive foil or tape and ground it, or use a pad that feels force"
+)
+"""Nothing that a device reports says whether it is capacitive."""
+
+
+def inspect(config: EvdevConfig) -> InspectedPad:
+    """What the kernel says of the device, which is opened for that but not grabbed. See `inspect_pad`."""
+    try:
+        device = asked(config.port)
+    except OSError:  # not there, or not for this user: its port says so
+        device = None
+    note = PadRemark("senses", "ok", NOTE)
+    if device is None:
+        return InspectedPad(config, (note,))
+    if reason := unsupported(device, config.axis):
+        remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", mend=LOOK)
+        return InspectedPad(config, (remark,))
+    found = PadRemark("device", "ok", f"{device.name}, {device.protocol}")
+    return InspectedPad(with_reported_units(config, device), (found, *unit_remarks(config, device), note))
 
 
 DRIVER: PadFactory = Evdev
