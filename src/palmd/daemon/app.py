@@ -68,7 +68,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
     try:
-        bus = Bus(config.bus.publish, config.bus.command, keys)
+        bus = Bus(config.bus.publish, config.bus.command, keys, frames=config.bus.frames)
     except BusError as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return RIG_FAILED
