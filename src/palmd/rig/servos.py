@@ -27,7 +27,7 @@ from palmd.rig.arm import Servo
 from palmd.rig.fault_injection import FaultOrder
 from palmd.rig.line import Wire
 from palmd.rig.plant import Hinge, PlantContact
-from palmd.rig.servotable import Refusal
+from palmd.rig.servotable import TableRefusal
 from palmd.system.mechanism import directions, joints_between
 
 FLICKER_COUNTS = 0.5
@@ -174,7 +174,7 @@ class EmulatedServo:
     def reset(self, option: int, t: float) -> int:
         """As from the factory, but for what the option keeps; starts anew. The error in the answer."""
         if option not in (_RESET_ALL, _KEEP_ID, _KEEP_ID_AND_BAUD):
-            return self._refuse(Refusal.RANGE)
+            return self._refuse(TableRefusal.RANGE)
         kept = () if option == _RESET_ALL else (dxl.ID,) if option == _KEEP_ID else (dxl.ID, dxl.BAUD)
         self._start({register: self.get(register) for register in kept})
         self.restart(t)
@@ -243,7 +243,7 @@ class EmulatedServo:
     def act(self, t: float) -> int:
         """Writes what is registered; the error in the answer, one too where nothing is."""
         if self._registered is None:
-            return self._refuse(Refusal.INSTRUCTION)
+            return self._refuse(TableRefusal.INSTRUCTION)
         registered, self._registered = self._registered, None
         self._set(servotable.REGISTERED, 0)
         return self.write(*registered, t)
@@ -251,10 +251,10 @@ class EmulatedServo:
     def clear(self, parameters: bytes, t: float) -> int:
         """Counts the position within one turn again; the error in the answer, one too while it moves."""
         if parameters != _CLEAR_TURNS:
-            return self._refuse(Refusal.RANGE)
+            return self._refuse(TableRefusal.RANGE)
         x, v, _ = self._shaft.at(t)
         if abs(v) > 1.0:
-            return self._refuse(Refusal.FAILED)
+            return self._refuse(TableRefusal.FAILED)
         self._turns += (round(x) + self._offset) // dxl.COUNTS_PER_TURN * dxl.COUNTS_PER_TURN
         return 0
 
@@ -417,7 +417,7 @@ class ServoArm:
             case Instruction.READ if len(data) == 4:
                 address, size = _two(data)
                 if address + size > servotable.TABLE_BYTES:
-                    error = Refusal.ACCESS
+                    error = TableRefusal.ACCESS
                 else:
                     out = servo.read(address, size, t)
             case Instruction.WRITE if len(data) > 2:
@@ -435,9 +435,9 @@ class ServoArm:
             case Instruction.REBOOT:
                 servo.restart(t)
             case Instruction.READ | Instruction.WRITE | Instruction.REG_WRITE | Instruction.FACTORY_RESET:
-                error = Refusal.LENGTH
+                error = TableRefusal.LENGTH
             case _:
-                error = Refusal.INSTRUCTION
+                error = TableRefusal.INSTRUCTION
         if packet.servo == BROADCAST and packet.instruction != Instruction.PING:
             return None
         return dxl.encode_status(number, error | servo.error, out)
@@ -466,7 +466,7 @@ class ServoArm:
                 break
             t_free += servo.delay_s
             inside = address + size <= servotable.TABLE_BYTES
-            error = servo.error if inside else servo.error | Refusal.ACCESS
+            error = servo.error if inside else servo.error | TableRefusal.ACCESS
             found.append((number, error, servo.read(address, size, t) if inside else bytes(0), t_free))
         if instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
             return [Utterance(dxl.encode_status(number, error, out), t_said) for number, error, out, t_said in found]
