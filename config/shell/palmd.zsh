@@ -843,6 +843,7 @@ _shtab_palmd_replay_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--speed[times the recorded pace (default\: 1)]:X:"
   "--publish[where to (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--frames[of each message\; 2 leaves out the time (default\: 3)]:frames:(3 2)"
   "--loop[begin anew at the end, until Ctrl-C]"
   "--check[compare with what the observer says now, and with the lifecycle\'s rules]"
   ":a recorded run (.mcap):_files"

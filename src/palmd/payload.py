@@ -6,6 +6,9 @@ from typing import Any
 
 import msgpack
 
+FRAMES = (3, 2)
+"""How many frames a message may have: topic, payload and the time it was sent; a publisher may leave out the last."""
+
 
 def unpacked(payload: bytes) -> dict[str, Any] | None:
     """The msgpack map in a payload; None for anything else."""

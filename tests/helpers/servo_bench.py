@@ -30,9 +30,14 @@ def tabletop(**arm) -> Config:
 
 
 class ServoBench:
-    """`host` is what the daemon has, `rig` the servos; `spoil` is given what goes to the host."""
+    """`host` is what the daemon has, `rig` the servos; `spoil` is given what goes to the host.
 
-    def __init__(self, config: Config | None = None, spoil: Callable[[bytes], bytes] = bytes, **arm) -> None:
+    `held_s`: the adapter hands over what has come at multiples of this time only, as one with a latency timer.
+    """
+
+    def __init__(
+        self, config: Config | None = None, spoil: Callable[[bytes], bytes] = bytes, held_s: float = 0.0, **arm
+    ) -> None:
         config = config or tabletop(**arm)
         self.t = 0.0
         self.host = make_actuator(config.arm)
@@ -43,6 +48,7 @@ class ServoBench:
         self.deaf = False
         self._spoil = spoil
         self._out = Wire(config.arm.baud)
+        self._held_s = held_s
 
     def go(self, seconds: float, until: Callable[[], bool] = lambda: False) -> ServoBench:
         """Live for so long, or until something holds."""
@@ -52,7 +58,8 @@ class ServoBench:
             t = self.t
             for said in self.rig.step(t):
                 self._out.send(self._spoil(said.data), said.t)
-            if (data := self._out.take(t)) and not self.deaf:
+            handed_over = math.floor(t / self._held_s + 1e-9) * self._held_s if self._held_s else t
+            if (data := self._out.take(handed_over)) and not self.deaf:
                 self.reports += self.host.feed(data, t)
             if not self.deaf and t >= self.host.due():
                 place = JointPose(self.target(t)) if self.target and self.host.tracking else None

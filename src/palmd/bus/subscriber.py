@@ -12,7 +12,7 @@ import zmq
 
 from palmd.bus.link import Link, wait_ms
 from palmd.keys import Credentials
-from palmd.payload import unpacked
+from palmd.payload import FRAMES, unpacked
 
 QUEUED_MESSAGES = 20_000  # a minute's, should we be slow
 RECONNECT_MS = 20  # a publisher that begins anew is heard almost from its first message
@@ -59,7 +59,7 @@ class Subscriber(Link):
         while t < t_end and self._socket.poll(wait_ms(t_end)):
             t = time.monotonic()
             frames = self._socket.recv_multipart()
-            fields = unpacked(frames[1]) if len(frames) == 3 else None
+            fields = unpacked(frames[1]) if len(frames) in FRAMES else None
             if fields is not None:
                 yield Message(frames[0].decode(errors="replace"), fields, t)
 

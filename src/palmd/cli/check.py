@@ -7,6 +7,7 @@ picture of what a plan does: angles and rates within their limits, where the pal
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 from collections.abc import Sequence
@@ -38,7 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draw is not None and arguments.draw.suffix.lower() not in PICTURES:
         raise CliError(BAD_INPUT, f"{arguments.draw}: a picture is {', '.join(PICTURES)}; name it so")
     outlines = [path for path in arguments.files if path.suffix.lower() in SUFFIXES]
-    errors = check_files([path for path in arguments.files if path not in outlines]) + _outline_errors(outlines)
+    files = [path for path in arguments.files if path not in outlines]
+    errors = check_files(files) + _device_errors(files) + _outline_errors(outlines)
     if arguments.json:
         print(json.dumps({"good": not errors, "problems": [problem(each) for each in errors]}, indent=2))
         if errors:
@@ -51,6 +53,19 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draw is not None:
         _draw([path for path in arguments.files if path not in outlines], arguments.draw, quiet=arguments.json)
     return 0
+
+
+def _device_errors(paths: Sequence[Path]) -> list[str]:
+    """What valid configurations say otherwise than the pads' devices that are there."""
+    from palmd.doctor.pad_devices import device_errors
+    from palmd.yamlfile import ConfigError, is_plan, parse_config, read_document
+
+    errors = []
+    for path in paths:
+        with contextlib.suppress(ConfigError):  # that is told already
+            document = read_document(path)
+            errors += [] if is_plan(document) else device_errors(document, parse_config(document))
+    return errors
 
 
 def problem(error: str) -> dict[str, str | int | None]:

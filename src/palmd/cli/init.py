@@ -17,6 +17,7 @@ import yaml
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
+from palmd.devices.pad import pad_note
 from palmd.system.mechanism import PALMS
 
 STANDARD_GRAVITY = 9.81
@@ -62,10 +63,22 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return said
 
 
+REPORTED = "reported"
+
+
+def reported_or(read: Callable[[str], float]) -> Callable[[str], float | str]:
+    """What `read` takes, or the word for what a device reports itself."""
+
+    def either(answer: str) -> float | str:
+        return REPORTED if answer and REPORTED.startswith(answer.lower()) else read(answer)
+
+    return either
+
+
 PADS = {
     "versapad": "Interlink VersaPads on serial lines",
     "strip": "force-sensing strips with palmd's firmware",
-    "evdev": "touch devices that Linux knows",
+    "evdev": "touch devices that Linux knows, touchpads and touch screens",
 }
 ARMS = {"adept": f"an Adept arm that holds palm {PALMS[-1]}", "dynamixel": "two servos about a fixed axis"}
 PORTS = {"versapad": "/dev/palmd-pad{}", "strip": "/dev/palmd-pad{}", "evdev": "/dev/input/by-path/palmd-pad{}"}
@@ -77,8 +90,8 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
     for palm in PALMS:
         yield f"pad{palm}", Prompt(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
     if answers["pads"] == "evdev":
-        yield "counts_per_mm", Prompt("Its units for each mm (the resolution of its axis, as evtest tells it)", "10",
-                                        number(1e-3, 1000))  # fmt: skip
+        yield "counts_per_mm", Prompt("Its units for each mm, or reported: as the device reports them", REPORTED,
+                                        reported_or(number(1e-3, 1000)))  # fmt: skip
         yield "pressure", Prompt("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
     yield "arm", Prompt(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
     yield "port", Prompt("It is at", "/dev/palmd-arm")
@@ -107,7 +120,9 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
         rig["base_mm"] = [lengths[0], 0.0]
     pad: dict[str, Any] = {"kind": answers["pads"]}
     if answers["pads"] == "evdev":
-        pad |= {"zero_mm": 0.0, "counts_per_mm": answers["counts_per_mm"], "pressure": answers["pressure"] == "yes"}
+        pad |= {"zero_mm": 0.0, "pressure": answers["pressure"] == "yes"}
+        if answers["counts_per_mm"] != REPORTED:
+            pad["counts_per_mm"] = answers["counts_per_mm"]
     pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in PALMS}
     return {"rig": rig, "pads": pads, "arm": arm, "plan": PLAN}
 
@@ -127,6 +142,8 @@ def run(arguments: argparse.Namespace) -> int:
     answers: dict[str, Any] = {}
     for key, question in questions(answers):
         answers[key] = _asked(question)
+        if key == "pads" and (note := pad_note(answers[key])):
+            print(f"Note: {note}.", file=sys.stderr)
     try:
         _write(path, configuration(answers))
     except OSError as error:

@@ -20,6 +20,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.harness.rules import Kept, kept_by
+from palmd.payload import FRAMES
 from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
@@ -36,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--publish", type=_address, default=PUBLISH, metavar="ADDRESS", help="where to (default: %(default)s)"
     )
+    parser.add_argument(
+        "--frames", type=int, choices=FRAMES, default=3, help="of each message; 2 leaves out the time (default: 3)"
+    )
     parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
     parser.add_argument(
         "--check", action="store_true", help="compare with what the observer says now, and with the lifecycle's rules"
@@ -50,15 +54,15 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{recording.path}: the recording was not finished; what there is of it is used", file=sys.stderr)
         if arguments.check:
             return _check(recording)
-        _publish(recording, arguments.publish, arguments.speed, loop=arguments.loop)
+        _publish(recording, arguments.publish, arguments.speed, arguments.frames, loop=arguments.loop)
     except (RunError, RepublishError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     return 0
 
 
-def _publish(recording: AnyRun, address: str, speed: float, *, loop: bool) -> None:
+def _publish(recording: AnyRun, address: str, speed: float, frames: int, *, loop: bool) -> None:
     total = message_count(recording)
-    publisher = RecordedPublisher(address)
+    publisher = RecordedPublisher(address, frames)
 
     def send(message: RawMessage) -> None:
         publisher.announce(recording.path, speed)

@@ -11,7 +11,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator
 
 from palmd.config.addresses import guarded_address, local_address
 from palmd.config.arms import ArmConfig
-from palmd.config.fields import FilePath, Plausible, Strict
+from palmd.config.fields import FilePath, Plausible, Strict, one_of
 from palmd.config.pads import AnyPads
 
 
@@ -31,6 +31,8 @@ class BusConfig(Strict):
     """Where everything is published."""
     command: str = "tcp://127.0.0.1:9873"
     """Where commands are taken."""
+    frames: Annotated[int, one_of(3, 2)] = 3
+    """Of each message: topic, map and the time it was sent; 2 leaves out the time, for readers that mistake it."""
 
     @field_validator("publish", "command")
     @classmethod

@@ -144,8 +144,12 @@ class EvdevConfig(PadBase):
 
     kind: Literal["evdev"]
     """What kind of pad it is."""
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(0.5, 150)] = 7.874
+    """The pad's scale; left out, it is the resolution that the device reports. The default is an emulated device's."""
+    newtons_per_count: Annotated[Positive, Plausible(0.0005, 0.5)] = 0.02
+    """What one count of pressure is worth; left out, it is as the device reports it, else there is no force."""
     pressure: bool = True
-    """Whether the device's pressure is a force; `false`: no mass and no forces are claimed."""
+    """Whether the device's pressure is a force; `false`: no mass and no forces are estimated."""
 
     @property
     def report_s(self) -> float:

@@ -19,6 +19,7 @@ from palmd.daemon.bus import Bus, BusError
 from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
+from palmd.daemon.pad_units import with_reported_units
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.processor_time import ProcessorTime
 from palmd.daemon.smoothing import BatchingProcess
@@ -55,7 +56,7 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
 
 def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
     try:
-        config = load_any_config(config_path)
+        config = with_reported_units(load_any_config(config_path))
         system = live_system(config)
         plan = None if config.plan is None else read_plan(config.plan, system.limits, None)
         outlines = () if config.outlines is None else read_library(config.outlines)
@@ -67,7 +68,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
     try:
-        bus = Bus(config.bus.publish, config.bus.command, keys)
+        bus = Bus(config.bus.publish, config.bus.command, keys, frames=config.bus.frames)
     except BusError as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return RIG_FAILED

@@ -73,15 +73,19 @@ class Bus:
         command: str,
         keys: ServerKeys | None = None,
         context: zmq.Context[zmq.Socket[bytes]] | None = None,
+        frames: int = 3,
     ) -> None:
         """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
+
+        A message has so many `frames`: topic, map and time, or the first two of these.
 
         The sockets are the `context`'s, which `close` ends.
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._pack = FieldsPacker()
-        self._outbox: deque[tuple[bytes, bytes, bytes]] = deque()
+        self._outbox: deque[tuple[bytes, ...]] = deque()
+        self._frames = frames
         self._awaited, self._t_held = "", -math.inf  # by which command, and until when (s) all in it is kept
         self._waiting: deque[Request] = deque()
         self._dropping = False  # the rest of a message that is far too long
@@ -104,7 +108,7 @@ class Bus:
         seq = self._seq.get(topic.name, 0)
         self._seq[topic.name] = seq + 1
         payload = self._pack(stamp(fields, timestamp, t, seq))
-        self._outbox.append((topic.frame, payload, b"%.6f" % timestamp))
+        self._outbox.append((topic.frame, payload, b"%.6f" % timestamp)[: self._frames])
         self.counters.published += 1
         if t >= self._t_held:
             self._let_out(SENT_AT_ONCE)

@@ -2,29 +2,38 @@
 
     seconds, microseconds (8 bytes each), type, code (2 each), value (4, signed)
 
-A device tells only what has changed, and a still contact tells nothing: **silence is not lift-off**. Records up to a
-SYN_REPORT belong together. When the kernel's buffer has overflown it says SYN_DROPPED: what follows up to the next
-SYN_REPORT is incomplete, and the state must be asked for anew, for a lift-off may be among what is lost.
-Contacts come as ABS_X, ABS_Y with BTN_TOUCH, or (type B) in slots, each with a tracking id that is -1 when it is let
-go.
+A device reports only what has changed, and a contact at rest reports nothing: **silence is not lift-off**. Records up
+to a SYN_REPORT belong together. Three protocols exist:
+
+    slots (type B)    each contact has a slot and in it a tracking id, which is -1 after the lift-off
+    packets (type A)  each frame lists all contacts, each ended by SYN_MT_REPORT; a frame without one is the lift-off
+    single touch      ABS_X and ABS_Y with BTN_TOUCH
+
+When the kernel's buffer has overflowed it sends SYN_DROPPED: everything up to the next SYN_REPORT is incomplete, and
+what was known before no longer holds. `wants_state` then asks the caller for the device's state (`restore`). Recorded
+bytes have no device behind them: a contact is unknown until the stream has sent it again.
+Only what touches is a contact: none is while BTN_TOUCH is 0, hovers (distance above 0) or is a palm (decision 79).
 Source: Linux Documentation/input/event-codes.rst, multi-touch-protocol.rst.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Literal
 
 from palmd.devices.pad import PadReport
 
 RECORD = struct.Struct("<qqHHi")
 
 EV_SYN, EV_KEY, EV_ABS = 0x00, 0x01, 0x03
-SYN_REPORT, SYN_DROPPED = 0, 3
+SYN_REPORT, SYN_MT_REPORT, SYN_DROPPED = 0, 2, 3
 BTN_TOUCH = 0x14A
-ABS_X, ABS_Y, ABS_PRESSURE = 0x00, 0x01, 0x18
-MT_SLOT, MT_X, MT_Y, MT_TRACKING_ID, MT_PRESSURE = 0x2F, 0x35, 0x36, 0x39, 0x3A
+ABS_X, ABS_Y, ABS_PRESSURE, ABS_DISTANCE = 0x00, 0x01, 0x18, 0x19
+MT_SLOT, MT_X, MT_Y, MT_TOOL_TYPE, MT_TRACKING_ID, MT_PRESSURE, MT_DISTANCE = 0x2F, 0x35, 0x36, 0x37, 0x39, 0x3A, 0x3B
+TOOL_PALM = 2
 
 FOREIGN_S = 1.0
 """A record whose stamp is farther than this from when it was read has been stamped by another clock."""
@@ -37,11 +46,12 @@ Record = tuple[int, int, int]
 
 @dataclass(slots=True)
 class EvdevCounters:
-    """What a device has brought. `frames` are groups of records that belong together.
+    """What a device has sent. `frames` are groups of records that belong together.
 
     `dropped` counts overflows of the kernel's buffer, `foreign_clock` frames that were not stamped by the monotonic
-    clock, `extra_contacts` frames with more contacts than one, `torn` bytes of half a record, `batches` reads with
-    several frames, `out_of_range` places that are not on the pad.
+    clock, `extra_contacts` frames with more contacts than one, `not_touching` frames whose contacts hover, are palms
+    or have BTN_TOUCH 0, `torn` bytes of half a record, `batches` reads with several frames, `out_of_range` places that
+    are not on the pad.
     """
 
     bytes: int = 0
@@ -49,6 +59,7 @@ class EvdevCounters:
     dropped: int = 0
     foreign_clock: int = 0
     extra_contacts: int = 0
+    not_touching: int = 0
     torn: int = 0
     batches: int = 0
     out_of_range: int = 0
@@ -64,34 +75,81 @@ def encode(records: Iterable[Record], t: float) -> bytes:
     return b"".join(RECORD.pack(seconds, microseconds, *record) for record in records)
 
 
+class Protocol(StrEnum):
+    """How a device reports its contacts."""
+
+    SINGLE = "single touch"
+    SLOTS = "slots (type B)"
+    PACKETS = "packets (type A)"
+
+
+Coordinate = Literal["x", "y"]
+_NO_ID = -1
+
+
 @dataclass(slots=True)
 class _Contact:
-    """One slot: unknown coordinates are None, `since` is the count of contacts when it was put down, 0 without one."""
+    """What is known of one contact; None for a value that has not been sent. `since` counts contacts, 0: no touch."""
 
     x: int | None = None
     y: int | None = None
     pressure: int | None = None
+    distance: int | None = None
+    tool: int | None = None
+    id: int | None = None
     since: int = 0
 
+    @property
+    def sent(self) -> bool:
+        """Whether it has a place at all."""
+        return self.x is not None or self.y is not None
 
-_OF_TOUCH = {(EV_KEY, BTN_TOUCH), (EV_ABS, 0x39)}  # the key, and the identity of a slot's contact
+    @property
+    def touches(self) -> bool:
+        """Whether it is on the surface, as far as it has been sent."""
+        return not self.distance and self.tool != TOOL_PALM
+
+    def take(self, code: int, value: int) -> None:
+        """A value of one axis."""
+        match code:
+            case 0x00 | 0x35:
+                self.x = value
+            case 0x01 | 0x36:
+                self.y = value
+            case 0x18 | 0x3A:
+                self.pressure = value
+            case 0x19 | 0x3B:
+                self.distance = value
+            case 0x37:
+                self.tool = value
+            case 0x39:
+                self.since = self.since if value == self.id else 0  # another id is another contact
+                self.id = value
+
+
+_SINGLE_AXES = (ABS_X, ABS_Y, ABS_PRESSURE, ABS_DISTANCE)
+_MT_AXES = (MT_X, MT_Y, MT_TOOL_TYPE, MT_TRACKING_ID, MT_PRESSURE, MT_DISTANCE)
 
 
 class EvdevReader:
-    """Turns a device's records into reports; `wants_state` says that the state must be asked for anew."""
+    """Turns a device's records into reports; `wants_state` says that the device's state must be read."""
 
-    def __init__(self) -> None:
+    def __init__(self, needed: Collection[Coordinate] = ("x", "y")) -> None:
+        """A contact is reported once its `needed` coordinates are known; another one that is not known is 0."""
         self.counters = EvdevCounters()
         self.wants_state = True
+        self.has_state = False
+        """Whether a device's state can be read: after an overflow nothing is then reported before `restore`."""
+        self.protocol: Protocol | None = None
+        """As the device describes itself; None: found from the records."""
+        self.bounding_box = False
+        """Whether several contacts are reported as the corners of their box, and none of them is a place."""
+        self._needed = tuple(needed)
         self._torn = b""
-        self._skipping = False
-        self._single = _Contact()
-        self._touch_key = False
-        self._slots: dict[int, _Contact] = {}
-        self._slot = 0
         self._contacts = 0
-        self._told = False
-        self._touch_known = False  # whether it has said since it was last forgotten if there is a contact
+        self._reported = False
+        self._pressed_axes: set[int] = set()  # the pressure axes that have been sent
+        self._forget()
 
     @property
     def pending(self) -> int:
@@ -105,11 +163,30 @@ class EvdevReader:
         self.forget()
 
     def forget(self) -> None:
-        """What was known of the contacts no longer holds."""
-        self._single, self._touch_key = _Contact(), False
-        self._slots, self._slot = {}, 0
-        self._skipping = self._touch_known = False
+        """What was known of the contacts no longer holds, as when a device is opened."""
+        self._forget()
         self.wants_state = True
+
+    def _forget(self) -> None:
+        self._single = _Contact()
+        self._touch_key: bool | None = None
+        self._slots: dict[int | None, _Contact] = {}
+        self._slot: int | None = 0
+        self._packets: list[_Contact] = []
+        self._packet = _Contact()
+        self._packet_ends = 0  # in the present frame
+        self._frame_says_lifted = False  # BTN_TOUCH or ABS_PRESSURE has gone to 0 in the present frame
+        self._skipping = self._overflowed = False
+        self._touch_known = False  # whether the stream has said since if there is a contact
+
+    def restore(self, records: bytes, t: float) -> list[PadReport]:
+        """Take the device's whole state, read at `t` (s), as the records of one frame; the reports in it."""
+        self._forget()
+        self.wants_state = False
+        frames = self.counters.frames
+        reports = self._records(records, t)
+        self.counters.frames = frames
+        return reports
 
     def feed(self, data: bytes, t_recv: float) -> list[PadReport]:
         """Take what was read at `t_recv` (s, monotonic) and return the reports of whole frames.
@@ -120,71 +197,148 @@ class EvdevReader:
         data = self._torn + data
         whole = len(data) - len(data) % RECORD.size
         self._torn = data[whole:]
+        before = self.counters.frames
+        reports = self._records(data[:whole], t_recv)
+        self.counters.batches += self.counters.frames > before + 1
+        return reports
+
+    def _records(self, data: bytes, t_recv: float) -> list[PadReport]:
         reports: list[PadReport] = []
-        frames = 0
-        for seconds, microseconds, kind, code, value in RECORD.iter_unpack(data[:whole]):
+        for seconds, microseconds, kind, code, value in RECORD.iter_unpack(data):
             if kind == EV_SYN and code == SYN_DROPPED:
                 self.counters.dropped += 1
                 self.forget()
-                self._skipping = True
+                self._skipping = self._overflowed = True
+                self._slot = None
             elif kind == EV_SYN and code == SYN_REPORT:
                 if self._skipping:
                     self._skipping = False
-                    continue
-                frames += 1
-                report = self._report(seconds + microseconds * 1e-6, t_recv)
-                if report is not None:
-                    reports.append(report)
-            elif not self._skipping:
+                elif not self._waiting:
+                    self.counters.frames += 1
+                    report = self._report(seconds + microseconds * 1e-6, t_recv)
+                    if report is not None:
+                        reports.append(report)
+            elif not (self._skipping or self._waiting):
                 self._take(kind, code, value)
-        self.counters.frames += frames
-        self.counters.batches += frames > 1
         return reports
 
+    @property
+    def _waiting(self) -> bool:
+        """Whether what comes is older than the state that is about to be read."""
+        return self._overflowed and self.wants_state and self.has_state
+
     def _take(self, kind: int, code: int, value: int) -> None:
-        self._touch_known |= (kind, code) in _OF_TOUCH
         if kind == EV_KEY and code == BTN_TOUCH:
+            self._touch_known |= not value  # that something touches does not say where
+            self._frame_says_lifted |= not value
             if value and not self._touch_key:
-                self._contacts += 1
-                self._single.since = self._contacts
+                self._single.since = 0
             self._touch_key = bool(value)
+        elif kind == EV_SYN and code == SYN_MT_REPORT and self.protocol is not Protocol.SLOTS:
+            self._end_packet()
         elif kind == EV_ABS:
-            slot = self._slots.setdefault(self._slot, _Contact())
-            match code:
-                case 0x00:
-                    self._single.x = value
-                case 0x01:
-                    self._single.y = value
-                case 0x18:
-                    self._single.pressure = value
-                case 0x2F:
-                    self._slot = value if 0 <= value < MANY_SLOTS else MANY_SLOTS
-                case 0x35:
-                    slot.x = value
-                case 0x36:
-                    slot.y = value
-                case 0x3A:
-                    slot.pressure = value
-                case 0x39 if value < 0:
-                    slot.since = 0
-                case 0x39:  # another id without a lift is another contact
-                    self._contacts += 1
-                    slot.since = self._contacts
+            self._take_axis(code, value)
+
+    def _take_axis(self, code: int, value: int) -> None:
+        if code in (ABS_PRESSURE, MT_PRESSURE):
+            self._pressed_axes.add(code)
+        if code in _SINGLE_AXES:
+            self._single.take(code, value)
+            self._frame_says_lifted |= code == ABS_PRESSURE and not value
+        elif code == MT_SLOT:
+            self.protocol = Protocol.SLOTS
+            self._slots.pop(None, None)  # which slot that was is not known
+            self._slot = value if 0 <= value < MANY_SLOTS else MANY_SLOTS
+        elif code in _MT_AXES:
+            self._touch_known |= code == MT_TRACKING_ID
+            if self.protocol is Protocol.PACKETS:
+                self._packet.take(code, value)
+            else:
+                self._slots.setdefault(self._slot, _Contact()).take(code, value)
+
+    def _end_packet(self) -> None:
+        """SYN_MT_REPORT: the next contact of a frame; without data there is none."""
+        if self.protocol is None:  # what came before it went to a slot
+            self.protocol = Protocol.PACKETS
+            self._packet, self._slots = self._slots.pop(self._slot, _Contact()), {}
+        self._touch_known = True
+        self._packet_ends += 1
+        packet, self._packet = self._packet, _Contact()
+        if packet.sent and (packet.id is None or packet.id >= 0):
+            packet.since = _NO_ID  # of this frame
+            self._packets.append(packet)
+
+    def _all(self) -> list[_Contact]:
+        """Every contact that there is, on the surface or over it, at the end of a frame."""
+        if self.protocol is Protocol.PACKETS:
+            return self._of_packets()
+        if self._slots or self.protocol is Protocol.SLOTS:
+            return [slot for slot in self._slots.values() if slot.sent and self._is_live(slot)]
+        return [self._single] if self._touch_key and self._single.sent else []
+
+    def _is_live(self, slot: _Contact) -> bool:
+        """After an overflow a place is enough: a device sends none of a slot without a contact."""
+        return self._overflowed if slot.id is None else slot.id >= 0
+
+    def _of_packets(self) -> list[_Contact]:
+        """The contacts of the last frame that listed any, or said that there is none."""
+        if self._packet.sent:  # the last SYN_MT_REPORT may be left out
+            self._end_packet()
+        before = [contact for contact in self._packets if contact.since != _NO_ID]
+        listed = [contact for contact in self._packets if contact.since == _NO_ID]
+        if not self._packet_ends:
+            return [] if self._frame_says_lifted else before
+        for contact in listed:
+            contact.since = 0
+        for old in sorted((each for each in before if each.since), key=lambda each: each.since):
+            same = [each for each in listed if not each.since and each.id == old.id]
+            if same:
+                min(same, key=lambda each: _apart(each, old)).since = old.since
+        return listed
 
     def _report(self, t_stamp: float, t_recv: float) -> PadReport | None:
-        down = [slot for slot in self._slots.values() if slot.since and slot.x is not None]
-        self.counters.extra_contacts += len(down) > 1
-        contact: _Contact | None = min(down, key=lambda slot: slot.since) if down else None
-        if contact is None and self._touch_key and not any(slot.since for slot in self._slots.values()):
-            contact = self._single if self._single.x is not None else None
+        present = self._all()
+        if self.protocol is Protocol.PACKETS:
+            self._packets = present
+        self._packet_ends, self._frame_says_lifted = 0, False
+        touching = [each for each in present if each.touches and self._touch_key is not False and self._single_near]
+        self.counters.not_touching += bool(present) and not touching
+        for contact in present:
+            if contact not in touching:
+                contact.since = 0
+            elif not contact.since:
+                self._contacts += 1
+                contact.since = self._contacts
+        self.counters.extra_contacts += len(touching) > 1
         if not 0.0 <= t_recv - t_stamp < FOREIGN_S:
             self.counters.foreign_clock += 1
             t_stamp = t_recv
-        if contact is None and not self._touch_known:
+        known = [] if self.bounding_box and len(touching) > 1 else [each for each in touching if self._is_known(each)]
+        if known:
+            contact = min(known, key=lambda each: each.since)
+            self._reported = True
+            force = self._pressure(contact) or 0
+            return PadReport(t_stamp, t_recv, contact.x or 0, contact.y or 0, force, in_use=True, batched=False)
+        if touching or not self._touch_known:
             return None
-        told, self._told = self._told, contact is not None
-        if contact is None:
-            return PadReport(t_stamp, t_recv, 0, 0, 0, in_use=False, batched=False) if told else None
-        self.wants_state = False
-        pressure = contact.pressure if contact.pressure is not None else self._single.pressure
-        return PadReport(t_stamp, t_recv, contact.x or 0, contact.y or 0, pressure or 0, in_use=True, batched=False)
+        reported, self._reported = self._reported, False
+        return PadReport(t_stamp, t_recv, 0, 0, 0, in_use=False, batched=False) if reported else None
+
+    @property
+    def _single_near(self) -> bool:
+        """ABS_DISTANCE of a device that has it for all its contacts together."""
+        return not self._single.distance
+
+    def _pressure(self, contact: _Contact) -> int | None:
+        return contact.pressure if contact.pressure is not None else self._single.pressure
+
+    def _is_known(self, contact: _Contact) -> bool:
+        """Whether its place is; after an overflow its pressure too, where the device has one."""
+        if any(getattr(contact, axis) is None for axis in self._needed):
+            return False
+        return not (self._overflowed and self._pressed_axes) or self._pressure(contact) is not None
+
+
+def _apart(one: _Contact, other: _Contact) -> int:
+    """How far (counts, sum of both axes)."""
+    return abs((one.x or 0) - (other.x or 0)) + abs((one.y or 0) - (other.y or 0))

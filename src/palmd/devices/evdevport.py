@@ -1,6 +1,7 @@
 """A device of the kernel's input layer as something to read: opened for oneself, stamped by the monotonic clock.
 
-Where the path is no input device (a pipe, a pseudo-terminal) the same records are read from it as they come.
+A device that is no touch device is refused before it is grabbed. Where the path is no input device (a pipe, a
+pseudo-terminal) the same records are read from it as they come.
 """
 
 from __future__ import annotations
@@ -9,20 +10,36 @@ import contextlib
 import errno
 import fcntl
 import os
+import select
 import struct
 import time
 
 from palmd.devices import evdev
-from palmd.devices.evdev import RECORD, Record
+from palmd.devices.evdev import RECORD, Coordinate, Record
 from palmd.devices.port import ReopenedPort
+from palmd.devices.touchdevice import AxisRange, TouchDevice, unsupported
 
 READ_RECORDS = 64
 CLOCK, GRAB = 0x400445A0, 0x40044590
+STATE_TRIES = 4
+LOOK = "ls -l /dev/input/by-path"
 _ABS_INFO = struct.Struct("<6i")  # value, least, most, fuzz, flat, resolution
-_KEY_BYTES = 96
+_KEY_BYTES, _AXIS_BYTES, _REL_BYTES, _PROPERTY_BYTES, _NAME_BYTES = 96, 8, 2, 4, 256
 _KEYS = 0x80000000 | _KEY_BYTES << 16 | 0x4518
-_AXES = (evdev.ABS_X, evdev.ABS_Y, evdev.ABS_PRESSURE)
-_SLOT_AXES = (evdev.MT_TRACKING_ID, evdev.MT_X, evdev.MT_Y, evdev.MT_PRESSURE)
+_HAS_KEYS = 0x80000000 | _KEY_BYTES << 16 | 0x4521
+_HAS_MOVES = 0x80000000 | _REL_BYTES << 16 | 0x4522
+_HAS_AXES = 0x80000000 | _AXIS_BYTES << 16 | 0x4523
+_PROPERTIES = 0x80000000 | _PROPERTY_BYTES << 16 | 0x4509
+_NAME = 0x80000000 | _NAME_BYTES << 16 | 0x4506
+_NO_DEVICE = (errno.ENOTTY, errno.EINVAL)
+_AXES = (evdev.ABS_X, evdev.ABS_Y, evdev.ABS_PRESSURE, evdev.ABS_DISTANCE)
+_SLOT_AXES = (
+    evdev.MT_TRACKING_ID, evdev.MT_X, evdev.MT_Y, evdev.MT_PRESSURE, evdev.MT_DISTANCE, evdev.MT_TOOL_TYPE,
+)  # fmt: skip
+
+
+class UnsupportedDeviceError(ValueError):
+    """An input device that is no pad; says which, why, and what to do."""
 
 
 class EvdevPort(ReopenedPort):
@@ -30,70 +47,115 @@ class EvdevPort(ReopenedPort):
 
     read_bytes = READ_RECORDS * RECORD.size
 
-    def __init__(self, name: str, path: str, retry_s: float = 0.5) -> None:
-        """As any `ReopenedPort`."""
+    def __init__(self, name: str, path: str, retry_s: float = 0.5, axis: Coordinate = "x") -> None:
+        """As any `ReopenedPort`; a device must have this axis."""
         super().__init__(name, path, retry_s)
-        self._is_device = False
+        self._axis = axis
+        self.device: TouchDevice | None = None
+        """What the kernel says of it; None while it is shut, and where it is no input device."""
 
     def _open(self) -> int:
-        fd, self._is_device = _open(self.path)
+        self.device = None
+        fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        try:
+            self.device = described(fd)
+            if self.device is not None:
+                _refuse_unsupported(self.path, self.device, self._axis)
+                fcntl.ioctl(fd, CLOCK, struct.pack("<i", time.CLOCK_MONOTONIC))
+                fcntl.ioctl(fd, GRAB, 1)
+        except BaseException:
+            self.device = None
+            os.close(fd)
+            raise
         return fd
 
     def _explain(self, failure: Exception) -> str:
         return _explain(self.path, failure)
 
     def write(self, data: bytes) -> None:
-        """A pad is told nothing."""
+        """A pad takes nothing."""
         self.counters.bytes_dropped += len(data)
 
     def look(self) -> None:
         """The kernel counts nothing here."""
 
     def snapshot(self) -> bytes:
-        """The device's present state as records of one frame; empty where it cannot be asked."""
-        if self._fd is None or not self._is_device:
+        """The device's whole present state as records of one frame; empty where it cannot be read.
+
+        What waits to be read is older and is thrown away. Something that comes meanwhile makes it look again, so that
+        nothing old is read after the state.
+        """
+        if self._fd is None or self.device is None:
             return b""
         try:
-            records = [*_slots(self._fd), *_single(self._fd), (evdev.EV_SYN, evdev.SYN_REPORT, 0)]
+            for _ in range(STATE_TRIES):
+                self._throw_away()
+                records = [*_slots(self._fd), *_single(self._fd), (evdev.EV_SYN, evdev.SYN_REPORT, 0)]
+                if not select.select((self._fd,), (), (), 0)[0]:
+                    break
         except OSError:  # unplugged meanwhile: the next read says so
             return b""
         return evdev.encode(records, time.monotonic())
 
-    def resolution(self, axis: int) -> tuple[int, int, int] | None:
-        """Least and largest value of an axis, and its units for each mm (0: not told); None where it is not told."""
-        if self._fd is None or not self._is_device:
-            return None
-        info = _abs_info(self._fd, axis)
-        return None if info is None else (info[1], info[2], info[5])
+    def _throw_away(self) -> None:
+        assert self._fd is not None
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._fd, self.read_bytes):
+                self.counters.bytes_read += len(data)
 
 
-def _open(path: str) -> tuple[int, bool]:
-    """The descriptor, and whether it is an input device."""
+def asked(path: str) -> TouchDevice | None:
+    """What the kernel says of an input device, which is opened for that but not grabbed; None where it is none.
+
+    Raises OSError where it cannot be opened.
+    """
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
-        fcntl.ioctl(fd, CLOCK, struct.pack("<i", time.CLOCK_MONOTONIC))
-    except OSError as failure:
-        if failure.errno in (errno.ENOTTY, errno.EINVAL):
-            return fd, False
+        return described(fd)
+    finally:
         os.close(fd)
-        raise
+
+
+def described(fd: int) -> TouchDevice | None:
+    """What the kernel says of an open input device; None where it is no input device."""
     try:
-        fcntl.ioctl(fd, GRAB, 1)
-    except OSError:
-        os.close(fd)
+        axes = _bits(fd, _HAS_AXES, _AXIS_BYTES)
+    except OSError as failure:
+        if failure.errno in _NO_DEVICE:
+            return None
         raise
-    return fd, True
+    infos = ((axis, _abs_info(fd, axis)) for axis in axes)
+    name, properties = bytearray(_NAME_BYTES), frozenset[int]()
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(fd, _NAME, name)
+    with contextlib.suppress(OSError):
+        properties = _bits(fd, _PROPERTIES, _PROPERTY_BYTES)
+    return TouchDevice(
+        name.partition(b"\0")[0].decode(errors="replace"),
+        {axis: AxisRange(info[1], info[2], info[5]) for axis, info in infos if info is not None},
+        _bits(fd, _HAS_KEYS, _KEY_BYTES),
+        properties,
+        _bits(fd, _HAS_MOVES, _REL_BYTES),
+    )
+
+
+def _refuse_unsupported(path: str, device: TouchDevice, axis: Coordinate) -> None:
+    reason = unsupported(device, axis)
+    if reason is not None:
+        raise UnsupportedDeviceError(f"{path} ({device.name}) {reason}: {LOOK} shows the devices")
+
+
+def _bits(fd: int, request: int, size: int) -> frozenset[int]:
+    buffer = bytearray(size)
+    fcntl.ioctl(fd, request, buffer)
+    return frozenset(i for i in range(8 * size) if buffer[i // 8] >> i % 8 & 1)
 
 
 def _single(fd: int) -> list[Record]:
-    keys = bytearray(_KEY_BYTES)
-    fcntl.ioctl(fd, _KEYS, keys)
-    touched = keys[evdev.BTN_TOUCH // 8] >> evdev.BTN_TOUCH % 8 & 1
-    axes = [(code, _abs_info(fd, code)) for code in _AXES]
-    return [
-        (evdev.EV_KEY, evdev.BTN_TOUCH, touched),
-        *((evdev.EV_ABS, code, info[0]) for code, info in axes if info is not None),
-    ]
+    records = [(evdev.EV_ABS, code, info[0]) for code in _AXES if (info := _abs_info(fd, code)) is not None]
+    if evdev.BTN_TOUCH in _bits(fd, _HAS_KEYS, _KEY_BYTES):
+        records.append((evdev.EV_KEY, evdev.BTN_TOUCH, int(evdev.BTN_TOUCH in _bits(fd, _KEYS, _KEY_BYTES))))
+    return records
 
 
 def _slots(fd: int) -> list[Record]:
@@ -126,6 +188,8 @@ def _abs_info(fd: int, axis: int) -> tuple[int, ...] | None:
 
 
 def _explain(path: str, failure: Exception) -> str:
+    if isinstance(failure, UnsupportedDeviceError):
+        return str(failure)
     match getattr(failure, "errno", None):
         case errno.ENOENT:
             return f"no such device {path}: check the plug and the configured name (ls /dev/input/by-path)"

@@ -155,6 +155,41 @@ def make_pad(number: int, config: PadConfig) -> PadDriver:
     return factory(number, config)
 
 
+@dataclass(frozen=True, slots=True)
+class PadRemark:
+    """What the kind of a pad says of its device: of what it speaks, how that stands, what mends it.
+
+    `key` is the configuration's key that it concerns.
+    """
+
+    what: str
+    verdict: Literal["ok", "missing", "off"]
+    says: str
+    key: str = "port"
+    mend: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class InspectedPad:
+    """A pad's configuration with what its device reports where that was left out, and what is to be said of it."""
+
+    config: PadConfig
+    remarks: tuple[PadRemark, ...] = ()
+
+
+def inspect_pad(config: PadConfig) -> InspectedPad:
+    """What a pad's kind finds out without taking the device from anybody; not for the loop, for it may open it."""
+    inspect = getattr(importlib.import_module(f"palmd.devices.pads.{config.kind}"), "inspect", None)
+    found: InspectedPad = InspectedPad(config) if inspect is None else inspect(config)
+    return found
+
+
+def pad_note(kind: str) -> str:
+    """What one must know of a kind of pads before choosing it; mostly nothing."""
+    note: str = getattr(importlib.import_module(f"palmd.devices.pads.{kind}"), "NOTE", "")
+    return note
+
+
 class TouchTracker:
     """Tells when the object has left a pad that reports while it is touched: a report says so, or silence does.
 

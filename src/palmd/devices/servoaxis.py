@@ -11,6 +11,8 @@ from palmd.devices.dynamixel import HardwareError, Register
 
 RADIANS_PER_COUNT = math.tau / dxl.COUNTS_PER_TURN
 CENTRE = dxl.COUNTS_PER_TURN // 2
+ALL_ANSWERED = 2
+"""Status return level at which every instruction is answered; 1: PING and reads only, 0: PING only."""
 
 _SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
 
@@ -52,5 +54,5 @@ class Axis:
             (dxl.SHUTDOWN, _SHUTDOWN),
             (dxl.MIN_POSITION, self.low),
             (dxl.MAX_POSITION, self.high),
-            (dxl.STATUS_LEVEL, 2),
+            (dxl.STATUS_LEVEL, ALL_ANSWERED),
         )

@@ -69,6 +69,12 @@ class ServoResult:
 
 def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
     answers = talk.ask(packet)
+    if not answers and talk.ask(dxl.ping(axis.id)):
+        raise ServoDeviationError(
+            f"id {axis.id} answers PING, but not this: its status return level (register {dxl.STATUS_LEVEL.address})"
+            " is below 2",
+            "palmd run sets it when it opens the bus",
+        )
     if not answers:
         raise ServoDeviationError(
             f"id {axis.id} does not answer at {talk.baud} bit/s",
@@ -93,7 +99,8 @@ def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
         took = f"{spans[len(spans) // 2] * 1e3:.1f} ms" if spans else "for ever"
         raise ServoDeviationError(
             f"an answer takes {took}",
-            "sudo palmd install sets the adapter's latency timer to 1 ms; use a direct USB port",
+            "sudo palmd install sets the adapter's latency timer to 1 ms (or setserial PORT low_latency);"
+            " use a direct USB port",
         )
     return f"id {axis.id} answers in {spans[len(spans) // 2] * 1e3:.1f} ms"
 

@@ -5,6 +5,7 @@ names:
 
     greeting (ping until all answer) -> setting up (registers compared, set, read back) -> standing (read 20 times a s)
     standing -> arming (goal := present, torque and watchdog on) -> following (goals and readings every cycle)
+    arming -> letting go (what could not be armed has its torque turned off again) -> standing
     following -> stopping (the goals come to rest, and are held) -> standing
 
 Goals go out by Sync Write, which is never answered: whether a servo took its goal is seen in the goal that it reports a
@@ -15,6 +16,7 @@ script of `servoscripts`. Nothing that comes down the line raises.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum, auto
@@ -29,10 +31,13 @@ from palmd.devices.servoscripts import (
     ANSWER_S,
     LOOK_SPAN,
     WATCHDOG_S,
+    Answers,
     Ask,
     ServoRefusedError,
     SetUpError,
-    arm,
+    hold,
+    let_go,
+    prepare,
     restart,
     set_up,
     stand_down,
@@ -54,7 +59,12 @@ PROFILE_PERIODS = 1.2
 """A servo takes so many periods to go to a goal, evenly: more than one, so that it never stops to wait for the next."""
 
 STOP_RAD_S2 = math.radians(900.0)
-WAIT_PERIODS = 1.5  # for an answer, before the next question
+WAIT_PERIODS = 1.5  # for an answer, before the next question; longer where an adapter holds answers back
+WAIT_SHARE = 1.25  # of the slowest of the last answers
+LATENCIES_KEPT = 64
+SLOW_ADAPTER_S = 0.008
+"""Slower answers come from an adapter that holds them back: FTDI's latency timer is 16 ms until somebody sets it."""
+
 LOOK_EVERY = 10  # cycles, after which the torque and the hardware errors are read too
 MISSES_MOST = 3  # cycles in a row in which a goal may not have been taken: each may have been spoilt on the line
 
@@ -70,7 +80,7 @@ _SAID = {
 }
 
 
-Script = Generator[Ask, Packet, None]
+Script = Generator[Ask, Answers, None]
 
 
 class Phase(Enum):
@@ -80,6 +90,7 @@ class Phase(Enum):
     SETTING_UP = auto()
     STANDING = auto()
     ARMING = auto()
+    LETTING_GO = auto()
     FOLLOWING = auto()
     STOPPING = auto()
     RESETTING = auto()
@@ -122,6 +133,8 @@ class _Cycle:
     """When its last byte reached the servos, which is when they look: answers may be held back, questions are not."""
     address: int
     size: int
+    goals: Sequence[Mapping[int, int]]
+    """Those sent last when it was asked: which of them a servo has is seen in its answer."""
     found: dict[int, Packet] = field(default_factory=dict)
 
 
@@ -152,7 +165,10 @@ class ServoHost:
         self._t_pose = -math.inf
         self._script: Script | None = None
         self._ask: Ask | None = None
-        self._t_asked = -math.inf
+        self._answers: dict[int, Packet] = {}
+        self._t_asked = self._t_sent = self._t_answer = -math.inf
+        self._latencies_s: deque[float] = deque(maxlen=LATENCIES_KEPT)
+        self._turned_on: tuple[Axis, ...] = ()  # by an `arm` that is under way, or came to nothing
         self._tries = 0
         self._t_slot = -math.inf
         self._cycle: _Cycle | None = None
@@ -172,8 +188,8 @@ class ServoHost:
         return self._pose
 
     def linked(self, t: float) -> bool:
-        """Whether all servos have been set up and their last reading is at most 250 ms old at `t` (s)."""
-        return self.state is not None and self.age(t) <= LOST_S
+        """Whether all servos have been set up and have answered within the last 250 ms at `t` (s)."""
+        return self.state is not None and t - max(self._t_pose, self._t_answer) <= LOST_S
 
     def lost(self, t: float) -> bool:
         """Whether not."""
@@ -195,7 +211,8 @@ class ServoHost:
     @property
     def busy(self) -> bool:
         """Whether a request is still under way."""
-        return self._phase in (Phase.ARMING, Phase.RESETTING, Phase.STOPPING) or self._reset_untold
+        busy = (Phase.ARMING, Phase.LETTING_GO, Phase.RESETTING, Phase.STOPPING)
+        return self._phase in busy or self._reset_untold
 
     @property
     def error(self) -> str:
@@ -220,7 +237,7 @@ class ServoHost:
             self._phase = Phase.STOPPING
             self.state = ArmState.DECELERATING
         elif self._phase is Phase.ARMING:
-            self._stand()
+            self._let_go()
 
     def request_reset(self) -> None:
         """Ask for what is latched to be cleared: servos with a hardware error start anew, watchdogs are cleared."""
@@ -240,20 +257,22 @@ class ServoHost:
 
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
         """Take the bytes read at `t_recv` (s, monotonic) and return the reports they complete."""
-        return self._take(self._reader.feed(data, t_recv))
+        return self._take(self._reader.feed(data, t_recv), t_recv)
 
-    def _take(self, packets: list[Packet]) -> list[ArmReport]:
+    def _take(self, packets: list[Packet], t_recv: float) -> list[ArmReport]:
         reports: list[ArmReport] = []
         for packet in packets:
             if not packet.is_status:
                 continue  # an adapter that echoes what the host says
             if self._ask is not None and self._tries and self._ask.fits(packet):
-                self._answered(packet)
-            elif (report := self._read(packet)) is not None:
+                self._answers[packet.servo] = packet
+                if len(self._answers) == len(self._ask.servos):
+                    self._answered(self._ask, t_recv)
+            elif (report := self._read(packet, t_recv)) is not None:
                 reports.append(report)
         return reports
 
-    def _read(self, packet: Packet) -> ArmReport | None:
+    def _read(self, packet: Packet, t_recv: float) -> ArmReport | None:
         """One servo's answer to the Sync Read under way; a report when it was the last."""
         cycle = self._cycle
         if cycle is None or packet.servo not in self._ids or len(packet.parameters) != cycle.size:
@@ -264,6 +283,7 @@ class ServoHost:
             return None
         self._cycle = None
         self._reset_untold = False
+        self._latencies_s.append(t_recv - cycle.t_sent)
         self.counters.readings += 1
         t_sample = cycle.t_heard
         latency_ms = (packet.t_first - cycle.t_sent) * 1e3
@@ -271,11 +291,13 @@ class ServoHost:
         registers = {servo: Registers(cycle.address, each.parameters) for servo, each in cycle.found.items()}
         if cycle.address == LOOK_SPAN[0]:
             self.looks = registers
-        self._judge(registers, {servo: each.error for servo, each in cycle.found.items()})
-        directions = [axis.direction(registers[axis.id][dxl.POSITION]) for axis in self.axes]
-        joints = tuple(here - before for here, before in zip(directions, [0.0, *directions], strict=False))
-        self._pose, self._t_pose = JointPose(joints), t_sample
+        self._judge(registers, {servo: each.error for servo, each in cycle.found.items()}, cycle.goals)
+        self._pose, self._t_pose = self._posed(registers), t_sample
         return ArmReport(t_sample, self._reported_state(), self._pose)
+
+    def _posed(self, registers: Mapping[int, Registers]) -> JointPose:
+        directions = [axis.direction(registers[axis.id][dxl.POSITION]) for axis in self.axes]
+        return JointPose(tuple(here - before for here, before in zip(directions, [0.0, *directions], strict=False)))
 
     def _reported_state(self) -> ArmState:
         if self.trouble:
@@ -289,7 +311,9 @@ class ServoHost:
         self.state = state
         return state
 
-    def _judge(self, registers: Mapping[int, Registers], errors: Mapping[int, int]) -> None:
+    def _judge(
+        self, registers: Mapping[int, Registers], errors: Mapping[int, int], goals: Sequence[Mapping[int, int]]
+    ) -> None:
         """Find what is wrong with servos that follow, and what hardware errors there are."""
         found: dict[str, str] = {}
         for axis in self.axes:
@@ -303,26 +327,26 @@ class ServoHost:
             if dxl.WATCHDOG in at and at[dxl.WATCHDOG] < 0:
                 found["watchdog"] = f"servo {axis.number} had no instruction for {WATCHDOG_S * 1e3:.0f} ms and stopped"
             if self._phase in (Phase.FOLLOWING, Phase.STOPPING) and not found:
-                found |= self._strayed(axis, at)
+                found |= self._strayed(axis, at, goals)
         if found:
             self._fall(found)
         elif dxl.HARDWARE_ERROR in next(iter(registers.values())):
             self.trouble = {code: text for code, text in self.trouble.items() if code in _KEPT}
 
-    def _strayed(self, axis: Axis, at: Registers) -> dict[str, str]:
+    def _strayed(self, axis: Axis, at: Registers, goals: Sequence[Mapping[int, int]]) -> dict[str, str]:
         """What a servo that ought to follow does instead."""
         if dxl.TORQUE in at and not at[dxl.TORQUE]:
             return {"restarted": f"servo {axis.number} has let go: its torque is off"}
         if at[dxl.PROFILE_VELOCITY] != self.profile_ms:
             return {"restarted": f"servo {axis.number} has lost its settings: it has started anew"}
-        if any(at[dxl.GOAL] == sent[axis.id] for sent in self._sent_counts):
+        if any(at[dxl.GOAL] == sent[axis.id] for sent in goals):
             self._missed_goals[axis.id] = 0
             return {}
         self.counters.refused_goals += 1
         misses = self._missed_goals[axis.id] = self._missed_goals.get(axis.id, 0) + 1
         if misses < MISSES_MOST:
             return {}
-        sent = self._sent_counts[-1][axis.id]
+        sent = goals[-1][axis.id]
         return {"refused": f"servo {axis.number} does not take its goals: it has {at[dxl.GOAL]}, {sent} was sent"}
 
     def _fall(self, found: dict[str, str]) -> None:
@@ -346,7 +370,7 @@ class ServoHost:
     def poll(self, t: float, target: Place | None) -> Sent:
         """What to write at `t` (s, monotonic), `target` being where the palms should be, if tracking."""
         self._t_now = t
-        silent_s = t - max(self._t_pose, self._t_stood)
+        silent_s = t - max(self._t_pose, self._t_stood, self._t_answer)
         if self.state is not None and self._script is None and silent_s > LOST_S:
             self.counters.losses += 1
             self._unlink("the servos do not answer")
@@ -366,20 +390,25 @@ class ServoHost:
         missed = max(0, math.floor((t - self._t_slot) / period)) if math.isfinite(self._t_slot) else 0
         self.counters.skipped_periods += missed if moving else 0
         self._t_slot = self._t_slot + (missed + 1) * period if math.isfinite(self._t_slot) else t + period
-        self._cycles += 1
         out, setpoint = b"", None
         if self._phase is Phase.FOLLOWING:
             out, setpoint = self._follow(target)
         elif self._phase is Phase.STOPPING:
             out = self._slow_down()
-        if self._cycle is not None and t - self._cycle.t_sent < WAIT_PERIODS * period:
+        if self._cycle is not None and t - self._cycle.t_sent < self._patience_s(period):
             return Sent(out, setpoint)  # a late answer must not be taken for that to a later question
         self._give_up_cycle()
+        self._cycles += 1
         look = not moving or self._cycles % LOOK_EVERY == 0
         address, size = LOOK_SPAN if look else CYCLE_SPAN
         out += dxl.sync_read(address, size, self._ids)
-        self._cycle = _Cycle(t, t + len(out) * self._byte_s, address, size)
+        self._cycle = _Cycle(t, t + len(out) * self._byte_s, address, size, tuple(self._sent_counts))
         return Sent(out, setpoint)
+
+    def _patience_s(self, period: float) -> float:
+        """How long an answer may take before the next question: as long as the adapter holds answers back."""
+        held_s = min(WAIT_SHARE * max(self._latencies_s, default=0.0), ANSWER_S)
+        return max(WAIT_PERIODS * period, held_s)
 
     def _give_up_cycle(self) -> None:
         if self._cycle is not None:
@@ -422,16 +451,19 @@ class ServoHost:
         self._phase, self._script = phase, script
         self._resume(None)
 
-    def _resume(self, answer: Packet | None) -> None:
+    def _resume(self, answers: Answers | None) -> None:
         assert self._script is not None
         try:
-            self._ask = next(self._script) if answer is None else self._script.send(answer)
+            self._ask = next(self._script) if answers is None else self._script.send(answers)
             self._tries = 0
         except StopIteration:
             self._ask = self._script = None
         except ServoRefusedError as failure:
-            self.refusal = str(failure)
-            self._stand()
+            if self._phase is Phase.LETTING_GO:  # once more when it is set up again
+                self._unlink(str(failure))
+            else:
+                self.refusal = f"start refused: {failure}" if self._phase is Phase.ARMING else str(failure)
+                self._let_go()
         except SetUpError as failure:
             self._ask = self._script = None
             self.trouble = {"set-up": str(failure)}
@@ -445,32 +477,49 @@ class ServoHost:
         self._cycle = None
         self._reader.give_up()
         if self._tries >= ask.tries:
-            self._unlink(f"servo {ask.servo} does not answer")
+            silent = [axis.number for axis in self.axes if axis.id in ask.servos and axis.id not in self._answers]
+            self._unlink(f"servo {', '.join(map(str, silent))} does not answer")
             self._t_slot = t + GREET_S
-            return b""
+            return dxl.sync_write(dxl.TORQUE, {axis.id: 0 for axis in self._turned_on}) if self._turned_on else b""
         self.counters.retries += self._tries > 0
         self._tries += 1
-        self._t_asked = t
+        self._t_asked = self._t_sent = t
+        self._answers = {}
         return ask.packet
 
-    def _answered(self, packet: Packet) -> None:
-        self._t_asked = -math.inf
-        self._resume(packet)
+    def _answered(self, ask: Ask, t_recv: float) -> None:
+        self._t_asked, self._t_answer = -math.inf, t_recv
+        self._latencies_s.append(t_recv - self._t_sent)
+        answers, self._answers = [self._answers[servo] for servo in ask.servos], {}
+        self._resume(answers)
 
     # Scripts
 
     def _setting_up(self) -> Script:
-        self.counters.registers_set += yield from set_up(self.axes)
+        self.counters.registers_set += yield from set_up(self.axes, [axis.id for axis in self._turned_on])
+        self._turned_on = ()
         self.trouble = {}
         self._stand()
 
     def _arming(self) -> Script:
-        directions = yield from arm(self.axes, self.profile_ms)
-        self._goals, self._rates = directions, (0.0,) * len(directions)
-        self._sent_counts = [{axis.id: axis.counts(d) for axis, d in zip(self.axes, directions, strict=True)}]
-        self._missed_goals = {}
+        found = yield from prepare(self.axes, self.profile_ms)
+        self._turned_on = tuple(axis for axis in self.axes if not found[axis.id][dxl.TORQUE])
+        goals, awake = yield from hold(self.axes, found)
+        self._goals = tuple(axis.direction(goals[axis.id]) for axis in self.axes)
+        self._rates = (0.0,) * len(self._goals)
+        self._sent_counts, self._missed_goals, self._turned_on = [goals], {}, ()
+        self._pose, self._t_pose = self._posed(awake), self._t_answer
         self._phase, self.state = Phase.FOLLOWING, ArmState.TRACKING
         self._t_slot = self._t_now
+
+    def _let_go(self) -> None:
+        """What an `arm` has turned on goes off again; what held before it goes on holding."""
+        self._begin(Phase.LETTING_GO, self._letting_go())
+
+    def _letting_go(self) -> Script:
+        yield from let_go(self._turned_on)
+        self._turned_on = ()
+        self._stand()
 
     def _standing_down(self) -> Script:
         yield from stand_down(self.axes)
@@ -490,15 +539,27 @@ class ServoHost:
         if self.state is not None:
             self.state = ArmState.FAULT if self.trouble else ArmState.READY
 
+    def _hint(self) -> str:
+        slowest_s = max(self._latencies_s, default=0.0)
+        return f"; {adapter_hint(slowest_s)}" if slowest_s > SLOW_ADAPTER_S else ""
+
     def _unlink(self, reason: str) -> None:
         if self.busy:
-            self.refusal = f"it came to nothing: {reason}"
+            self.refusal = f"it came to nothing: {reason}{self._hint()}"
         self._script = self._ask = self._cycle = None
         self._phase = Phase.GREETING
         self._reset_untold = False
         self._t_slot = -math.inf
         self.state = self._pose = None
         self.trouble = {}
+
+
+def adapter_hint(latency_s: float) -> str:
+    """What to do about answers that take so long (s)."""
+    return (
+        f"answers take {latency_s * 1e3:.0f} ms: set the adapter's latency timer to 1 ms"
+        " (sudo palmd install; or setserial PORT low_latency)"
+    )
 
 
 def cycle_period(baud: int, servos: int) -> float:

@@ -15,6 +15,7 @@ from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
 from palmd.daemon.realtime import user
 from palmd.doctor.finding import Finding
+from palmd.doctor.pad_devices import device_findings
 
 PROC = Path("/proc")
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")
@@ -30,6 +31,7 @@ def pad_findings(name: str, pad: PadConfig, status: dict[str, Any] | None, path:
     if port.verdict != "ok":
         return
     yield latency(name, pad.port)
+    yield from device_findings(name, pad, path)
     if status is not None:
         prefix = name.replace(" ", "")
         faults = [fault for fault in status.get("faults", ()) if fault.startswith(prefix)]

@@ -35,8 +35,9 @@ class RepublishError(Exception):
 class RecordedPublisher:
     """A publisher of recorded messages; who does not listen in time loses some."""
 
-    def __init__(self, address: str) -> None:
-        """`address` is a ZeroMQ address; raises RepublishError when it cannot be had."""
+    def __init__(self, address: str, frames: int = 3) -> None:
+        """To a ZeroMQ address, so many `frames` a message; raises RepublishError when it cannot be had."""
+        self._frames = frames
         self._t_announce, self._seq = -math.inf, -1
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.PUB)
@@ -54,7 +55,7 @@ class RecordedPublisher:
 
     def send(self, message: RawMessage) -> None:
         """Send one message as it was sent; raises RunError when it is damaged."""
-        self._socket.send_multipart(frames(message))
+        self._socket.send_multipart(frames(message)[: self._frames])
 
     def announce(self, path: Path, speed: float) -> None:
         """Say that what is published is a recorded run, once a second at most."""
@@ -63,7 +64,7 @@ class RecordedPublisher:
             self._t_announce = now + 1.0 / REPLAY.rate_hz
             self._seq += 1
             said = stamp({"path": path.name, "speed": speed}, time.time(), now, self._seq)
-            self._socket.send_multipart((REPLAY.frame, msgpack.packb(said), b"%.6f" % time.time()))
+            self._socket.send_multipart((REPLAY.frame, msgpack.packb(said), b"%.6f" % time.time())[: self._frames])
 
     def close(self) -> None:
         """Let go of the address once the last messages have left, or have had a second to."""

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from palmd.config.any_config import AnyConfig
-from palmd.payload import unpacked
+from palmd.payload import FRAMES, unpacked
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
@@ -73,8 +73,8 @@ class Recording:
         return self._file.messages if self._file else 0
 
     def take(self, frames: list[bytes], t: float) -> None:
-        """Record what came at `t`; what is no message of three frames with a map is left out."""
-        fields = unpacked(frames[1]) if len(frames) == 3 else None
+        """Record what came at `t`; what is no message of two or three frames with a map is left out."""
+        fields = unpacked(frames[1]) if len(frames) in FRAMES else None
         number = None if fields is None else fields.get("seq")
         if fields is None or not isinstance(number, int):
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from palmd.bus.subscriber import Subscriber
 from palmd.keys import Credentials
+from palmd.payload import FRAMES
 from palmd.quantities import LOG, LOOP, OBJECT, REPLAY, RIG, STATE
 from palmd.topics import RIG_TOPICS, SYSTEM_TOPICS
 
@@ -38,11 +39,11 @@ class Feed:
         )
 
     def take(self) -> list[Payload]:
-        """What has come since the last call, in its order; what has not three frames is left out."""
+        """What has come since the last call, in its order; what is no message is left out."""
         came: list[Payload] = []
         for frames in self._subscriber.frames(QUEUED_MESSAGES):
             topic = frames[0].decode(errors="replace")
-            if len(frames) == 3 and topic in TOPICS:
+            if len(frames) in FRAMES and topic in TOPICS:
                 came.append((topic, frames[1]))
         self.latest.update(came)
         return came

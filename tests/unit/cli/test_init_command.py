@@ -76,3 +76,10 @@ def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):
     assert init(monkeypatch, tmp_path / "my.yaml", []) == 1
     assert "nobody answers" in capsys.readouterr().err
     assert not (tmp_path / "my.yaml").exists()
+
+
+def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch, tmp_path, capsys):
+    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "90"]
+    assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
+    assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
+    assert "feels no plastic" in capsys.readouterr().err

@@ -73,3 +73,12 @@ def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
     found = failures(BenchTalk(bench))
     assert set(found) == {12}
     assert "do not use it" in found[12].mend
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_status_return_level_is_named_and_no_cable_blamed(bench, level):
+    bench.rig._servos[0]._set(dxl.STATUS_LEVEL, level)
+    found = [result for result in failures(BenchTalk(bench)).values() if result.servo == 1]
+    assert found
+    assert any("status return level" in result.seen or "register 68" in result.seen for result in found)
+    assert not any("cable" in result.mend for result in found)

@@ -209,3 +209,97 @@ def test_no_bytes_whatever_make_it_raise():
             bytes(dice.choice((0xFF, 0xFD, 0, 0x55, 1, 2, dice.randrange(256))) for _ in range(40)), bench.t
         )
         bench.go(0.005)
+
+
+@pytest.mark.parametrize("held_ms", [1, 8, 15, 16, 17, 20])
+def test_an_adapter_that_holds_answers_back_arms_and_follows(held_ms):
+    bench = ServoBench(held_s=held_ms * 1e-3).go(1.0)
+    assert bench.host.state is ArmState.READY
+    bench.host.want_tracking()
+    while bench.t < 2.0 and not bench.host.tracking:
+        bench.go(5e-4)
+        assert bench.host.linked(bench.t), "answers are life"
+    bench.target = lambda t: (HOME[0] + 0.1 * math.sin(3.0 * (t - 1.0)), HOME[1])
+    bench.go(3.0)
+    assert bench.host.tracking
+    counters = bench.host.counters
+    assert (counters.losses, counters.missed, counters.refused_goals) == (0, 0, 0)
+    assert len([report for report in bench.reports if report.t_sample > 2.0]) > 2.0 / 0.041
+    assert all(servo.torque for servo in bench.rig._servos)
+
+
+def refuses_torque(servo):
+    """Has a servo take everything but its torque."""
+    write = servo.write
+
+    def without_torque(address, data, t):
+        return servo._refuse(1) if address == dxl.TORQUE.address and data[0] else write(address, data, t)
+
+    servo.write = without_torque
+
+
+def test_a_failed_arm_turns_off_the_torque_that_it_turned_on():
+    bench = ServoBench().go(1.0)
+    refuses_torque(bench.rig._servos[1])
+    bench.host.want_tracking()
+    assert bench.host.busy
+    bench.go(0.5, lambda: not bench.host.busy)
+    assert "start refused: servo 2 has 0 in register 64" in bench.host.refusal
+    assert bench.host.state is ArmState.READY
+    assert not any(servo.torque for servo in bench.rig._servos)
+
+
+def test_a_failed_arm_leaves_what_held_before_holding():
+    bench = following().go(0.5)
+    bench.host.want_stop()
+    bench.go(0.5)
+    refuses_torque(bench.rig._servos[1])
+    bench.rig._servos[1]._set(dxl.TORQUE, 0)
+    bench.host.want_tracking()
+    bench.go(0.5, lambda: not bench.host.busy)
+    assert "start refused" in bench.host.refusal
+    assert [servo.torque for servo in bench.rig._servos] == [True, False]
+
+
+@pytest.mark.parametrize("after_s", [0.002, 0.004, 0.006])
+def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
+    bench = ServoBench().go(1.0)
+    bench.host.want_tracking()
+    bench.go(after_s)
+    bench.rig._servos[1].restart(bench.t, silent_s=0.5)
+    bench.go(0.4, lambda: not bench.host.busy and not bench.host.tracking)
+    bench.go(2.0)
+    assert bench.host.state in (ArmState.READY, ArmState.FAULT)
+    assert not bench.rig._servos[1].torque
+    assert not bench.host.tracking
+    if "came to nothing" in (bench.host.refusal or ""):
+        assert not bench.rig._servos[0].torque
+
+
+def test_a_stop_while_it_arms_turns_the_torque_off_again():
+    bench = ServoBench().go(1.0)
+    bench.host.want_tracking()
+    bench.go(0.5, lambda: any(servo.torque for servo in bench.rig._servos))
+    bench.host.want_stop()
+    bench.go(0.5)
+    assert bench.host.state is ArmState.READY
+    assert not any(servo.torque for servo in bench.rig._servos)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_status_return_level_that_somebody_left_is_set_right(level):
+    bench = ServoBench()
+    for servo in bench.rig._servos:
+        servo._set(dxl.STATUS_LEVEL, level)
+    bench.go(1.0)
+    assert bench.host.state is ArmState.READY
+    assert all(servo.get(dxl.STATUS_LEVEL) == 2 for servo in bench.rig._servos)
+    assert bench.armed().host.tracking
+
+
+def test_a_lost_bus_names_the_latency_timer_when_answers_were_slow():
+    bench = ServoBench(held_s=0.016).go(1.0)
+    bench.host.want_tracking()
+    bench.play("power_off")
+    bench.go(0.5)
+    assert "latency timer to 1 ms" in bench.host.refusal

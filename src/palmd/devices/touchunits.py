@@ -1,0 +1,85 @@
+"""The units of a touch device: those that the configuration gives, else those that the device reports. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from palmd.config.pads import PRESSURE_GAIN_STD, EvdevConfig
+from palmd.devices.pad import PadRemark
+from palmd.devices.touchdevice import NEWTONS_PER_GRAM, TouchDevice
+
+ROUNDING = 0.5
+"""A device reports whole units for each mm, and for each gram."""
+
+
+class Units:
+    """What makes a place (mm) and a force (N) of a device's counts; see `Scaled`.
+
+    `missing` says which unit is known to nobody, None when all is known that a place needs. `newtons_per_count` is None
+    where the pressure of a device is no force, as far as anybody knows.
+    """
+
+    def __init__(self, config: EvdevConfig, device: TouchDevice | None) -> None:
+        """Without a device (recorded bytes, an emulated one) what the configuration has, defaults included."""
+        self.zero_mm, self.sign = config.zero_mm, config.sign
+        self.length_mm: float = config.length_mm
+        self.curve_mm: Sequence[float] = config.curve_mm
+        self.counts_per_mm: float = config.counts_per_mm
+        self.newtons_per_count: float | None = config.newtons_per_count
+        self.missing: str | None = None
+        if device is None:
+            return
+        given = config.model_fields_set
+        if "counts_per_mm" not in given:
+            reported = device.counts_per_mm(config.axis)
+            self.counts_per_mm = reported or config.counts_per_mm
+            if reported is None:
+                self.missing = (
+                    f"{config.port} ({device.name}) does not report its units for each mm:"
+                    " set counts_per_mm (palmd calibrate pads measures it)"
+                )
+        if "newtons_per_count" not in given:
+            self.newtons_per_count = device.newtons_per_count
+
+
+def unit_remarks(config: EvdevConfig, device: TouchDevice) -> Iterator[PadRemark]:
+    """The units that are used, or what is wrong with them."""
+    units = Units(config, device)
+    if units.missing is not None:
+        yield PadRemark("units", "missing", units.missing)
+        return
+    wrong = list(contradictions(config, device))
+    for key, says in wrong:
+        yield PadRemark("units", "off", says, key, f"leave {key} out, or measure it: palmd calibrate")
+    if not wrong:
+        force = units.newtons_per_count if config.pressure else None
+        says = "no force" if force is None else f"{force:.4g} N/count"
+        yield PadRemark("units", "ok", f"{units.counts_per_mm:g} counts/mm, {says}")
+
+
+def with_reported_units(config: EvdevConfig, device: TouchDevice) -> EvdevConfig:
+    """The configuration with the units that it leaves to the device, as far as the device reports them."""
+    units = Units(config, device)
+    found: dict[str, float] = {} if units.missing else {"counts_per_mm": units.counts_per_mm}
+    if units.newtons_per_count is not None:
+        found["newtons_per_count"] = units.newtons_per_count
+    update = {key: value for key, value in found.items() if value != getattr(config, key)}
+    return config.model_copy(update=update) if update else config
+
+
+def contradictions(config: EvdevConfig, device: TouchDevice) -> Iterator[tuple[str, str]]:
+    """Each unit that is configured otherwise than the device reports it: its key, and both values in words.
+
+    A configured scale is measured, a reported one rounded to whole units: they agree within that rounding and three of
+    the configured standard deviation.
+    """
+    given, reported = config.model_fields_set, device.counts_per_mm(config.axis)
+    if reported is not None and "counts_per_mm" in given:
+        allowed = ROUNDING + 3.0 * config.scale_sd * config.counts_per_mm
+        if abs(config.counts_per_mm - reported) > allowed:
+            yield "counts_per_mm", f"{config.counts_per_mm:g} counts/mm, but {device.name} reports {reported:g}"
+    newtons = device.newtons_per_count
+    if newtons is not None and config.pressure and "newtons_per_count" in given:
+        per_gram, configured = NEWTONS_PER_GRAM / newtons, NEWTONS_PER_GRAM / config.newtons_per_count
+        if abs(configured - per_gram) > ROUNDING + 3.0 * PRESSURE_GAIN_STD * configured:
+            yield "newtons_per_count", f"{config.newtons_per_count:g} N/count, but {device.name} reports {newtons:.4g}"
