@@ -303,6 +303,13 @@ STATE = Topic(
         Quantity(
             "wish", "text", "", "hold or stop, from when somebody asks for it until arm, start or reset; else empty"
         ),
+        Quantity("control", "text", "", "the client that has control of the rig; empty for nobody"),
+        Quantity(
+            "unattended",
+            "bool",
+            "",
+            "whether a plan moves the palms and no client with a declared lease answers for it",
+        ),
         Quantity("since_s", "number", "s", "for how long it has been in that state"),
         Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
         Quantity(

@@ -14,7 +14,10 @@ from dataclasses import asdict, dataclass, replace
 import msgpack
 import zmq
 
+from palmd.daemon.command_queue import PER_TICK as COMMANDS_PER_TICK
+from palmd.daemon.command_queue import CommandQueue, Key
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
+from palmd.daemon.ownership import NOBODY_KEY
 from palmd.daemon.packing import FieldsPacker
 from palmd.daemon.zap_auth import ZapAuthenticator
 from palmd.keys import Member, ServerKeys
@@ -29,13 +32,9 @@ SENT_AT_ONCE = 8
 """Messages with each that is published, of those that were kept: half a second of them takes some ten ticks."""
 CAUGHT_UP_S = 0.1
 """After the awaited command, in which its sender's subscription comes too: it has a connection of its own."""
-COMMANDS_PER_TICK = 4
 TAKEN_PER_TICK = 128
 """Messages taken off the socket: more than clients can connect, ask and go in a tick, for each of those that have gone
 leaves some 30 kB in ZeroMQ until its message is taken. So many take some 1.5 ms; two cores see up to 90 come."""
-WAITING_MOST = 32
-"""Commands that have been taken and wait for their tick; what comes then is refused, but for the urgent."""
-URGENT = ("stop", "hold")
 FRAMES_MOST = 4
 """Of a message that are looked at: a command has its sender's identity, at most one empty frame, and itself."""
 FRAMES_PER_TICK = FRAMES_MOST * TAKEN_PER_TICK
@@ -83,7 +82,7 @@ class Bus:
         self._pack = FieldsPacker()
         self._outbox: deque[tuple[bytes, bytes, bytes]] = deque()
         self._awaited, self._t_held = "", -math.inf  # by which command, and until when (s) all in it is kept
-        self._waiting: deque[Request] = deque()
+        self._queue = CommandQueue()
         self._dropping = False  # the rest of a message that is far too long
         self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
@@ -114,22 +113,26 @@ class Bus:
             with contextlib.suppress(zmq.Again):
                 self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
 
-    def receive(self) -> list[Request]:
-        """The valid commands whose turn it is, a few at most; what is malformed or may not be is answered here."""
-        self._take_in()
-        requests = [self._waiting.popleft() for _ in range(min(COMMANDS_PER_TICK, len(self._waiting)))]
+    def receive(self, owner: Key = NOBODY_KEY) -> list[Request]:
+        """The valid commands whose turn it is while the client `owner` has control; the rest is answered here."""
+        self._take_in(owner)
+        requests, refused = self._queue.take(owner) if len(self._queue) else ([], [])
+        for request, why in refused:
+            self._crowded(request, why)
         if self._awaited and any(request.name == self._awaited for request in requests):
             self._awaited, self._t_held = "", min(self._t_held, time.monotonic() + CAUGHT_UP_S)
         return requests
 
-    def _take_in(self) -> None:
+    def _take_in(self, owner: Key) -> None:
         """Have what has come wait for its turn.
 
-        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes again who has been heard
-        already: who sends without end has to wait, and nobody else has.
+        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes a second time in a tick:
+        who sends without end has to wait, and nobody else has. A stop is found in the tick in which it has come, unless
+        more clients than `TAKEN_PER_TICK` send at once.
         """
         self._frames_left = FRAMES_PER_TICK
-        heard, before = {request.route for request in self._waiting}, len(self._waiting)
+        heard: set[tuple[bytes, ...]] = set()
+        before = len(self._queue)
         for number in range(TAKEN_PER_TICK):
             frames = self._taken()
             if frames is None:
@@ -137,8 +140,9 @@ class Bus:
             self.counters.commands += 1
             route, payloads = _opened([frame.bytes for frame in frames])
             request = self._allowed(route, payloads, frames[-1])
-            if request is not None:
-                self._queue(request)
+            refused = None if request is None else self._queue.add(request, owner)
+            if refused is not None:
+                self._crowded(*refused)
             if before + number >= COMMANDS_PER_TICK and route in heard:
                 return
             heard.add(route)
@@ -155,26 +159,10 @@ class Bus:
             return None
         member = None if self._door is None else self._door.member(frame)
         if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
-            return replace(request, who=_who(request, member, frame))
+            return replace(request, who=_who(request, member, frame), member="" if member is None else member.name)
         self.counters.forbidden += 1
         self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
         return None
-
-    def _queue(self, request: Request) -> None:
-        """Have it wait for its turn; when too many do it is refused, or the others are for a stop or a hold."""
-        if len(self._waiting) < WAITING_MOST:
-            self._waiting.append(request)
-            return
-        if request.name not in URGENT or any(each.name == request.name for each in self._waiting):
-            self._crowded(request, f"{len(self._waiting)} commands wait already, try again")
-            return
-        crowd, self._waiting = self._waiting, deque()
-        for each in crowd:  # nothing that was asked for before may follow it
-            if each.name in URGENT and not self._waiting:
-                self._waiting.append(each)
-            else:
-                self._crowded(each, f"a {request.name} has overtaken it")
-        self._waiting.append(request)
 
     def _crowded(self, request: Request, why: str) -> None:
         self.counters.crowded += 1
