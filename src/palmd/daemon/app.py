@@ -68,16 +68,18 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[by
     except (OutlineError, KeysError) as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
-    try:
-        bus = Bus(config.bus.publish, config.bus.command, keys)
-    except BusError as error:
-        print(f"{config_path}: {error}", file=sys.stderr)
-        return RIG_FAILED
     with ExitStack() as stack:
+        compiler = PlanCompiler()
+        stack.callback(compiler.close)
+        try:
+            bus = Bus(config.bus.publish, config.bus.command, keys)
+        except BusError as error:
+            print(f"{config_path}: {error}", file=sys.stderr)
+            return RIG_FAILED
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
         recording = None if recorder is None else _started(recorder)
-        return _run(config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack)
+        return _run(config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler)
 
 
 def _run(
@@ -90,6 +92,7 @@ def _run(
     recorder: RecorderProcess | None,
     signals: _Signals,
     stack: ExitStack,
+    compiler: PlanCompiler,
 ) -> int:
     notifier = Notifier()
     stack.callback(notifier.close)
@@ -104,8 +107,6 @@ def _run(
         log.warning("%s", text)
     if missing:
         notes.append("no-realtime")
-    compiler = PlanCompiler()
-    stack.callback(compiler.close)
     explorer = system.explorer(stack)
     core = Core(config, estimator, compiler, plan, notes, folder, explorer, system, smoother)
     ports = core.ports()

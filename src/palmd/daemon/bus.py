@@ -247,7 +247,7 @@ class Bus:
 
 def _who(request: Request, member: Member | None, frame: zmq.Frame) -> str:
     """Who gave a command: the key's name, which is proven, and what the program says of itself, which is not."""
-    said = request.who
+    said = request.who or request.client
     if member is not None:
         return f"{member.name}, by {said}" if said else member.name
     if said:

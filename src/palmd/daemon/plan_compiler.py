@@ -6,6 +6,7 @@ most a few milliseconds to unpack a plan of the largest size.
 
 from __future__ import annotations
 
+import importlib
 import pickle  # between a process and its own child, on a socket in a folder of their own
 import signal
 import time
@@ -56,8 +57,8 @@ class PlanCompiler(Executor):
     """
 
     def __init__(self) -> None:
-        """Start the process; raises OSError when it cannot be."""
-        self._process = WorkerProcess("planner", __name__, high_water=HIGH_WATER)
+        """Start the process, as a copy of this one, before it has other threads; raises OSError when it cannot be."""
+        self._process = WorkerProcess("planner", __name__, high_water=HIGH_WATER, copied=True)
         self._count = 0
         self._message = b""
         self._sent_to = 0  # the start of the process that has the message
@@ -107,9 +108,7 @@ class PlanCompiler(Executor):
 
 def serve(address: str) -> None:
     """The process's work, for ever: compile what comes."""
-    from palmd.daemon import planner  # before the first plan comes
-
-    assert planner
+    importlib.import_module("palmd.daemon.planner")  # before the first plan comes
     signal.signal(signal.SIGALRM, _give_up)
     with meet(address, NICENESS) as socket:
         while True:

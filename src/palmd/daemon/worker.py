@@ -12,6 +12,7 @@ import gc
 import logging
 import math
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -21,6 +22,7 @@ from pathlib import Path
 import zmq
 
 from palmd.console.folders import for_sockets
+from palmd.daemon import worker_main
 from palmd.daemon.realtime import freeze_collector
 
 log = logging.getLogger(__name__)
@@ -36,26 +38,30 @@ CLOSE_S = 1.0
 class WorkerProcess:
     """The loop's end; all but `close` is safe inside the loop, starting the process again takes it 1 ms."""
 
-    def __init__(self, name: str, module: str, *arguments: str, high_water: int) -> None:
+    def __init__(self, name: str, module: str, *arguments: str, high_water: int, copied: bool = False) -> None:
         """Start a process that calls `serve` of `module` with an address for `meet` and the arguments.
 
-        `name` is for people, `high_water` the most messages on their way. Raises OSError when it cannot be started.
+        `name` is for people, `high_water` the most messages on their way. `copied`: the first process is a copy of this
+        one (fork), so that it need not load its modules; only before this one has other threads. Raises OSError when it
+        cannot be started.
         """
         self._name = name
         self._folder = for_sockets("palmd-", name)
         address = f"ipc://{Path(self._folder.name) / name}"
         self._command = [sys.executable, "-m", "palmd.daemon.worker_main", module]
         self._arguments = [address, *arguments]
+        self._copied = copied
         self._signs = -1  # the pipe on which signs of life come
         self._t_sign = math.inf  # of the last one; infinite until the first
         self._t_restarted = -math.inf
-        self._ended: list[subprocess.Popen[bytes]] = []  # still to be waited for
+        self._ended: list[subprocess.Popen[bytes] | _Copy] = []  # still to be waited for
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.set(zmq.SNDHWM, high_water)
         self._socket.set(zmq.LINGER, 0)
         self._socket.bind(address)
         self.starts = 0
+        self._process: subprocess.Popen[bytes] | _Copy
         try:
             self._start()
         except OSError:
@@ -134,13 +140,61 @@ class WorkerProcess:
         os.set_blocking(self._signs, False)
         os.set_blocking(theirs, False)
         try:
-            self._process = subprocess.Popen(
-                [*self._command, str(os.getpid()), str(theirs), *self._arguments],
-                stdin=subprocess.DEVNULL,
-                pass_fds=(theirs,),
-            )
+            self._process = self._copy(theirs) if self._copied else self._fresh(theirs)
         finally:
+            self._copied = False
             os.close(theirs)
+
+    def _fresh(self, signs: int) -> subprocess.Popen[bytes]:
+        command = [*self._command, str(os.getpid()), str(signs), *self._arguments]
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(signs,))
+
+    def _copy(self, signs: int) -> _Copy:
+        parent, number = os.getpid(), os.fork()
+        if number:
+            return _Copy(number)
+        try:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            worker_main.main(self._command[-1], parent, signs, self._arguments)
+        finally:
+            os._exit(1)  # nothing of what the parent has to tidy up is ours
+
+
+class _Copy:
+    """A process made by fork, as far as it is used like one of `subprocess`."""
+
+    def __init__(self, number: int) -> None:
+        self.pid = number
+        self.returncode: int | None = None
+
+    def poll(self) -> int | None:
+        """The exit status, None while it runs; negative for a signal."""
+        if self.returncode is None:
+            number, status = os.waitpid(self.pid, os.WNOHANG)
+            if number:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float = math.inf) -> int:
+        """The exit status, once there is one; raises subprocess.TimeoutExpired."""
+        t_end = time.monotonic() + timeout
+        while (status := self.poll()) is None:
+            if time.monotonic() > t_end:
+                raise subprocess.TimeoutExpired(str(self.pid), timeout)
+            time.sleep(0.01)
+        return status
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self._send(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Make it end."""
+        self._send(signal.SIGKILL)
+
+    def _send(self, number: signal.Signals) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
 
 
 @contextlib.contextmanager
