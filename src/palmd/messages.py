@@ -331,8 +331,7 @@ def state_fields(
     control: str = "",
     unattended: bool = False,
 ) -> Fields:
-    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, what somebody wishes, who has control.
-    """
+    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, and the client that has `control`."""
     faults = tuple(faults)
     return {
         "state": state,
@@ -355,9 +354,7 @@ def state_fields(
     }
 
 
-LogKind = Literal[
-    "palmd", "state", "fault", "command", "control", "plan", "exploration", "object", "rig", "recorder", "smoother"
-]
+LogKind = Literal["palmd", "state", "fault", "command", "control", "plan", "exploration", "object", "rig", "recorder"]
 
 
 @dataclass(frozen=True, slots=True)

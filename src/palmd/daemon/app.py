@@ -79,7 +79,9 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[by
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
         recording = None if recorder is None else _started(recorder)
-        return _run(config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler)
+        return _run(
+            config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler
+        )
 
 
 def _run(

@@ -84,8 +84,8 @@ class Core:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. `system` is what the rig is, if it has been made already. `smoother` is the observer's, where it has one in
-        a process beside the loop.
+        refused. `system` is what the rig is, if it has been made already. `smoother` is the observer's, where it has
+        one in a process beside the loop.
         """
         self._system = system = system or live_system(config)
         self.pads = system.pads()

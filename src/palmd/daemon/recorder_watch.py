@@ -27,7 +27,9 @@ class RecorderWatch:
         if before is not None and number is not None and before != number:
             gap = t - self._t
             file = self._told.get("path", "no file")
-            text = f"recorder {before:.0f} has ended and {number:.0f} goes on: between them up to {gap:.1f} s are missing"
+            text = (
+                f"recorder {before:.0f} has ended and {number:.0f} goes on: between them up to {gap:.1f} s are missing"
+            )
             self._journal.add("recorder", "gap", f"{text}, after {file}", lasted_s=gap)
         self._told, self._t = told, t
 

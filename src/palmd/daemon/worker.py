@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 RESTART_S = 5.0  # from one start of the process to the next at least
 SILENT_S = 1.5
-"""Without a sign of life for so long a process counts as stopped; a busy machine gives it its milliseconds before that."""
+"""Without a sign of life for so long a process counts as stopped; a busy machine gives it its milliseconds sooner."""
 SAID_S = 3.0
 """So long after a restart it is still said to have been silent, for those who look once a second."""
 CLOSE_S = 1.0
@@ -77,15 +77,16 @@ class WorkerProcess:
         return True
 
     def tend(self, t: float) -> None:
-        """Look for signs of life at `t` (s, monotonic clock); without any start the process again. A few times a second.
-        """
+        """Look for signs of life at `t` (s, monotonic clock), a few times a second; without any start it again."""
         self._ended = [each for each in self._ended if each.poll() is None]
         with contextlib.suppress(BlockingIOError):
             if os.read(self._signs, 4096):
                 self._t_sign = t
         died = self._process.poll() is not None
         if (died or t - self._t_sign > SILENT_S) and t - self._t_started > RESTART_S:
-            how = f"ended with status {self._process.returncode}" if died else f"was silent for {t - self._t_sign:.1f} s"
+            how = (
+                f"ended with status {self._process.returncode}" if died else f"was silent for {t - self._t_sign:.1f} s"
+            )
             log.warning("the %s (process %d) %s: started again", self._name, self._process.pid, how)
             self.restart(t)
 

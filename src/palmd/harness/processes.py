@@ -31,8 +31,8 @@ def _die_with_parent() -> None:
 def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
     """Start another command that is asked to end when this one ends, and takes its time; raises OSError.
 
-    It shares standard error, unless that is a pipe: who reads it to its end waits for us alone. Takes a millisecond also
-    where this process is large: nothing runs between fork and exec.
+    It shares standard error, unless that is a pipe: who reads it to its end waits for us alone. It takes a millisecond,
+    also where this process is large: nothing of ours runs between fork and exec.
     """
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "palmd", *arguments],

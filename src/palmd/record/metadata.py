@@ -24,7 +24,8 @@ CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float = 0.0) -> Preface:
     """For a run that began at `started` (ISO 8601) and goes on from the one named `continues`, empty for none.
 
-    `gap_s` is the time between the two of which nothing is recorded. Stored outlines are read from where the configuration says; raises OSError.
+    `gap_s` is the time between the two of which nothing is recorded. Stored outlines are read from where the
+    configuration says; raises OSError.
     """
     metadata = {
         "schema": str(SCHEMA),

@@ -58,9 +58,9 @@ from palmd.lab.simulation.machine import (
     Machine,
     Publisher,
     SlowSource,
-    VirtualSmoother,
     Sockets,
     VirtualPort,
+    VirtualSmoother,
     VirtualWaiter,
 )
 from palmd.lab.simulation.reach import Director
