@@ -292,7 +292,7 @@ FAULTS: tuple[Fault, ...] = (
         "smoother-silent",
         Severity.DEGRADE,
         "the smoother beside the loop does not run",
-        "it is started again by itself and needs some seconds of readings; if it comes often, take load off the machine",
+        "it is started again by itself and needs some seconds of readings; if often, take load off the machine",
     ),
     Fault(
         "explorer-silent",

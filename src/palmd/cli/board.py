@@ -129,7 +129,7 @@ def _head(board: Board) -> BoardRow:
     name = str(state.get("state", "unknown"))
     words = f"palmd {info.get('version', '')}".rstrip()
     control = f"control: {state.get('control') or 'nobody'}" + (", UNATTENDED" if state.get("unattended") else "")
-    return BoardRow(f"{words}  {name.upper()}  {control}  {board.address}", _STATE_STYLES.get(name, "title"))
+    return BoardRow(f"{words}  {name.upper()}  {board.address}  {control}", _STATE_STYLES.get(name, "title"))
 
 
 def _faults(board: Board) -> Iterator[BoardRow]:

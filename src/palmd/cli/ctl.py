@@ -147,8 +147,9 @@ def told(command: str, result: dict[str, Any]) -> str:
     )
     since = f": {result['cause']}" if result["cause"] else ""
     unattended = ", the motion is unattended" if result.get("unattended") else ""
-    control = f"control {result.get('control') or 'nobody'}{unattended}"
-    lines = [f"state   {result['state']}{since}", control, f"plan    {plan}"]
+    owner = result.get("control", "")
+    control = [f"control {owner or 'nobody'}{unattended}"] if owner or unattended else []
+    lines = [f"state   {result['state']}{since}", *control, f"plan    {plan}"]
     lines += load_part(LIVE[_system(result.get("estimate", {}))].status)(result)
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
