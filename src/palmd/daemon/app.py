@@ -72,7 +72,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[by
         compiler = PlanCompiler()
         stack.callback(compiler.close)
         try:
-            bus = Bus(config.bus.publish, config.bus.command, keys)
+            bus = Bus(config.bus.publish, config.bus.command, keys, group=config.bus.group)
         except BusError as error:
             print(f"{config_path}: {error}", file=sys.stderr)
             return RIG_FAILED

@@ -7,9 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import shutil
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import msgpack
 import zmq
@@ -72,10 +76,12 @@ class Bus:
         command: str,
         keys: ServerKeys | None = None,
         context: zmq.Context[zmq.Socket[bytes]] | None = None,
+        group: str | None = None,
     ) -> None:
         """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
 
-        The sockets are the `context`'s, which `close` ends.
+        Local sockets are for this user alone, or also for the members of `group`. The sockets are the `context`'s, which
+        `close` ends.
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
@@ -86,6 +92,7 @@ class Bus:
         self._dropping = False  # the rest of a message that is far too long
         self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
+        self._group = group
         self._door = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
         try:
@@ -229,7 +236,10 @@ class Bus:
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
         socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
         try:
-            socket.bind(address)
+            with _permissions(address, self._group):
+                socket.bind(address)
+        except _GroupError as error:
+            raise BusError(f"bus.group: {error}") from None
         except zmq.ZMQError as error:
             if error.errno == zmq.EADDRINUSE:
                 raise BusError(
@@ -243,6 +253,33 @@ class Bus:
             self._commands.send_multipart((*route, msgpack.packb(fields)), zmq.NOBLOCK)
         except zmq.ZMQError:
             self.counters.replies_lost += 1
+
+
+class _GroupError(Exception):
+    """A group that local sockets cannot be given to."""
+
+
+@contextlib.contextmanager
+def _permissions(address: str, group: str | None) -> Iterator[None]:
+    """A local socket that is bound meanwhile is for this user, and for the members of the group if one is given."""
+    if not address.startswith("ipc://"):
+        yield
+        return
+    before = os.umask(0o177)  # until the group is right
+    try:
+        yield
+    finally:
+        os.umask(before)
+    if group is None:
+        return
+    path = Path(address.removeprefix("ipc://"))
+    try:
+        shutil.chown(path, group=group)
+        path.chmod(0o660)
+    except LookupError:
+        raise _GroupError(f"there is no group {group}") from None
+    except OSError as error:
+        raise _GroupError(f"{path} cannot be given to the group {group}: {error.strerror}") from None
 
 
 def _who(request: Request, member: Member | None, frame: zmq.Frame) -> str:
