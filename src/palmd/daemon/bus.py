@@ -80,8 +80,8 @@ class Bus:
     ) -> None:
         """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
 
-        Local sockets are for this user alone, or also for the members of `group`. The sockets are the `context`'s, which
-        `close` ends.
+        Local sockets are for this user alone, or also for the members of `group`. The sockets are the `context`'s,
+        which `close` ends.
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
