@@ -18,8 +18,7 @@ from pathlib import Path
 import msgpack
 import zmq
 
-from palmd.daemon.command_queue import PER_TICK as COMMANDS_PER_TICK
-from palmd.daemon.command_queue import CommandQueue, Key
+from palmd.daemon.command_queue import PER_TICK, CommandQueue, Key
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
 from palmd.daemon.ownership import NOBODY_KEY
 from palmd.daemon.packing import FieldsPacker
@@ -150,7 +149,7 @@ class Bus:
             refused = None if request is None else self._queue.add(request, owner)
             if refused is not None:
                 self._crowded(*refused)
-            if before + number >= COMMANDS_PER_TICK and route in heard:
+            if before + number >= PER_TICK and route in heard:
                 return
             heard.add(route)
 

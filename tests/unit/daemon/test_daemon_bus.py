@@ -11,14 +11,13 @@ from waiting import wait
 from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
 from palmd.daemon.bus import (
-    COMMANDS_PER_TICK,
     FRAMES_MOST,
     FRAMES_PER_TICK,
     PUBLISHED_HIGH_WATER,
     Bus,
     BusError,
 )
-from palmd.daemon.command_queue import WAITING_MOST
+from palmd.daemon.command_queue import PER_TICK, WAITING_MOST
 from palmd.daemon.commands import Reply
 from palmd.daemon.ownership import NOBODY_KEY
 from palmd.messages import info_fields, state_fields
@@ -121,7 +120,7 @@ def test_a_flood_is_taken_in_portions(rig):
     client.send(b"end")  # the socket keeps order: when this one is in, all are
     time.sleep(0.1)
     portions = [rig.bus.receive() for _ in range(6)]
-    assert [len(portion) for portion in portions] == [COMMANDS_PER_TICK] * 5 + [0]
+    assert [len(portion) for portion in portions] == [PER_TICK] * 5 + [0]
     assert [request.id for portion in portions for request in portion] == list(range(20))
 
 
@@ -137,7 +136,7 @@ def crowded(rig, commands):
     given = []
     while portion := rig.bus.receive():
         ordinary = [request for request in portion if request.name not in ("stop", "hold")]
-        assert len(ordinary) <= COMMANDS_PER_TICK
+        assert len(ordinary) <= PER_TICK
         given += [(request.id, request.name) for request in portion]
     return clients, given
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import msgpack
 
-from palmd.daemon.bus import COMMANDS_PER_TICK
+from palmd.daemon.command_queue import PER_TICK
 from palmd.daemon.commands import COMMANDS
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import COMMANDED, State
@@ -134,9 +134,9 @@ class Director:
     def _deeds(self, view: _View) -> Iterator[Happening]:
         here = view.stands(self._code)
         if here and view.state is self._state:
-            yield from self._tell(view, *self._batch(view, COMMANDS_PER_TICK))
+            yield from self._tell(view, *self._batch(view, PER_TICK))
         elif here and view.state in COMMANDED and behind_a_stop(self._state, TABLE.get(self._code)):
-            yield from self._tell(view, "stop", *self._batch(view, COMMANDS_PER_TICK - 1))
+            yield from self._tell(view, "stop", *self._batch(view, PER_TICK - 1))
         else:
             yield from self._lead(view, here)
 
