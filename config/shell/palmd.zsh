@@ -165,7 +165,7 @@ _shtab_palmd_bench_explore_defaults_added=0
 _shtab_palmd_bench_faults_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--rig[an arm and VersaPads, or servos with strips or input devices (default\: adept)]:rig:(adept tabletop input)"
-  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, page-killed, page-stuck, address-taken, clock-step]:NAME:"
+  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, smoother-stopped, page-killed, page-stuck, address-taken, clock-step]:NAME:"
   "--times[how often each is provoked (default\: 1)]:N:"
   "--seed[which object and noise (default\: 3)]:seed:"
   {-o,--output}"[for runs.jsonl, which is overwritten, and the recordings (default\: faults)]:FOLDER:_files"
@@ -525,9 +525,12 @@ _shtab_palmd_ctl_defaults_added=0
 
 _shtab_palmd_ctl_arm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
+  "--take[take control from the client that has it]"
+  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -535,7 +538,8 @@ _shtab_palmd_ctl_arm_defaults_added=0
 
 _shtab_palmd_ctl_hold_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
@@ -545,9 +549,12 @@ _shtab_palmd_ctl_hold_defaults_added=0
 
 _shtab_palmd_ctl_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
+  "--take[take control from the client that has it]"
+  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
   "--phi1-deg[by how much to turn phi1]:DEG:"
   "--phi2-deg[by how much to turn phi2]:DEG:"
 )
@@ -557,7 +564,8 @@ _shtab_palmd_ctl_jog_defaults_added=0
 
 _shtab_palmd_ctl_note_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   ":what there is to say about this time of the run:"
@@ -568,9 +576,12 @@ _shtab_palmd_ctl_note_defaults_added=0
 
 _shtab_palmd_ctl_plan_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
+  "--take[take control from the client that has it]"
+  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
   ":the plan (YAML), or the name of one that lies beside the daemon\'s configured plan:_files"
 )
 
@@ -579,9 +590,12 @@ _shtab_palmd_ctl_plan_defaults_added=0
 
 _shtab_palmd_ctl_reset_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
+  "--take[take control from the client that has it]"
+  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -589,9 +603,12 @@ _shtab_palmd_ctl_reset_defaults_added=0
 
 _shtab_palmd_ctl_start_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
+  "--take[take control from the client that has it]"
+  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -599,7 +616,8 @@ _shtab_palmd_ctl_start_defaults_added=0
 
 _shtab_palmd_ctl_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
@@ -609,7 +627,8 @@ _shtab_palmd_ctl_status_defaults_added=0
 
 _shtab_palmd_ctl_stop_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
@@ -664,8 +683,9 @@ _shtab_palmd_explore_options=(
   "--coverage[of the normals that can be reached, after which it is enough (default\: 0.95)]:SHARE:"
   "--band-mm[go on until the outline\'s sd is below this on all of them too]:MM:"
   "--seconds[at most (default\: 60)]:S:"
-  "--address[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:address:"
-  "--listen[where it publishes (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
 )
 
@@ -906,7 +926,8 @@ _shtab_palmd_runs_defaults_added=0
 
 _shtab_palmd_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[where the daemon publishes (default\: tcp\:\/\/127.0.0.1\:9872)]:address:"
+  "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--once[print one frame and end]"
 )
@@ -916,8 +937,9 @@ _shtab_palmd_top_defaults_added=0
 
 _shtab_palmd_view_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[where the daemon publishes (default\: tcp\:\/\/127.0.0.1\:9872)]:address:"
-  "--command[the daemon\'s command socket (default\: tcp\:\/\/127.0.0.1\:9873)]:command:"
+  "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
+  "--command[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:command:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--truth[where an emulated rig publishes its truth]:ADDRESS:"
   "--port[of the page\; 0\: any free one (default\: 8787)]:port:"

@@ -2,7 +2,10 @@
 
 import sys
 
-from palmd.cli import main
+from palmd.console.parent import end_with_parent
 
 if __name__ == "__main__":
+    end_with_parent()
+    from palmd.cli import main
+
     sys.exit(main())

@@ -283,6 +283,18 @@ FAULTS: tuple[Fault, ...] = (
         "mend the plan, then load it with the plan command",
     ),
     Fault(
+        "operator-lost",
+        Severity.NOTE,
+        "the client in control fell silent while the palms moved; the motion was held",
+        "look at the rig, then start goes on; a page or palmd ctl --keep must stay open while its motion runs",
+    ),
+    Fault(
+        "smoother-silent",
+        Severity.DEGRADE,
+        "the smoother beside the loop does not run",
+        "it is started again by itself and needs some seconds of readings; if often, take load off the machine",
+    ),
+    Fault(
         "explorer-silent",
         Severity.NOTE,
         "nobody decides where the exploration goes next; the palms stand and wait",

@@ -328,8 +328,10 @@ def state_fields(
     since_s: float = 0.0,
     running: bool = False,
     explored: Explored = Explored(),
+    control: str = "",
+    unattended: bool = False,
 ) -> Fields:
-    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, and what somebody wishes."""
+    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, and the client that has `control`."""
     faults = tuple(faults)
     return {
         "state": state,
@@ -339,6 +341,8 @@ def state_fields(
         "texts": [fault.text for fault in faults],
         "cause": cause,
         "wish": wish,
+        "control": control,
+        "unattended": unattended,
         "since_s": since_s,
         "running": running,
         "exploring": explored.running,
@@ -350,7 +354,7 @@ def state_fields(
     }
 
 
-LogKind = Literal["palmd", "state", "fault", "command", "plan", "exploration", "object", "rig"]
+LogKind = Literal["palmd", "state", "fault", "command", "control", "plan", "exploration", "object", "rig", "recorder"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -303,6 +303,13 @@ STATE = Topic(
         Quantity(
             "wish", "text", "", "hold or stop, from when somebody asks for it until arm, start or reset; else empty"
         ),
+        Quantity("control", "text", "", "the client that has control of the rig; empty for nobody"),
+        Quantity(
+            "unattended",
+            "bool",
+            "",
+            "whether a plan moves the palms and no client with a declared lease answers for it",
+        ),
         Quantity("since_s", "number", "s", "for how long it has been in that state"),
         Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
         Quantity(
@@ -444,7 +451,12 @@ LOG = Topic(
         Quantity("number", "numbers", "",
                  f"of each of the last {LOG_ENTRIES} entries, in their order, counted from 0 since the daemon's start"),
         Quantity("t_s", "numbers", "s", "when it was, CLOCK_MONOTONIC"),
-        Quantity("kind", "texts", "", "what it is about: palmd, state, fault, command, plan, exploration, object, rig"),
+        Quantity(
+            "kind",
+            "texts",
+            "",
+            "what it is about: palmd, state, fault, command, control, plan, exploration, object, rig, recorder",
+        ),
         Quantity("name", "texts", "",
                  "the state come to, the code of the fault, the command; else begun, over, stopping, known, lost …"),
         Quantity("severity", "texts", "", "of a fault: note, degrade, hold or stop; else empty"),

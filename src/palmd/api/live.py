@@ -11,8 +11,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.bus.addresses import command_address, publish_address
 from palmd.bus.command_client import CommandClient
-from palmd.bus.link import COMMAND, PUBLISH, silent
+from palmd.bus.link import silent
 from palmd.bus.subscriber import Message, Subscriber
 from palmd.keys import Credentials, client_credentials
 from palmd.quantities import ESTIMATE
@@ -27,11 +28,13 @@ class Live:
     comes from then on: in order, with up to 20 000 messages waiting for a slow reader.
     """
 
-    def __init__(self, publish: str, command: str, key: Credentials | None) -> None:
+    def __init__(
+        self, publish: str, command: str, key: Credentials | None, client: str = "", lease_s: float | None = None
+    ) -> None:
         """Raises PalmdError for what is no address."""
         self._publish, self._key = publish, key
         with as_palmd_error():
-            self._client = CommandClient(command, key=key, now_or_never=True)
+            self._client = CommandClient(command, key=key, now_or_never=True, client=client, lease_s=lease_s)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()
@@ -59,6 +62,7 @@ class Live:
     def command(self, name: str, **arguments: Any) -> dict[str, Any]:
         """Tell the daemon what to do, and what it answers: `arm`, `start`, `hold`, `stop`, `reset`, `plan`, `jog`…
 
+        With `take=True` control is taken from the client that has it. `alive` renews a declared lease.
         Raises PalmdError when it refuses, with its reason, or does not answer.
         """
         with as_palmd_error():
@@ -85,12 +89,22 @@ class Live:
         self.close()
 
 
-def connect(publish: str = PUBLISH, command: str = COMMAND, key: str | os.PathLike[str] | None = None) -> Live:
-    """A client of the daemon at these addresses, by default where one is unless its configuration says otherwise.
+def connect(
+    publish: str | None = None,
+    command: str | None = None,
+    key: str | os.PathLike[str] | None = None,
+    *,
+    client: str = "",
+    lease_s: float | None = None,
+) -> Live:
+    """A client of the daemon at these addresses: by default those of the installed configuration, else the usual ones.
 
-    `key`: the file of our secret key, for a daemon with keys. Returns at once, whether or not a daemon is there: the
-    first question or iteration tells. Raises PalmdError for an address or a key that cannot be used.
+    `key`: the file of our secret key, for a daemon with keys. `client`: who the daemon takes us for, by default this
+    user at this terminal; one client at a time has control. `lease_s`: declares for how long (s, 60 at most) our
+    control lasts after each command; when it runs out while the palms move, they are held.
+    Returns at once, whether or not a daemon is there: the first question or iteration tells. Raises PalmdError for an
+    address or a key that cannot be used.
     """
     with as_palmd_error():
         credentials = None if key is None else client_credentials(Path(key))
-    return Live(publish, command, credentials)
+    return Live(publish_address(publish), command_address(command), credentials, client, lease_s)

@@ -28,9 +28,19 @@ class CommandClient(Link):
     """Asks and waits for the answer (`ask`), or neither waits to be heard nor for the answer (`post`, `replies`)."""
 
     def __init__(
-        self, address: str, timeout_s: float = TIMEOUT_S, key: Credentials | None = None, *, now_or_never: bool = False
+        self,
+        address: str,
+        timeout_s: float = TIMEOUT_S,
+        key: Credentials | None = None,
+        *,
+        now_or_never: bool = False,
+        client: str = "",
+        lease_s: float | None = None,
     ) -> None:
-        """`now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
+        """`client` is who the daemon takes us for, by default this user at this terminal. `lease_s` declares how long
+        (s) our control lasts after each request; without it the daemon's usual lease holds.
+
+        `now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
 
         Raises CliError for what is no address.
         """
@@ -38,6 +48,8 @@ class CommandClient(Link):
         self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
         self._socket.setsockopt(zmq.IMMEDIATE, int(now_or_never))
         self._key, self._timeout_s = key, timeout_s
+        self._lease_s = lease_s
+        self.client = client or own_client()
         self.address = address
         self._numbers = itertools.count(1)
         self._connect([address], key)
@@ -47,7 +59,7 @@ class CommandClient(Link):
         number = next(self._numbers)
         t_end = time.monotonic() + self._timeout_s
         with suppress(zmq.Again):
-            self._socket.send(_request(number, command, args))
+            self._socket.send(self._request(number, command, args, self.client))
         while self._socket.poll(wait_ms(t_end)):
             reply = unpacked(self._socket.recv_multipart()[-1])
             if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
@@ -59,11 +71,16 @@ class CommandClient(Link):
         """Whether somebody takes commands at the address."""
         return bool(self._socket.poll(0, zmq.POLLOUT))
 
-    def post(self, command: str, args: Mapping[str, Any] | None = None) -> int | None:
-        """The number under which the answer will come; None when nobody takes the command."""
+    def post(
+        self, command: str, args: Mapping[str, Any] | None = None, client: str = "", lease_s: float | None = None
+    ) -> int | None:
+        """The number under which the answer will come; None when nobody takes the command.
+
+        `client` and `lease_s` take the place of our own, for those on whose behalf we ask.
+        """
         number = next(self._numbers)
         try:
-            self._socket.send(_request(number, command, args), zmq.NOBLOCK)
+            self._socket.send(self._request(number, command, args, client or self.client, lease_s), zmq.NOBLOCK)
         except zmq.Again:
             return None
         return number
@@ -79,9 +96,46 @@ class CommandClient(Link):
             if reply is not None and isinstance(reply.get("id"), int):
                 yield reply
 
+    def _request(
+        self, number: int, command: str, args: Mapping[str, Any] | None, client: str, lease_s: float | None = None
+    ) -> bytes:
+        request: dict[str, Any] = {"id": number, "cmd": command, "args": dict(args or {})}
+        request |= {"from": own_name(), "client": client}
+        lease_s = self._lease_s if lease_s is None else lease_s
+        return bytes(msgpack.packb(request if lease_s is None else request | {"lease_s": lease_s}))
 
-def _request(number: int, command: str, args: Mapping[str, Any] | None) -> bytes:
-    return bytes(msgpack.packb({"id": number, "cmd": command, "args": dict(args or {}), "from": own_name()}))
+
+@functools.cache
+def own_client() -> str:
+    """Who a daemon takes this process for: the user at the terminal, so that all commands of a shell are one client.
+
+    Without a terminal all palmd commands of the user are one client; any other program is one by itself.
+    """
+    terminal = _terminal()
+    if not terminal and not own_name().startswith("palmd"):
+        return own_name()
+    return f"{_user()} on {terminal}" if terminal else f"{_user()}, no terminal"
+
+
+def _terminal() -> str:
+    """The controlling terminal, wherever input and output go; empty without one."""
+    try:
+        fields = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        number = int(fields[4])
+    except (OSError, ValueError, IndexError):
+        return ""
+    major, minor = os.major(number), os.minor(number)
+    if 136 <= major <= 143:
+        return f"pts/{256 * (major - 136) + minor}"
+    return f"terminal {major}:{minor}" if number else ""
+
+
+def _user() -> str:
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        user = f"user {os.getuid()}"
+    return "".join(letter if letter.isprintable() else "?" for letter in user[:30])
 
 
 @functools.cache
@@ -90,9 +144,5 @@ def own_name() -> str:
     program = Path(sys.argv[0]).name or "python"
     if program in ("palmd", "__main__.py"):
         program = " ".join(["palmd", *(word for word in sys.argv[1:2] if word.isalpha())])
-    try:
-        user = pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:
-        user = f"user {os.getuid()}"
-    name = f"{program[:40]} of {user[:30]}, process {os.getpid()}"
+    name = f"{program[:40]} of {_user()}, process {os.getpid()}"
     return "".join(letter if letter.isprintable() else "?" for letter in name)

@@ -48,6 +48,8 @@ def credentials(arguments: argparse.Namespace) -> Credentials | None:
 def silent(what: str, key: Credentials | None) -> CliError:
     """Nobody answers: what may be wrong."""
     why = "does it have keys (then give --key)?" if key is None else "does it allow this key?"
+    if "ipc://" in what:
+        why = f"may this user open its socket (its group, mostly palmd), {why}"
     return CliError(RIG_FAILED, f"{what}: is a palmd running there, and {why}")
 
 

@@ -22,7 +22,7 @@ from palmd.config.two_palms import Config
 from palmd.console.configured import configured
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.events import Event
-from palmd.harness.operator import PlanRun, Status, can_move, why
+from palmd.harness.operator import LEASE_S, PlanRun, Status, can_move, why
 from palmd.harness.processes import StopRequest
 from palmd.messages import events_of
 from palmd.motion.check import motion_limits
@@ -90,7 +90,7 @@ def heard(
     command, publish = from_here(config.bus.command), from_here(config.bus.publish)
     with (
         StopRequest() as stop,
-        CommandClient(command, key=key) as client,
+        CommandClient(command, key=key, lease_s=LEASE_S) as client,
         Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
     ):
         can_move(client)

@@ -128,7 +128,8 @@ def _head(board: Board) -> BoardRow:
     state, info = board.fields(STATE), board.fields(INFO)
     name = str(state.get("state", "unknown"))
     words = f"palmd {info.get('version', '')}".rstrip()
-    return BoardRow(f"{words}  {name.upper()}  {board.address}", _STATE_STYLES.get(name, "title"))
+    control = f"control: {state.get('control') or 'nobody'}" + (", UNATTENDED" if state.get("unattended") else "")
+    return BoardRow(f"{words}  {name.upper()}  {board.address}  {control}", _STATE_STYLES.get(name, "title"))
 
 
 def _faults(board: Board) -> Iterator[BoardRow]:

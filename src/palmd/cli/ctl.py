@@ -11,14 +11,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from palmd.bus.addresses import add_config, command_address
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, add_key, credentials
-from palmd.console.errors import BAD_INPUT, USAGE, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
+from palmd.harness.processes import StopRequest
 from palmd.system.mechanism import JOINTS
 from palmd.systems import LIVE, load_part
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
+
+KEPT_S = 3.0
+"""The lease that `--keep` declares, and renews six times in it."""
 
 JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
 JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
@@ -28,7 +33,8 @@ JOG_ARRIVING_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments: those of every command that the daemon knows."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    common.add_argument("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+    add_config(common)
     add_key(common)
     common.add_argument("--json", action="store_true", help="print the answer as it came")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -36,6 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if not spec.by_hand:
             continue
         chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
+        if spec.moves:
+            chosen.add_argument("--take", action="store_true", help="take control from the client that has it")
+            chosen.add_argument(
+                "--keep",
+                action="store_true",
+                help=f"keep control until Ctrl-C; {KEPT_S:g} s after the end of this command moving palms are held",
+            )
         if name == "plan":
             chosen.add_argument(
                 "path",
@@ -59,19 +72,21 @@ def run(arguments: argparse.Namespace) -> int:
         options = [f"--{joint}-deg" for joint in JOINTS]
         wanted = f"give {', '.join(options)} or both, such as {options[0]} 1"
         raise CliError(USAGE, f"ctl jog: by how much? {wanted}")
-    with CommandClient(arguments.address, key=credentials(arguments)) as client:
+    address = command_address(arguments.address, arguments.config)
+    keeps = getattr(arguments, "keep", False)
+    take = {"take": True} if getattr(arguments, "take", False) else {}
+    with CommandClient(address, key=credentials(arguments), lease_s=KEPT_S if keeps else None) as client:
         if arguments.command == "jog":
-            reply = _jog(client, whole_deg)
+            reply = _jog(client, whole_deg, take)
         elif arguments.command == "plan":
-            reply = client.ask("plan", _plan(arguments.path))
+            reply = client.ask("plan", _plan(arguments.path) | take)
         elif arguments.command == "note":
             reply = client.ask("note", {"text": arguments.text})
         else:
-            reply = client.ask(arguments.command)
-    if arguments.json:
-        print(json.dumps(reply))
-    elif reply["ok"]:
-        print(told(arguments.command, reply.get("result") or {}))
+            reply = client.ask(arguments.command, take)
+        _print(arguments, reply)
+        if keeps and reply["ok"]:
+            _keep(client)
     if reply["ok"]:
         return 0
     if arguments.json:
@@ -79,7 +94,26 @@ def run(arguments: argparse.Namespace) -> int:
     raise CliError(BAD_INPUT, str(reply.get("error")))
 
 
-def _plan(path: Path) -> dict[str, str]:
+def _print(arguments: argparse.Namespace, reply: dict[str, Any]) -> None:
+    if arguments.json:
+        print(json.dumps(reply))
+    elif reply["ok"]:
+        print(told(arguments.command, reply.get("result") or {}), flush=True)
+
+
+def _keep(client: CommandClient) -> None:
+    """Renew the lease until SIGINT or SIGTERM; CliError when another client has taken control."""
+    print(f"{client.client} keeps control until Ctrl-C; then moving palms are held within {KEPT_S:g} s", flush=True)
+    with StopRequest() as stop:
+        while not stop.made:
+            reply = client.ask("alive")
+            owner = (reply.get("result") or {}).get("control", "")
+            if owner != client.client:
+                raise CliError(RIG_FAILED, f"control has gone to {owner or 'nobody'}")
+            time.sleep(KEPT_S / 6)
+
+
+def _plan(path: Path) -> dict[str, Any]:
     """The plan goes along, for the daemon opens no file of ours; what is not here is a name among its own plans."""
     from palmd.yamlfile import ConfigError, read_text
 
@@ -112,7 +146,10 @@ def told(command: str, result: dict[str, Any]) -> str:
         "" if result["arm_linked"] else ", does not answer"
     )
     since = f": {result['cause']}" if result["cause"] else ""
-    lines = [f"state   {result['state']}{since}", f"plan    {plan}"]
+    unattended = ", the motion is unattended" if result.get("unattended") else ""
+    owner = result.get("control", "")
+    control = [f"control {owner or 'nobody'}{unattended}"] if owner or unattended else []
+    lines = [f"state   {result['state']}{since}", *control, f"plan    {plan}"]
     lines += load_part(LIVE[_system(result.get("estimate", {}))].status)(result)
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
@@ -162,13 +199,13 @@ def _recorded(
     return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
 
 
-def _jog(client: CommandClient, whole_deg: Mapping[str, float]) -> dict[str, Any]:
+def _jog(client: CommandClient, whole_deg: Mapping[str, float], take: Mapping[str, bool]) -> dict[str, Any]:
     """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
 
     The first step tells the whole wish: one that cannot be granted to its end is not begun.
     """
     reply: dict[str, Any] = {}
-    whole = {f"whole_{name}": angle for name, angle in whole_deg.items()}
+    whole: dict[str, float | bool] = {f"whole_{name}": angle for name, angle in whole_deg.items()} | dict(take)
     for step in jog_steps(*whole_deg.values()):
         t_next = time.monotonic() + JOG_EVERY_S
         reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})

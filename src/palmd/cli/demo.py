@@ -132,7 +132,8 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
 
 def _is_done(client: CommandClient, command: str) -> bool:
     """Give a command that the bus has called for, if the daemon still does."""
-    if not still_wanted(command, do(client, "status")):
+    status = do(client, "status")
+    if status["control"] not in ("", client.client) or not still_wanted(command, status):
         return False
     reply = client.ask(command)
     if not reply["ok"]:

@@ -11,11 +11,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from palmd.bus.addresses import add_config, command_address, publish_address
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.config.plans import MAX_DURATION_S, ExploreGoal
-from palmd.harness.operator import PlanRun, why
+from palmd.harness.operator import LEASE_S, PlanRun, why
 from palmd.harness.processes import StopRequest
 
 PLAN = "explore"
@@ -28,8 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the normals that can be reached, after which it is enough (default: %(default)s)")  # fmt: skip
     add("--band-mm", type=_band, metavar="MM", help="go on until the outline's sd is below this on all of them too")
     add("--seconds", type=_seconds, default=default.time_limit_s, metavar="S", help="at most (default: %(default)g)")
-    add("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
-    add("--listen", default=PUBLISH, metavar="ADDRESS", help="where it publishes (default: %(default)s)")
+    add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+    add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
+    add_config(parser)
     add_key(parser)
 
 
@@ -39,8 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     key = credentials(arguments)
     with (
         StopRequest() as stop,
-        CommandClient(arguments.address, key=key) as client,
-        Subscriber(arguments.listen, topics=("palm/shape",), key=key) as subscriber,
+        CommandClient(command_address(arguments.address, arguments.config), key=key, lease_s=LEASE_S) as client,
+        Subscriber(publish_address(arguments.listen, arguments.config), topics=("palm/shape",), key=key) as subscriber,
     ):
         band = _Band(subscriber)
         operation = PlanRun(client, band.listen, lambda status, seconds: concluded(status, seconds, band.sd_m))

@@ -28,6 +28,11 @@ EMPTIED = Path("/tmp")  # at each boot, most often
 
 _SHIPPED_COMMAND = "/opt/palmd/bin/palmd"
 _SHIPPED_HOME = "ProtectHome=yes\n"
+_SHIPPED_BUS = 'bus: {publish: "tcp://127.0.0.1:9872", command: "tcp://127.0.0.1:9873"}\n'
+_LOCAL_BUS = """\
+# Local sockets: the members of the group palmd may listen and give commands, other users of this machine may not.
+bus: {publish: "ipc:///run/palmd/publish", command: "ipc:///run/palmd/command", group: palmd}
+"""
 _SHIPPED_RUNS = "record: {directory: runs}        # relative to this file's folder\n"
 
 
@@ -70,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"note     {part} may be gone after the next boot, and the services with it: /opt/palmd would last")
     print(f"next: put the rig into {root / SETTINGS / 'palmd.yaml'} and the ports' names into", end=" ")
     print(f"{root / _NAMES}, then: systemctl enable --now palmd palmd-record palmd-view")
+    print("the members of the group palmd may command the rig, nobody else: usermod -aG palmd USER, and log in again")
     return 0
 
 
@@ -112,7 +118,8 @@ def _services(command: Path) -> Iterator[Item]:
 
 def _settings() -> Iterator[Item]:
     text = _read(shipped("palmd.yaml"))
-    yield Item(SETTINGS / "palmd.yaml", text.replace(_SHIPPED_RUNS, f"record: {{directory: {RUNS}}}\n"), own=True)
+    text = text.replace(_SHIPPED_RUNS, f"record: {{directory: {RUNS}}}\n").replace(_SHIPPED_BUS, _LOCAL_BUS)
+    yield Item(SETTINGS / "palmd.yaml", text, own=True)
     for plan in sorted(shipped("plans").glob("*.yaml")):
         yield Item(SETTINGS / "plans" / plan.name, _read(plan), own=True)
 

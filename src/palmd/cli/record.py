@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.config.any_config import BusConfig
-from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.progress import Progress
 from palmd.daemon.systemd import Notifier
 from palmd.harness.processes import StopRequest, start_beside
 from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
 from palmd.record import RunError
+from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapfile import is_packed
 from palmd.record.recorder import record
 from palmd.record.recording import Ended
@@ -59,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"listening to {config.bus.publish}", flush=True)
         notifier.ready()
 
-    with StopRequest() as stop:
+    with StopRequest() as stop, _alone(config.record.directory, config.bus.publish):
         packing = _Packing()
         record(config, truth, ready, lambda: stop.made, lambda ended: packing.take(ended, in_time=not stop.made), key)
         packing.finish()
@@ -73,6 +74,15 @@ def _credentials(bus: BusConfig, path: Path | None) -> Credentials | None:
         return None if bus.keys is None else own_credentials(bus.keys)
     except KeysError as error:
         raise CliError(BAD_INPUT, str(error)) from None
+
+
+@contextlib.contextmanager
+def _alone(directory: Path, publish: str) -> Iterator[None]:
+    try:
+        with only_recorder(directory, publish):
+            yield
+    except RecorderLockedError as error:
+        raise CliError(RIG_FAILED, str(error)) from None
 
 
 class _Packing:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import subprocess
 from pathlib import Path
 
 from palmd.harness.processes import start_beside
@@ -18,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
 
-    def recorder() -> None:
-        start_beside(["record", str(arguments.config)])
+    def recorder() -> subprocess.Popen[bytes]:
+        return start_beside(["record", str(arguments.config)])
 
     gc.disable()  # what a start makes stays; the loop has its collector once it is frozen
     try:

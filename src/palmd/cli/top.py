@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from types import FrameType
 
+from palmd.bus.addresses import add_config, publish_address
 from palmd.bus.command_client import TIMEOUT_S
 from palmd.bus.link import PUBLISH, add_key, credentials, silent
 from palmd.bus.subscriber import Subscriber
@@ -31,15 +32,17 @@ _COLOURS = {"plain": "", "title": "1", "good": "32", "bad": "31;1", "warning": "
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
+    parser.add_argument("--address", help=f"where the daemon publishes (default: as configured, {PUBLISH})")
+    add_config(parser)
     add_key(parser)
     parser.add_argument("--once", action="store_true", help="print one frame and end")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Shows until asked to end; CliError when asked for one frame and nothing comes."""
-    board, key = Board(arguments.address), credentials(arguments)
-    with Subscriber(arguments.address, topics=("palm/",), key=key) as subscriber:
+    address, key = publish_address(arguments.address, arguments.config), credentials(arguments)
+    board = Board(address)
+    with Subscriber(address, topics=("palm/",), key=key) as subscriber:
         if arguments.once:
             _once(board, subscriber, key)
         elif sys.stdout.isatty():

@@ -12,6 +12,7 @@ import contextlib
 import secrets
 import signal
 
+from palmd.bus.addresses import add_config, command_address, publish_address
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
 from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
@@ -27,14 +28,20 @@ TRIGGERS = {
 }
 """The page's buttons, and what each would trigger."""
 
-FORMS = {"jog": (State.TRACKING, State.HOLD), "plan": (State.READY, State.TRACKING, State.HOLD), "note": tuple(State)}
+FORMS = {
+    "jog": (State.TRACKING, State.HOLD),
+    "plan": (State.READY, State.TRACKING, State.HOLD),
+    "note": tuple(State),
+    "alive": tuple(State),
+}
 """Its other commands, which change no state, and the states in which they apply."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--address", default=PUBLISH, help="where the daemon publishes (default: %(default)s)")
-    parser.add_argument("--command", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
+    parser.add_argument("--address", help=f"where the daemon publishes (default: as configured, {PUBLISH})")
+    parser.add_argument("--command", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+    add_config(parser)
     add_key(parser)
     parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
     parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
@@ -44,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until asked to end; CliError for a wrong address and for a port that cannot be had."""
     settings = Settings(
-        publish=arguments.address,
-        command=arguments.command,
+        publish=publish_address(arguments.address, arguments.config),
+        command=command_address(arguments.command, arguments.config),
         truth=arguments.truth,
         port=arguments.port,
         token=secrets.token_urlsafe(16),

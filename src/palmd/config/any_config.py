@@ -33,6 +33,8 @@ class BusConfig(Strict):
     """Where commands are taken."""
     frames: Annotated[int, one_of(3, 2)] = 3
     """Of each message: topic, map and the time it was sent; 2 leaves out the time, for readers that mistake it."""
+    group: Annotated[str, Field(min_length=1)] | None = None
+    """The group whose members may use local sockets (ipc://) at these addresses; without it the daemon's user alone."""
 
     @field_validator("publish", "command")
     @classmethod
@@ -46,6 +48,15 @@ class BusConfig(Strict):
         if command == info.data.get("publish"):
             raise ValueError(f"{command} is already the publish address")
         return command
+
+    @field_validator("group")
+    @classmethod
+    def _of_local_sockets(cls, group: str | None, info: ValidationInfo) -> str | None:
+        away = [info.data.get(key, "") for key in ("publish", "command")]
+        over_tcp = [address for address in away if address.startswith("tcp://")]
+        if group is not None and over_tcp:
+            raise ValueError(f"a group can be given to local sockets (ipc://PATH) alone, not to {over_tcp[0]}")
+        return group
 
 
 class RecordConfig(Strict):

@@ -6,9 +6,9 @@ import logging
 import signal
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
+from subprocess import Popen
 from types import FrameType
 from typing import Any
 
@@ -20,8 +20,10 @@ from palmd.daemon.core import Core
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.loop import Loop
 from palmd.daemon.pad_units import with_reported_units
+from palmd.daemon.plan_compiler import PlanCompiler
 from palmd.daemon.planner import Plan, PlanFolder, read_plan
 from palmd.daemon.processor_time import ProcessorTime
+from palmd.daemon.recorder_process import RecorderProcess
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.daemon.systemd import Notifier
 from palmd.daemon.systems import AnySystem, live_system
@@ -41,7 +43,7 @@ NEIGHBOUR_S = 0.5
 """Likewise, for one that somebody else may have started: it listens already, and finds an open bus within 0.1 s."""
 
 
-def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
+def run(config_path: Path, recorder: Callable[[], Popen[bytes]] | None = None) -> int:
     """Run the daemon until SIGTERM or SIGINT; returns the exit status. `recorder` starts one beside it.
 
     0: the arm stands. 1: the configuration or its plan is wrong, told on standard error. 3: an address is
@@ -54,7 +56,7 @@ def run(config_path: Path, recorder: Callable[[], None] | None = None) -> int:
             return OK
 
 
-def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | None) -> int:
+def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[bytes]] | None) -> int:
     try:
         config = with_reported_units(load_any_config(config_path))
         system = live_system(config)
@@ -67,16 +69,20 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], None] | 
     except (OutlineError, KeysError) as error:
         print(f"{config_path}: {error}", file=sys.stderr)
         return BAD_INPUT
-    try:
-        bus = Bus(config.bus.publish, config.bus.command, keys, frames=config.bus.frames)
-    except BusError as error:
-        print(f"{config_path}: {error}", file=sys.stderr)
-        return RIG_FAILED
     with ExitStack() as stack:
+        compiler = PlanCompiler()
+        stack.callback(compiler.close)
+        try:
+            bus = Bus(config.bus.publish, config.bus.command, keys, frames=config.bus.frames, group=config.bus.group)
+        except BusError as error:
+            print(f"{config_path}: {error}", file=sys.stderr)
+            return RIG_FAILED
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
-        recorded = recorder is not None and _is_started(recorder)
-        return _run(config, system, config_path.absolute().parent, plan, outlines, bus, recorded, signals, stack)
+        recording = None if recorder is None else _started(recorder)
+        return _run(
+            config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler
+        )
 
 
 def _run(
@@ -86,9 +92,10 @@ def _run(
     plan: Plan | None,
     outlines: tuple[Outline, ...],
     bus: Bus,
-    recorded: bool,
+    recorder: RecorderProcess | None,
     signals: _Signals,
     stack: ExitStack,
+    compiler: PlanCompiler,
 ) -> int:
     notifier = Notifier()
     stack.callback(notifier.close)
@@ -103,10 +110,8 @@ def _run(
         log.warning("%s", text)
     if missing:
         notes.append("no-realtime")
-    aside = ThreadPoolExecutor(1, "aside", realtime.accompany)
-    stack.callback(aside.shutdown, wait=False, cancel_futures=True)
     explorer = system.explorer(stack)
-    core = Core(config, estimator, aside, plan, notes, folder, explorer, system)
+    core = Core(config, estimator, compiler, plan, notes, folder, explorer, system, smoother)
     ports = core.ports()
     for port in ports.values():
         stack.callback(port.close)
@@ -121,8 +126,9 @@ def _run(
         info_topic=SYSTEM_TOPICS[config.system].info,
         counters=lambda: _counters(smoother, estimator, explorer),
         processor=ProcessorTime(),
+        tend=[each.tend for each in (compiler, smoother, explorer, recorder) if each is not None],
     )
-    if recorded:
+    if recorder is not None:
         bus.hold_back("recorder", RECORDER_START_S)
     else:
         bus.hold_back("recorder", NEIGHBOUR_S, since_open=True)
@@ -131,13 +137,12 @@ def _run(
     return OK if loop.run() else RIG_FAILED
 
 
-def _is_started(recorder: Callable[[], None]) -> bool:
+def _started(recorder: Callable[[], Popen[bytes]]) -> RecorderProcess | None:
     try:
-        recorder()
+        return RecorderProcess(recorder)
     except OSError as error:
         log.warning("nothing is recorded: %s", error)
-        return False
-    return True
+        return None
 
 
 def _counters(

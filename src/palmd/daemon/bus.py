@@ -7,14 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import shutil
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import msgpack
 import zmq
 
+from palmd.daemon.command_queue import PER_TICK, CommandQueue, Key
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, Request, parse, reply_fields
+from palmd.daemon.ownership import NOBODY_KEY
 from palmd.daemon.packing import FieldsPacker
 from palmd.daemon.zap_auth import ZapAuthenticator
 from palmd.keys import Member, ServerKeys
@@ -29,13 +35,9 @@ SENT_AT_ONCE = 8
 """Messages with each that is published, of those that were kept: half a second of them takes some ten ticks."""
 CAUGHT_UP_S = 0.1
 """After the awaited command, in which its sender's subscription comes too: it has a connection of its own."""
-COMMANDS_PER_TICK = 4
 TAKEN_PER_TICK = 128
 """Messages taken off the socket: more than clients can connect, ask and go in a tick, for each of those that have gone
 leaves some 30 kB in ZeroMQ until its message is taken. So many take some 1.5 ms; two cores see up to 90 come."""
-WAITING_MOST = 32
-"""Commands that have been taken and wait for their tick; what comes then is refused, but for the urgent."""
-URGENT = ("stop", "hold")
 FRAMES_MOST = 4
 """Of a message that are looked at: a command has its sender's identity, at most one empty frame, and itself."""
 FRAMES_PER_TICK = FRAMES_MOST * TAKEN_PER_TICK
@@ -74,12 +76,12 @@ class Bus:
         keys: ServerKeys | None = None,
         context: zmq.Context[zmq.Socket[bytes]] | None = None,
         frames: int = 3,
+        group: str | None = None,
     ) -> None:
         """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
 
-        A message has so many `frames`: topic, map and time, or the first two of these.
-
-        The sockets are the `context`'s, which `close` ends.
+        A message has so many `frames`: topic, map and time, or the first two of these. Local sockets are for this user
+        alone, or also for the members of `group`. The sockets are the `context`'s, which `close` ends.
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
@@ -87,10 +89,11 @@ class Bus:
         self._outbox: deque[tuple[bytes, ...]] = deque()
         self._frames = frames
         self._awaited, self._t_held = "", -math.inf  # by which command, and until when (s) all in it is kept
-        self._waiting: deque[Request] = deque()
+        self._queue = CommandQueue()
         self._dropping = False  # the rest of a message that is far too long
         self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
+        self._group = group
         self._door = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
         try:
@@ -118,22 +121,26 @@ class Bus:
             with contextlib.suppress(zmq.Again):
                 self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
 
-    def receive(self) -> list[Request]:
-        """The valid commands whose turn it is, a few at most; what is malformed or may not be is answered here."""
-        self._take_in()
-        requests = [self._waiting.popleft() for _ in range(min(COMMANDS_PER_TICK, len(self._waiting)))]
+    def receive(self, owner: Key = NOBODY_KEY) -> list[Request]:
+        """The valid commands whose turn it is while the client `owner` has control; the rest is answered here."""
+        self._take_in(owner)
+        requests, refused = self._queue.take(owner) if len(self._queue) else ([], [])
+        for request, why in refused:
+            self._crowded(request, why)
         if self._awaited and any(request.name == self._awaited for request in requests):
             self._awaited, self._t_held = "", min(self._t_held, time.monotonic() + CAUGHT_UP_S)
         return requests
 
-    def _take_in(self) -> None:
+    def _take_in(self, owner: Key) -> None:
         """Have what has come wait for its turn.
 
-        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes again who has been heard
-        already: who sends without end has to wait, and nobody else has.
+        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes a second time in a tick:
+        who sends without end has to wait, and nobody else has. A stop is found in the tick in which it has come, unless
+        more clients than `TAKEN_PER_TICK` send at once.
         """
         self._frames_left = FRAMES_PER_TICK
-        heard, before = {request.route for request in self._waiting}, len(self._waiting)
+        heard: set[tuple[bytes, ...]] = set()
+        before = len(self._queue)
         for number in range(TAKEN_PER_TICK):
             frames = self._taken()
             if frames is None:
@@ -141,9 +148,10 @@ class Bus:
             self.counters.commands += 1
             route, payloads = _opened([frame.bytes for frame in frames])
             request = self._allowed(route, payloads, frames[-1])
-            if request is not None:
-                self._queue(request)
-            if before + number >= COMMANDS_PER_TICK and route in heard:
+            refused = None if request is None else self._queue.add(request, owner)
+            if refused is not None:
+                self._crowded(*refused)
+            if before + number >= PER_TICK and route in heard:
                 return
             heard.add(route)
 
@@ -159,26 +167,10 @@ class Bus:
             return None
         member = None if self._door is None else self._door.member(frame)
         if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
-            return replace(request, who=_who(request, member, frame))
+            return replace(request, who=_who(request, member, frame), member="" if member is None else member.name)
         self.counters.forbidden += 1
         self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
         return None
-
-    def _queue(self, request: Request) -> None:
-        """Have it wait for its turn; when too many do it is refused, or the others are for a stop or a hold."""
-        if len(self._waiting) < WAITING_MOST:
-            self._waiting.append(request)
-            return
-        if request.name not in URGENT or any(each.name == request.name for each in self._waiting):
-            self._crowded(request, f"{len(self._waiting)} commands wait already, try again")
-            return
-        crowd, self._waiting = self._waiting, deque()
-        for each in crowd:  # nothing that was asked for before may follow it
-            if each.name in URGENT and not self._waiting:
-                self._waiting.append(each)
-            else:
-                self._crowded(each, f"a {request.name} has overtaken it")
-        self._waiting.append(request)
 
     def _crowded(self, request: Request, why: str) -> None:
         self.counters.crowded += 1
@@ -245,7 +237,10 @@ class Bus:
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
         socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
         try:
-            socket.bind(address)
+            with _permissions(address, self._group):
+                socket.bind(address)
+        except _GroupError as error:
+            raise BusError(f"bus.group: {error}") from None
         except zmq.ZMQError as error:
             if error.errno == zmq.EADDRINUSE:
                 raise BusError(
@@ -261,9 +256,36 @@ class Bus:
             self.counters.replies_lost += 1
 
 
+class _GroupError(Exception):
+    """A group that local sockets cannot be given to."""
+
+
+@contextlib.contextmanager
+def _permissions(address: str, group: str | None) -> Iterator[None]:
+    """A local socket that is bound meanwhile is for this user, and for the members of the group if one is given."""
+    if not address.startswith("ipc://"):
+        yield
+        return
+    before = os.umask(0o177)  # until the group is right
+    try:
+        yield
+    finally:
+        os.umask(before)
+    if group is None:
+        return
+    path = Path(address.removeprefix("ipc://"))
+    try:
+        shutil.chown(path, group=group)
+        path.chmod(0o660)
+    except LookupError:
+        raise _GroupError(f"there is no group {group}") from None
+    except OSError as error:
+        raise _GroupError(f"{path} cannot be given to the group {group}: {error.strerror}") from None
+
+
 def _who(request: Request, member: Member | None, frame: zmq.Frame) -> str:
     """Who gave a command: the key's name, which is proven, and what the program says of itself, which is not."""
-    said = request.who
+    said = request.who or request.client
     if member is not None:
         return f"{member.name}, by {said}" if said else member.name
     if said:

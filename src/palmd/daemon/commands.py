@@ -16,6 +16,7 @@ REQUEST_BYTES_MAX = 64 * 1024
 _SCALARS = (str, bytes, int, float, bool, type(None))
 _ID_LENGTH_MAX = 256
 SENDER_LENGTH_MAX = 100
+_KEYS = ("id", "cmd", "args", "from", "client", "lease_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,7 @@ class Argument:
     """One argument of a command; `low` and `high` bound a number, `longest` the characters of a text."""
 
     name: str
-    kind: Literal["number", "text"]
+    kind: Literal["number", "text", "flag"]
     meaning: str
     required: bool = False
     low: float = -math.inf
@@ -39,6 +40,7 @@ class CommandSpec:
     arguments: tuple[Argument, ...] = ()
     by_hand: bool = True  # whether people give it
     role: Role = Role.OPERATE  # what a client with a key needs
+    moves: bool = False  # whether only the client in control may give it
 
     @property
     def told(self) -> bool:
@@ -46,22 +48,29 @@ class CommandSpec:
         return self.by_hand and self.role is Role.OPERATE
 
 
+TAKE = Argument("take", "flag", "true: take control first, from whichever client has it")
+LEASE_MAX_S = 60.0
+
 JOG_STEP_MAX_DEG = 0.5
 JOG_WHOLE_MAX_DEG = 180.0
 
 COMMANDS: dict[str, CommandSpec] = {
     "status": CommandSpec("tells state, faults, plan, angles and estimate", role=Role.WATCH),
-    "arm": CommandSpec("from ready: starts tracking and stands at the present pose"),
-    "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold"),
-    "hold": CommandSpec("stops the motion along its path; tracking goes on"),
-    "stop": CommandSpec("planned stop, back to ready"),
-    "reset": CommandSpec("clears latched faults that are gone, and a faulted controller; never an e-stop"),
+    "arm": CommandSpec("from ready: starts tracking and stands at the present pose", (TAKE,), moves=True),
+    "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold", (TAKE,), moves=True),
+    "hold": CommandSpec("stops the motion along its path; tracking goes on", (TAKE,)),
+    "stop": CommandSpec("planned stop, back to ready", (TAKE,)),
+    "reset": CommandSpec(
+        "clears latched faults that are gone, and a faulted controller; never an e-stop", (TAKE,), moves=True
+    ),
     "plan": CommandSpec(
         "loads another plan, validated first; not while moving",
         (
             Argument("path", "text", "the plan's file; without its text one beside the configured plan", required=True),
             Argument("text", "text", "what the file says"),
+            TAKE,
         ),
+        moves=True,
     ),
     "jog": CommandSpec(
         "turns the palms by small steps, for as long as the next one comes within 200 ms",
@@ -78,7 +87,12 @@ COMMANDS: dict[str, CommandSpec] = {
                 high=JOG_WHOLE_MAX_DEG,
             )
             for joint in JOINTS
-        ),
+        )
+        + (TAKE,),
+        moves=True,
+    ),
+    "alive": CommandSpec(
+        "renews the client's lease; with take, takes control and moves nothing", (TAKE,), by_hand=False
     ),
     "note": CommandSpec(
         "writes a note about this time into the recording",
@@ -91,6 +105,7 @@ COMMANDS: dict[str, CommandSpec] = {
             Argument("messages", "number", "in the file", required=True, low=0.0),
             Argument("lost", "number", "messages that are in no file, since the recorder's start", True, low=0.0),
             Argument("path", "text", "of the file; not told while there is none"),
+            Argument("process", "number", "the recorder's process number", low=0.0),
             Argument("problem", "text", "why nothing can be written; not told when all is well"),
         ),
         by_hand=False,
@@ -102,7 +117,9 @@ COMMANDS: dict[str, CommandSpec] = {
 class Request:
     """A valid command. `route` leads back to who sent it and means nothing here; None for nobody.
 
-    `who` is the sender in words: what it says of itself, and its key's name where there are keys.
+    `who` is the sender in words: what it says of itself, and its key's name where there are keys. `client` is the text
+    by which the sender wants to be known from one connection to the next, empty for none; `member` is its key's name;
+    `lease_s` is how long (s) its control lasts after each of its requests, None where this one does not declare it.
     """
 
     name: str
@@ -110,6 +127,9 @@ class Request:
     id: Any = None
     route: tuple[bytes, ...] | None = None
     who: str = ""
+    client: str = ""
+    member: str = ""
+    lease_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +164,10 @@ def reply_fields(id: Any, error: str | None, result: dict[str, Any] | None = Non
 
 
 def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
-    """The request in a msgpack map `{id, cmd, args, from?}`; raises CommandError for anything else."""
+    """The request in a msgpack map `{id, cmd, args, from?, client?, lease_s?}`; raises CommandError for anything else.
+
+    `client` and `lease_s` may stand among the `args` as well.
+    """
     if len(payload) > REQUEST_BYTES_MAX:
         raise CommandError(f"a command has {REQUEST_BYTES_MAX} bytes at most, not {len(payload)}")
     try:
@@ -154,16 +177,35 @@ def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
     if not isinstance(message, dict):
         raise CommandError(f"expected a map {{id, cmd, args}}, got {_named(message)}")
     id = _identity(message.get("id"))
-    unknown = [key for key in message if key not in ("id", "cmd", "args", "from")]
+    unknown = [key for key in message if key not in _KEYS]
     if unknown:
-        raise CommandError(f"unknown key {_shown(unknown[0])}; a command has id, cmd, args, from", id)
+        raise CommandError(f"unknown key {_shown(unknown[0])}; a command has {', '.join(_KEYS)}", id)
     name = message.get("cmd")
     if not isinstance(name, str) or name not in COMMANDS:
         raise CommandError(f"unknown command {_shown(name)}; there are {', '.join(COMMANDS)}", id)
-    args, who = message.get("args"), message.get("from", "")
-    if not isinstance(who, str) or len(who) > SENDER_LENGTH_MAX or not who.isprintable():
-        raise CommandError(f"from must be printable text of {SENDER_LENGTH_MAX} characters at most", id)
-    return Request(name, _arguments(name, {} if args is None else args, id), id, route, who)
+    args = message.get("args")
+    if isinstance(args, dict):
+        for key in [key for key in ("client", "lease_s") if key in args]:
+            message.setdefault(key, args.pop(key))
+    who, client = (_text_of(key, message.get(key, ""), id) for key in ("from", "client"))
+    args = _arguments(name, {} if args is None else args, id)
+    return Request(name, args, id, route, who, client, lease_s=_lease(message.get("lease_s"), id))
+
+
+def _text_of(key: str, value: Any, id: Any) -> str:
+    """How the sender calls itself."""
+    if not isinstance(value, str) or len(value) > SENDER_LENGTH_MAX or not value.isprintable():
+        raise CommandError(f"{key} must be printable text of {SENDER_LENGTH_MAX} characters at most", id)
+    return value
+
+
+def _lease(value: Any, id: Any) -> float | None:
+    """The lease that a request declares (s), None for none."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= LEASE_MAX_S:
+        raise CommandError(f"lease_s must be a number above 0 and {LEASE_MAX_S:g} at most, got {_shown(value)}", id)
+    return float(value)
 
 
 def _identity(id: Any) -> Any:
@@ -192,7 +234,10 @@ def _arguments(command: str, args: Any, id: Any) -> dict[str, Any]:
 
 
 def _problem(argument: Argument, value: Any) -> str | None:
-    if argument.kind == "text":
+    if argument.kind == "flag":
+        if not isinstance(value, bool):
+            return f"must be true or false, got {_shown(value)}"
+    elif argument.kind == "text":
         if not isinstance(value, str) or not value or "\0" in value:
             return f"must be text, got {_shown(value)}"
         if len(value) > argument.longest:

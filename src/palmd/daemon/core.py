@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -58,6 +59,13 @@ def _always() -> bool:
     return True
 
 
+class Helper(Protocol):
+    """A process beside the loop, as far as it may be at fault."""
+
+    def conditions(self, t: float) -> Iterable[str]:
+        """The codes of the fault table that hold at `t` (s)."""
+
+
 class Core:
     """See the module. Times are seconds on one monotonic clock, never running backwards."""
 
@@ -71,11 +79,13 @@ class Core:
         folder: Path = Path(),
         explorer: Source | None = None,
         system: AnySystem | None = None,
+        smoother: Helper | None = None,
     ) -> None:
         """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
 
         `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. `system` is what the rig is, if it has been made already.
+        refused. `system` is what the rig is, if it has been made already. `smoother` is the observer's, where it has
+        one in a process beside the loop.
         """
         self._system = system = system or live_system(config)
         self.pads = system.pads()
@@ -97,6 +107,7 @@ class Core:
             autostart=config.autostart,
             system=system,
         )
+        self._smoother = smoother
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
         self._estimate: LiveEstimate = system.unknown(-math.inf, observer)
@@ -130,6 +141,11 @@ class Core:
     def state(self) -> State:
         """What the daemon is doing."""
         return self.supervisor.state
+
+    @property
+    def in_control(self) -> tuple[str, str, str]:
+        """The key of the client that has control."""
+        return self.supervisor.control.key
 
     @property
     def estimate(self) -> LiveEstimate:
@@ -306,7 +322,9 @@ class Core:
         if len(self._rig_priors) and due:
             self._t_rig = t
             messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
-        told = (self.state, self.faults.active, self.setpoints.running, self.supervisor.wish)
+        control = self.supervisor.control.name
+        unattended = self.supervisor.unattended
+        told = (self.state, self.faults.active, self.setpoints.running, self.supervisor.wish, control, unattended)
         if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
             self._told, self._t_state = told, t
             messages.append((STATE, self._state_fields(t)))
@@ -327,7 +345,9 @@ class Core:
         self._enter(t)
         state, since, cause = self._in_state
         running, explored = self.setpoints.running, self.exploring.explored
-        return state_fields(str(state), self.faults.active, cause, self.supervisor.wish, t - since, running, explored)
+        wish, control, unattended = self.supervisor.wish, self.supervisor.control.name, self.supervisor.unattended
+        faults = self.faults.active
+        return state_fields(str(state), faults, cause, wish, t - since, running, explored, control, unattended)
 
     def _enter(self, t: float) -> None:
         """Keep what has brought the state about, and what speaks for it, while it still does."""
@@ -417,6 +437,8 @@ class Core:
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
         present.update(self._loop_watch.conditions(t, self._observer.late_dropped, look))
         present.update(self.supervisor.recorder.conditions(t))
+        if self._smoother is not None:
+            present.update(self._smoother.conditions(t))
         present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
         if commanded and (self.setpoints.violated or self._outside()):
             present.add("limits-violated")
@@ -425,6 +447,8 @@ class Core:
             present.add("rig-contradicted")
         if self.supervisor.plan_refused:
             present.add("plan-refused")
+        if self.supervisor.operator_lost:
+            present.add("operator-lost")
         if self.exploring.silent:
             present.add("explorer-silent")
         if self.setpoints.moving and all(self._felt) and not self._estimate.valid:
@@ -451,6 +475,8 @@ class Core:
                 return self._loop_watch.evidence(code)
             case "plan-refused":
                 return self.supervisor.refusal
+            case "operator-lost":
+                return f"the lease of {self.supervisor.operator_lost} ran out"
             case "estimate-inconsistent":
                 return self._nis_watch.evidence
             case "rig-contradicted":

@@ -54,6 +54,11 @@ class ExplorerProcess:
                 newest = pickle.loads(message)
         return newest
 
+    def tend(self, t: float) -> None:
+        """Start the process again at `t` (s) if it does not run; see `WorkerProcess.tend`."""
+        if self._process is not None:
+            self._process.tend(t)
+
     def close(self) -> None:
         """End the process."""
         if self._process is not None:

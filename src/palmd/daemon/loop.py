@@ -11,7 +11,7 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from palmd.daemon.bus import Bus
@@ -39,6 +39,9 @@ QUIET_S = 0.3e-3
 
 OBSERVING_SHARE = 0.5
 """Of a period, after which the observer begins no further event in a tick."""
+
+TEND_S = 0.25
+"""How often each process beside the loop is looked after."""
 
 AWAKE_S = 0.1e-3
 """So long before a tick the loop no longer sleeps, for no machine wakes anybody to the microsecond."""
@@ -76,11 +79,13 @@ class Loop:
         wall: Callable[[], float] = time.time,
         waiter: Waiter | None = None,
         processor: ProcessorTime | None = None,
+        tend: Sequence[Callable[[float], None]] = (),
     ) -> None:
         """`info` is what `info_topic` says, `counters` gives what `palm/loop` says beyond the loop's own.
 
         `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports;
-        `processor` says who had it when a tick is late, if it is to be said.
+        `processor` says who had it when a tick is late, if it is to be said. `tend` are called with the time (s) a few
+        times a second: each looks after a process beside the loop, and takes 1 ms at most.
         """
         self.statistics = LoopStatistics(rate_hz)
         self._core = core
@@ -96,6 +101,8 @@ class Loop:
         self._clock, self._wall = clock, wall
         self._waiter: Waiter = waiter or PortWaiter(list(self._ports.values()), clock)
         self._processor = processor
+        self._tend = tuple(tend)
+        self._t_tend = -math.inf
         self._known_open: set[EndName] = set()
         self._stop_wanted = False
         self._t_stop = math.inf
@@ -116,6 +123,7 @@ class Loop:
             self._answer,
             self._publish,
             self._publish_slowly,
+            self._look_after,
             self._tell,
         )
 
@@ -255,7 +263,7 @@ class Loop:
         self._core.observe(t, between)
 
     def _obey(self, t: float) -> None:
-        for request in self._bus.receive():
+        for request in self._bus.receive(self._core.in_control):
             self._core.handle(request, t)
 
     def _answer(self, _t: float) -> None:
@@ -275,6 +283,13 @@ class Loop:
             timestamp = self._wall()
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
             self._bus.publish(self._info_topic, dict(self._info), t, timestamp)
+
+    def _look_after(self, t: float) -> None:
+        """One process a time, so that no tick starts two."""
+        if self._tend and t - self._t_tend >= TEND_S / len(self._tend):
+            self._t_tend = t
+            self._tend[0](t)
+            self._tend = (*self._tend[1:], self._tend[0])
 
     def _fail(self, t: float, error: Exception) -> None:
         if not self._failed:

@@ -42,6 +42,10 @@ class Plan:
             return False
         return limits is self.limits and (start == self.start or _begins_anywhere(self.spec))
 
+    def within(self, limits: MotionLimits) -> Plan:
+        """The same plan with the caller's own object for its limits: a plan from another process has a copy."""
+        return replace(self, limits=limits)
+
     def compiled(self, limits: MotionLimits, start: Angles) -> Plan:
         """The same plan for other limits or another start; raises PlanError. Takes tens of milliseconds."""
         return Plan(self.spec, compile_any(self.spec, limits, start), limits, start)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
@@ -51,6 +51,15 @@ class BatchingProcess(Generic[Answer]):
     def starts(self) -> int:
         """How often the process has been started."""
         return self._process.starts
+
+    def tend(self, t: float) -> None:
+        """Start the process again at `t` (s) if it does not run; see `WorkerProcess.tend`."""
+        self._process.tend(t)
+
+    def conditions(self, t: float) -> Iterator[str]:
+        """The codes of the fault table that hold at `t` (s)."""
+        if self._process.silent(t):
+            yield "smoother-silent"
 
     def _hand_over(self, t: float, events: Sequence[Event], *head: Any) -> None:
         """Of the tick at `t` (s): the events of a few ticks go together, behind the newest `head`."""

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from palmd.daemon.commands import COMMANDS, Reply, Request
@@ -17,6 +18,7 @@ from palmd.daemon.drivers import RESTING, ArmDriver
 from palmd.daemon.exploring import Explores
 from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
+from palmd.daemon.ownership import ALWAYS_OBEYED, Client, Control, client_of
 from palmd.daemon.planner import Plan, PlanFolder, plan_in
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.daemon.setpoints import SetPoints
@@ -25,6 +27,7 @@ from palmd.devices.actuator import ArmState, Reach
 from palmd.events import LiveEstimate
 from palmd.faults import Fault, FaultMonitor, Severity
 from palmd.messages import log_fields
+from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
 from palmd.system.mechanism import JOINTS
@@ -38,6 +41,9 @@ SETTLED_S = 1.0
 
 LOG_TOLD = 8
 """So many of the last entries of the log are told with the status."""
+
+LOST_SAID_S = 2.0
+"""That an operator was lost is said for so long after somebody has control again, for those who look once a second."""
 
 JOG_PAUSE_S = 1.0
 """Steps that follow each other sooner are one jog, and told as one."""
@@ -58,6 +64,7 @@ class _Job:
 
     request: Request
     future: Future[Plan]
+    limits: MotionLimits
     done: Callable[[Plan, Request], None]
 
 
@@ -97,7 +104,9 @@ class Supervisor:
         self.at_rest = True
         self.replies: list[Reply] = []
         self.estimate: LiveEstimate | None = None
-        self.recorder = RecorderWatch()
+        self.recorder = RecorderWatch(journal)
+        self.control = Control()
+        self.operator_lost = ""  # the client whose lease has run out in motion, until somebody has had control again
         self._arm = arm
         self._setpoints = setpoints
         self._exploring = exploring
@@ -115,6 +124,8 @@ class Supervisor:
         self._notes: list[tuple[float, str]] = []
         self._t_up = math.inf
         self._t_jog = -math.inf
+        self._t = -math.inf
+        self._t_regained = math.inf  # since when somebody has control after that
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
             "status": self._status,
             "arm": self._start_arming,
@@ -126,6 +137,7 @@ class Supervisor:
             "jog": self._jog,
             "note": self._note,
             "recorder": self._hear_recorder,
+            "alive": self._alive,
         }
 
     @property
@@ -138,9 +150,19 @@ class Supervisor:
         """The name of the plan in hand, empty without one."""
         return self._setpoints.plan or (self.plan.name if self.plan is not None else "")
 
+    @property
+    def unattended(self) -> bool:
+        """Whether a plan moves the palms and no client with a declared lease answers for it."""
+        return self.state is State.TRACKING and self._setpoints.running and not self.control.attended
+
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer is in `replies`, now or later."""
+        self._t = t
+        self._expire_control(t)
+        client = client_of(request)
+        self.control.hear(client, t, request.lease_s)
         try:
+            self._check_control(request, client)
             result = self._commands[request.name](request, t)
         except (RefusedError, MotionError) as error:
             self._answer(request, f"{request.name} refused: {error}")
@@ -150,6 +172,8 @@ class Supervisor:
 
     def settle(self, t: float, *, up: bool) -> None:
         """Let the faults and the rig's being there at `t` (s) have their effect. Once a tick."""
+        self._t = t
+        self._expire_control(t)
         self._learn_workspace()
         self._finish_job()
         self._finish_arming(t)
@@ -181,6 +205,55 @@ class Supervisor:
         self._change(Trigger.STOP, "palmd is stopping")
         self._stand_down("palmd is stopping")
 
+    # ---- control -----------------------------------------------------------------------------------------
+
+    def _expire_control(self, t: float) -> None:
+        """A client that has declared its lease and is gone by `t` (s) leaves no moving palms behind."""
+        if self.operator_lost and t - self._t_regained > LOST_SAID_S:
+            self.operator_lost = ""
+        lost = self.control.expire(t)
+        if lost is None or self.state is not State.TRACKING:
+            return
+        if self._setpoints.moving or self._setpoints.held or self._compiles_start():
+            self.operator_lost, self._t_regained = lost.name, math.inf
+            self._change(Trigger.HOLD, f"the lease of {lost.name} ran out while the palms moved")
+            self._setpoints.hold()
+
+    def _check_control(self, request: Request, client: Client) -> None:
+        """Refuse what another client's control forbids; `take` ends that, `hold` and `stop` always do."""
+        if request.name in ALWAYS_OBEYED:
+            self._gain(client)
+            return
+        other = self.control.other(client) or self._busy_for_another(client)
+        if request.args.get("take"):
+            if other is not None:
+                self._journal.add("control", "taken", f"{client.name} took control from {other.name}", who=request.who)
+            self._gain(client)
+        elif COMMANDS[request.name].moves and other is not None:
+            raise RefusedError(f"{other.name} has control; args {{take: true}} takes it over")
+
+    def _busy_for_another(self, client: Client) -> Client | None:
+        """The client of a moving command that is under way, if it is another one."""
+        for pending in (self._arming, self._resetting, self._job):
+            if pending is not None and (other := client_of(pending.request)).key != client.key:
+                return other
+        return None
+
+    def _refuse_if_overtaken(self, request: Request) -> None:
+        other = self.control.other(client_of(request))
+        if other is not None:
+            raise RefusedError(f"{other.name} has control now")
+
+    def _gain(self, client: Client) -> None:
+        self.control.gain(client, self._t)
+        self._t_regained = min(self._t_regained, self._t)
+
+    def _alive(self, _request: Request, _t: float) -> dict[str, Any]:
+        return {"control": self.control.name}
+
+    def _compiles_start(self) -> bool:
+        return self._job is not None and self._job.done == self._run
+
     # ---- commands ----------------------------------------------------------------------------------------
 
     def _status(self, _request: Request, t: float) -> dict[str, Any]:
@@ -190,6 +263,8 @@ class Supervisor:
             "state": str(self.state),
             "cause": self.cause,
             "wish": self.wish,
+            "control": self.control.name,
+            "unattended": self.unattended,
             "faults": [fault.code for fault in faults],
             "severities": [str(fault.severity) for fault in faults],
             "hints": [fault.hint for fault in faults],
@@ -253,10 +328,11 @@ class Supervisor:
         if plan.serves(limits, start):
             self._run(plan, request)
             return self._told()
-        self._begin(request, lambda: plan.compiled(limits, start), self._run)
+        self._begin(request, partial(plan.compiled, limits, start), limits, self._run)
         return None
 
     def _run(self, plan: Plan, request: Request) -> None:
+        self._refuse_if_overtaken(request)
         self._refuse_unless_commanded()
         self._refuse_faults(Severity.HOLD)
         self._setpoints.start(plan.trajectory)
@@ -292,11 +368,12 @@ class Supervisor:
         if actual is not None:
             start = self._setpoints.nearest(actual).angles
         if text is None:
-            self._begin(request, lambda: plans.load(name, limits, start), self._adopt)
+            self._begin(request, partial(plans.load, name, limits, start), limits, self._adopt)
         else:
-            self._begin(request, lambda: plan_in(text, name, limits, start), self._adopt)
+            self._begin(request, partial(plan_in, text, name, limits, start), limits, self._adopt)
 
-    def _adopt(self, plan: Plan, _request: Request) -> None:
+    def _adopt(self, plan: Plan, request: Request) -> None:
+        self._refuse_if_overtaken(request)
         self._refuse_while_moving()
         self._setpoints.put_away()
         self.plan = plan
@@ -341,10 +418,17 @@ class Supervisor:
 
     # ---- what comes of them later ------------------------------------------------------------------------
 
-    def _begin(self, request: Request, work: Callable[[], Plan], done: Callable[[Plan, Request], None]) -> None:
+    def _begin(
+        self,
+        request: Request,
+        work: Callable[[], Plan],
+        limits: MotionLimits,
+        done: Callable[[Plan, Request], None],
+    ) -> None:
+        """Have `work`, which can be pickled, give a plan within `limits` beside the loop."""
         if self._job is not None:
             raise RefusedError("another plan is still being checked")
-        self._job = _Job(request, self._aside.submit(work), done)
+        self._job = _Job(request, self._aside.submit(work), limits, done)
 
     def _finish_job(self) -> None:
         job = self._job
@@ -352,7 +436,7 @@ class Supervisor:
             return
         self._job = None
         try:
-            plan = job.future.result()
+            plan = job.future.result().within(job.limits)
         except Exception as error:  # a plan from outside may be wrong in any way; the loop goes on
             if job.done == self._run:
                 self.plan_refused, self.refusal = True, str(error)
@@ -452,7 +536,7 @@ class Supervisor:
     def _forget_start(self, trigger: Trigger) -> None:
         """A start whose plan is still being compiled comes to nothing: it was given before what ends the motion."""
         job = self._job
-        if job is not None and job.done == self._run:
+        if job is not None and self._compiles_start():
             self._job = None
             self._answer(job.request, f"start refused: {trigger} came first")
 
@@ -463,6 +547,10 @@ class Supervisor:
         if error is not None and request.id == _AUTOSTART_ID and request.route is None:
             self._autostart.clear()
             log.warning("autostart: %s", error)
+        if error is None and COMMANDS[request.name].moves:
+            client = client_of(request)
+            if self.control.other(client) is None:
+                self._gain(client)
         done = request.args["text"] if request.name == "note" else "done"
         self._tell(request, done if error is None else error)
         self.replies.append(Reply(request, error, result))

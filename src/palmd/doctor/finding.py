@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["ok", "missing", "off", "cannot tell"]
+Verdict = Literal["ok", "open", "missing", "off", "cannot tell"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that palmd needs: how it stands, and the command that mends it, if there is one.
 
-    `off`: readings tell that it is not as configured.
+    `off`: readings tell that it is not as configured. `open`: it works, and lets in more than a rig should.
     """
 
     what: str

@@ -20,6 +20,8 @@ MOTIONS = frozenset(own.motion.name for own in SYSTEM_TOPICS.values())
 AGAIN_S = 1.0
 CALM_S = 0.5
 LOOK_S = 0.25
+LEASE_S = 5.0
+"""The lease that the client of a `PlanRun` declares: its questions renew it, and with its end the palms are held."""
 PROGRESS_S = 1.0
 STANDING_S = 5.0  # for the palms to come to a stand when they are held
 HELD_S = 30.0  # that a hold may last: until then somebody may put the object back and start again

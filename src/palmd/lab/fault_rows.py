@@ -12,7 +12,7 @@ from typing import Literal
 
 from palmd.rig.fault_injection import PADS, PortName
 
-Process = Literal["daemon", "recorder", "page"]
+Process = Literal["daemon", "smoother", "recorder", "page"]
 State = Literal["tracking", "ready", "hold", "fault"]
 
 HOST_ALIVE_S = 0.060
@@ -306,6 +306,14 @@ ROWS: tuple[FaultRow, ...] = (
         "tracking",
         ("nothing",),
         (("recorder-silent", "note"),),
+    ),
+    FaultRow(
+        "smoother-stopped",
+        "the smoother is stopped for 4 s",
+        Pause("smoother", 4.0),
+        "tracking",
+        ("nothing",),
+        (("smoother-silent", "degrade"),),
     ),
     FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking", ("nothing",)),
     FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking", ("nothing",)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -17,7 +18,17 @@ from palmd.console.errors import RIG_FAILED, CliError
 from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started
 from palmd.lab.fault_reaction import Reaction, ReactionWatch, Turning, complete
-from palmd.lab.fault_rows import Act, FaultRow, FullDisk, Kill, Pause, RowFault, TakenAddress, WallClockStep
+from palmd.lab.fault_rows import (
+    Act,
+    FaultRow,
+    FullDisk,
+    Kill,
+    Pause,
+    Process,
+    RowFault,
+    TakenAddress,
+    WallClockStep,
+)
 from palmd.lab.fault_why import ask, asked_at
 from palmd.record import RunError
 from palmd.record.run import read_run
@@ -153,9 +164,11 @@ class Stand:
                 fields = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
                 t = float(self._stack.ask_rig("mischief", **fields)["t_on_s"])
             case Pause():
-                self._stack.children[act.process].send(signal.SIGSTOP)
+                number = self._number(act.process)
+                os.kill(number, signal.SIGSTOP)
                 time.sleep(act.seconds)
-                self._stack.children[act.process].send(signal.SIGCONT)
+                with contextlib.suppress(ProcessLookupError):  # the daemon may have ended it
+                    os.kill(number, signal.SIGCONT)
             case Kill():
                 self._stack.children[act.process].send(signal.SIGKILL)
                 if act.process == "daemon":
@@ -168,6 +181,16 @@ class Stand:
             case WallClockStep():
                 self._mark.touch()
         return t
+
+    def _number(self, process: Process) -> int:
+        """Of a process of ours, or of the daemon's smoother."""
+        if process != "smoother":
+            return self._stack.children[process].number
+        daemon = self._stack.children["daemon"].number
+        for number in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
+            if "palmd.daemon.smoothing" in Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8"):
+                return int(number)
+        raise CliError(RIG_FAILED, "the daemon has no smoother")
 
     def _undo(self, act: Act) -> list[str]:
         """End the cause, and start again what is gone; what went wrong with that."""

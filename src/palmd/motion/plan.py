@@ -237,6 +237,7 @@ class _Compiler:
         self.spec = spec
         self.limits = limits
         self.problems: dict[tuple[Loc, str], str] = {}  # by place and kind: each is told once
+        self._known: dict[MotionSegment, list[tuple[float, float]]] = {}  # the extremes of segments that come again
         self.dither_peaks = self._dither_peaks(spec.dither)
 
     def trajectory(self, origin: Angles) -> Trajectory:
@@ -339,7 +340,9 @@ class _Compiler:
         loc: Loc = ("segments", index)
         bounds = self.limits.bounds
         try:
-            extremes = _extremes(segment, self.limits)
+            if segment not in self._known:
+                self._known[segment] = _extremes(segment, self.limits)
+            extremes = self._known[segment]
             beginning = ranges([self.limits.values(segment.at(0.0))])
         except PoseError as error:
             self.problems.setdefault((loc, "pose"), str(error))

@@ -21,10 +21,11 @@ METADATA = "palmd"
 CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 
 
-def preface(config: AnyConfig, started: str, continues: str = "") -> Preface:
+def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float = 0.0) -> Preface:
     """For a run that began at `started` (ISO 8601) and goes on from the one named `continues`, empty for none.
 
-    Stored outlines are read from where the configuration says; raises OSError.
+    `gap_s` is the time between the two of which nothing is recorded. Stored outlines are read from where the
+    configuration says; raises OSError.
     """
     metadata = {
         "schema": str(SCHEMA),
@@ -36,6 +37,7 @@ def preface(config: AnyConfig, started: str, continues: str = "") -> Preface:
         "config_hash": config_hash(config),
         "started": started,
         "continues": continues,
+        "gap_s": f"{gap_s:.3f}",
     }
     rig = load_part(LIVE[config.system].description)(config)
     attachments = {

@@ -77,6 +77,7 @@ def _drain(subscriber: Subscriber, recording: Recording, wait_s: float) -> int:
 def _told(client: CommandClient, recording: Recording) -> bool:
     """Whether the daemon, if there is one, took the command `recorder`; earlier answers are of no interest."""
     args: dict[str, Any] = {"bytes": recording.size_bytes, "messages": recording.messages, "lost": recording.lost}
+    args["process"] = os.getpid()
     if recording.path is not None:
         args["path"] = str(recording.path)
     if recording.problem:

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from palmd.config.any_config import AnyConfig
 from palmd.payload import FRAMES, unpacked
-from palmd.record.mcapfile import RawMessage
+from palmd.record import SUFFIX
+from palmd.record.mcapfile import RawMessage, is_finished
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
 
@@ -24,6 +25,7 @@ log = logging.getLogger(__name__)
 LONGEST_S = 3600.0  # of one file
 SILENT_S = 5.0  # without a message from the daemon: its run is over
 RETRY_S = 10.0
+INTERRUPTED_S = 60.0  # since its last message, within which another recorder takes up a recording
 _LATEST_S = 1e10
 DAEMON = "palm/"
 """What the topics of the daemon begin with; a file begins and ends with its messages, whoever else is heard."""
@@ -49,6 +51,7 @@ class Recording:
         self._ended = ended
         self._file: RunFile | None = None
         self._last = ""  # file of the daemon's present life
+        self._first = True  # whether this process has begun no file yet
         self._expected: dict[str, int] = {}
         self._t_begun = self._t_heard = self._t_failed = -math.inf
 
@@ -84,7 +87,7 @@ class Recording:
             self._t_heard = t
             if self._file is None or t - self._t_begun >= LONGEST_S:
                 self.finish()
-                self._begin(t)
+                self._begin(t, number)
             self.lost += self._file is None
         if self._file is not None:
             published = _ns(fields.get("timestamp"), t)
@@ -135,20 +138,28 @@ class Recording:
             self._expected.clear()
         self._expected[topic] = number + 1
 
-    def _begin(self, t: float) -> None:
+    def _begin(self, t: float, number: int) -> None:
+        """A file from `t` on, whose first message has this number."""
         if t - self._t_failed < RETRY_S:
             return
         begin = datetime.fromtimestamp(t, UTC)
         try:
-            before = preface(self._config, begin.isoformat(), self._last)
+            gap_s = 0.0
+            if self._first and number > 0 and not self._last:
+                self._last, gap_s = interrupted(self._config.record.directory, t)
+            before = preface(self._config, begin.isoformat(), self._last, gap_s)
             self._file = RunFile(self._config.record.directory, before, begin)
         except OSError as error:
             self.fail(error, t)
             return
         self.problem = ""
+        self._first = False
         self._t_begun = t
         self._last = self._file.path.name
-        log.info("recording to %s", self._file.path)
+        if gap_s:
+            log.warning("recording to %s, which goes on from another after %.1f s", self._file.path, gap_s)
+        else:
+            log.info("recording to %s", self._file.path)
 
     def _abandon(self, file: RunFile) -> None:
         self._file = None
@@ -159,6 +170,16 @@ class Recording:
     def _told(self, error: OSError) -> str:
         why = "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
         return f"{self._config.record.directory}: {why}"
+
+
+def interrupted(directory: Path, t: float) -> tuple[str, float]:
+    """The name of the recording in `directory` whose recorder was killed shortly before `t`, and how long before (s).
+
+    Empty and 0 where there is none. Raises OSError.
+    """
+    found = sorted((path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")) if directory.is_dir() else []
+    recent = [(t_last, path) for t_last, path in found if 0.0 <= t - t_last <= INTERRUPTED_S and not is_finished(path)]
+    return (recent[-1][1].name, t - recent[-1][0]) if recent else ("", 0.0)
 
 
 def _ns(seconds: object, otherwise: float) -> int:

@@ -48,7 +48,9 @@ def facts(series: Series) -> tuple[tuple[str, str], ...]:
         ("outcome", outcome(series)),
     ]
     if metadata.get("continues"):
-        said.insert(1, ("goes on from", metadata["continues"]))
+        gap_s = float(metadata.get("gap_s", 0.0))
+        gap = f"; {gap_s:.1f} s between them are not recorded" if gap_s else ""
+        said.insert(1, ("goes on from", metadata["continues"] + gap))
     return tuple(said)
 
 

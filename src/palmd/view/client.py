@@ -17,9 +17,10 @@ ANSWERS_MOST = 16
 class PageClient:
     """A page that takes one batch at a time; while it is busy with one, the next frames are dropped and counted."""
 
-    def __init__(self, connection: ServerConnection, operator: bool) -> None:
-        """`operator`: whether it may give commands."""
+    def __init__(self, connection: ServerConnection, operator: bool, name: str) -> None:
+        """`operator`: whether it may give commands; `name`: what the daemon calls it, as one of its clients."""
         self.operator = operator
+        self.name = name
         self.lost = 0
         self.waiting: list[str] = []  # its orders that have no answer yet
         self._connection = connection
@@ -42,6 +43,10 @@ class PageClient:
         """An answer to an order of it."""
         self._answers.append(answer)
         self._due.set()
+
+    async def close(self, code: int, reason: str) -> None:
+        """End the connection."""
+        await self._connection.close(code, reason)
 
     async def serve(self) -> None:
         """Send what there is as fast as it is taken, until the connection ends."""

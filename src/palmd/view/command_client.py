@@ -10,6 +10,9 @@ from palmd.keys import Credentials
 
 TIMEOUT_S = 2.0
 
+LEASE_S = 5.0
+"""The lease that each page declares; while it is open it renews it once a second."""
+
 
 @dataclass(frozen=True, slots=True)
 class CommandAnswer:
@@ -32,9 +35,12 @@ class PageCommands:
         """Whether somebody takes commands at the address."""
         return self._client.open
 
-    def send(self, command: str, args: Mapping[str, str | int | float], t: float) -> int | None:
-        """The number under which the answer to `command` will come, None when nobody takes it; t in s."""
-        number = self._client.post(command, args)
+    def send(self, command: str, args: Mapping[str, str | int | float], t: float, client: str) -> int | None:
+        """The number under which the answer to `command` will come, None when nobody takes it; t in s.
+
+        `client` is the page that gives it.
+        """
+        number = self._client.post(command, args, client, LEASE_S)
         if number is not None:
             self._deadlines[number] = t + TIMEOUT_S
         return number

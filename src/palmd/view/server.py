@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import os
 import socket
@@ -16,6 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from palmd import __version__
+from palmd.bus.command_client import own_client
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import Credentials
 from palmd.view import http_guard, naming, wire
@@ -34,6 +36,8 @@ CLOSING_S = 1.0
 MESSAGE_BYTES_MAX = 4096
 SEND_BUFFER_BYTES = 1 << 16  # what the kernel may hold back for a slow page: about half a second
 CLIENTS_MOST = 32
+WATCHERS_MOST = 24
+"""Of them without the token: the other places are kept for those who may operate the rig."""
 STRANGERS_MOST = 64
 """Connections that have not yet become a page; for one more the oldest has to go, so that a flood keeps nobody out."""
 
@@ -84,7 +88,8 @@ class _Server:
         self._settings, self._feed, self._commands = settings, feed, commands
         self._files = page_files()
         self._frame = 0
-        self._clients: set[PageClient] = set()
+        self._clients: dict[PageClient, None] = {}  # in the order in which they came
+        self._numbers = itertools.count(1)
         self._orders: dict[int, tuple[PageClient, wire.Order]] = {}
         self._strangers: dict[ServerConnection, None] = {}
 
@@ -178,23 +183,26 @@ class _Server:
 
     async def _welcome(self, connection: ServerConnection) -> None:
         """One page, from its first message to its end."""
-        if len(self._clients) >= CLIENTS_MOST:
-            await connection.close(_TOO_MANY, f"there are {CLIENTS_MOST} pages already")
-            return
         try:
-            token = wire.token_in(await asyncio.wait_for(connection.recv(), HELLO_S))
+            first = wire.token_in(await asyncio.wait_for(connection.recv(), HELLO_S))
         except (TimeoutError, ConnectionClosed):
-            token = None
-        if token is None:
+            first = None
+        if first is None:
             await connection.close(_REFUSED, "the first message must be a map with a token")
             return
-        settings = self._settings
+        settings, (token, mark) = self._settings, first
+        operator = http_guard.may_operate(token, settings.token)
+        if not await self._has_place(operator):
+            most = CLIENTS_MOST if operator else WATCHERS_MOST
+            await connection.close(_TOO_MANY, f"there are {most} such pages already")
+            return
         connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         self._strangers.pop(connection, None)
-        client = PageClient(connection, http_guard.may_operate(token, settings.token))
-        client.tell(wire.hello(__version__, client.operator, settings.publish, settings.command, settings.allowed))
+        client = PageClient(connection, operator, f"page {mark or next(self._numbers)} of {own_client()}")
+        addresses = settings.publish, settings.command
+        client.tell(wire.hello(__version__, operator, *addresses, settings.allowed, client.name))
         self._offer([client], [])
-        self._clients.add(client)
+        self._clients[client] = None
         sending = asyncio.create_task(client.serve())
         try:
             async for message in connection:
@@ -202,9 +210,19 @@ class _Server:
         except ConnectionClosed:
             pass
         finally:
-            self._clients.discard(client)
+            self._clients.pop(client, None)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
+
+    async def _has_place(self, operator: bool) -> bool:
+        """Whether another page may come; for one with the token the newest without it has to go, if need be."""
+        watchers = [client for client in self._clients if not client.operator]
+        if not operator:
+            return len(watchers) < WATCHERS_MOST and len(self._clients) < CLIENTS_MOST
+        if len(self._clients) >= CLIENTS_MOST and watchers:
+            del self._clients[watchers[-1]]
+            await watchers[-1].close(_TOO_MANY, "its place is needed for a page that operates the rig")
+        return len(self._clients) < CLIENTS_MOST
 
     def _obey(self, client: PageClient, message: str | bytes) -> None:
         """Pass an order on to the daemon, or say why not."""
@@ -218,7 +236,7 @@ class _Server:
         elif len(client.waiting) >= ORDERS_MOST and (order.command not in ENDING or order.command in client.waiting):
             client.tell(wire.answer(order, f"too many at once: {len(client.waiting)} wait for their answers"))
         else:
-            number = self._commands.send(order.command, order.args, asyncio.get_running_loop().time())
+            number = self._commands.send(order.command, order.args, asyncio.get_running_loop().time(), client.name)
             if number is None:
                 client.tell(wire.answer(order, f"nobody takes commands at {self._settings.command}"))
             else:

@@ -2,12 +2,14 @@
 
 To the page: text frames are JSON maps `{hello: …}` and `{answer: …}`; binary frames are batches, a msgpack list
 `[frame, lost, commandable, [[topic, payload], …]]` with each payload as the daemon sent it, so that nothing is decoded
-on the way. From the page: JSON maps, first `{token}`, then `{id, cmd}`, with `args` where the command has some.
+on the way. From the page: JSON maps, first `{token}`, with a `page` by which it is known again after a reload, then
+`{id, cmd}`, with `args` where the command has some.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -17,6 +19,7 @@ import msgpack
 from palmd.view.feed import Payload
 
 Argument = str | int | float
+_MARK = re.compile("[0-9a-z]{1,12}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +39,12 @@ def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload])
     return cast(bytes, msgpack.packb([frame, lost, commandable, list(messages)]))
 
 
-def hello(version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]]) -> str:
-    """The first words: who is here, whether this page may give commands, and in which state each applies."""
+def hello(
+    version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]], client: str
+) -> str:
+    """The first words: who is here, whether this page may give commands, in which state each applies, and its name."""
     fields = {"version": version, "operator": operator, "publish": publish, "command": command, "allowed": allowed}
+    fields["client"] = client
     return json.dumps({"hello": fields})
 
 
@@ -47,12 +53,18 @@ def answer(order: Order, error: str | None) -> str:
     return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error}})
 
 
-def token_in(text: str | bytes) -> str | None:
-    """The token in a page's first message, empty when it has none; None when that is no such message."""
+def token_in(text: str | bytes) -> tuple[str, str] | None:
+    """The token in a page's first message and the page's own mark, each empty when it has none.
+
+    None when that is no such message.
+    """
     message = _map(text)
-    if message is None or message.keys() != {"token"} or not isinstance(message["token"], str | None):
+    if message is None or not {"token"} <= message.keys() <= {"token", "page"}:
         return None
-    return message["token"] or ""
+    token, page = message["token"], message.get("page", "")
+    if not isinstance(token, str | None) or not isinstance(page, str) or not (page == "" or _MARK.fullmatch(page)):
+        return None
+    return token or "", page
 
 
 def order_in(text: str | bytes) -> Order | None:

@@ -140,7 +140,7 @@ def test_a_page_listens_to_a_daemon_with_keys_and_to_a_rig_without(rig):
     with contextlib.closing(feed), contextlib.closing(PageCommands(rig.command, rig.credentials("ann"))) as desk:
         rig.until(both)
         rig.until(lambda: desk.open)
-        desk.send("hold", {}, 0.0)
+        desk.send("hold", {}, 0.0, "page 1")
         rig.until(lambda: rig.granted == ["hold"])
 
 

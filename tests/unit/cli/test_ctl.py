@@ -244,7 +244,7 @@ def test_jog_angles_are_bounded(angle, capsys):
 
 
 def test_no_answer_ends_with_3_and_says_where_it_tried(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key: CommandClient(address, 0.05, key))
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key, **_: CommandClient(address, 0.05, key))
     address = f"ipc://{tmp_path}/nobody"
     assert main(["ctl", "status", "--address", address]) == 3
     assert capsys.readouterr().err == f"no answer from {address} within 0.05 s: {SILENT}\n"
@@ -267,7 +267,7 @@ def test_a_reply_to_somebody_else_is_passed_over(tmp_path):
 
 
 def test_a_stranger_on_the_port_is_no_answer(capsys, monkeypatch):
-    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key: CommandClient(address, 0.2, key))
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, key, **_: CommandClient(address, 0.2, key))
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         begun = time.monotonic()

@@ -44,7 +44,7 @@ def test_arguments_are_passed_on():
         (packed(id=3, cmd="arm", **{"from": "ann\n12:00 stop, by bob"}), 3, "from must be printable text"),
         (packed(id=3, cmd="arm", **{"from": "x" * 101}), 3, "100 characters at most"),
         (packed(id=3, cmd="arm", args=[1]), 3, "args must be a map"),
-        (packed(id=3, cmd="arm", args={"now": 1}), 3, "unknown argument 'now'; it takes none"),
+        (packed(id=3, cmd="arm", args={"now": 1}), 3, "unknown argument 'now'; there are take"),
         (packed(id=3, cmd="jog", args={"phi1_deg": "1"}), 3, "phi1_deg must be a finite number, got '1'"),
         (packed(id=3, cmd="jog", args={"phi1_deg": True}), 3, "finite number"),
         (packed(id=3, cmd="jog", args={"phi2_deg": math.nan}), 3, "finite number"),

@@ -129,7 +129,7 @@ def test_a_process_that_was_killed_is_started_again_and_knows_its_task(
     process._process._process.wait()
     begun = time.monotonic()
     while process.starts < 2 and time.monotonic() - begun < PATIENCE_S:
-        process.ask(question(0.0))
+        process.tend(time.monotonic())
         time.sleep(0.01)
     assert process.starts == 2
     assert wait_for(process).run == TASK.run

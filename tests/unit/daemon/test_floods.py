@@ -14,7 +14,8 @@ import msgpack
 import pytest
 import zmq
 
-from palmd.daemon.bus import COMMANDS_PER_TICK, TAKEN_PER_TICK, Bus
+from palmd.daemon.bus import TAKEN_PER_TICK, Bus
+from palmd.daemon.command_queue import PER_TICK
 from palmd.daemon.commands import Reply
 
 FLOOD = Path(__file__).parents[3] / "tools/flood.py"
@@ -93,7 +94,7 @@ def test_a_tick_takes_in_a_few_and_a_stop_among_thousands_gets_its_turn(bus, kin
                 left.append(bus.counters.commands - before == TAKEN_PER_TICK)
             asks(operator, "stop")
             waited = until(bus, lambda request: request.name == "stop")
-    assert max(len(requests) for requests, _ in ticks) <= COMMANDS_PER_TICK
+    assert max(len(requests) for requests, _ in ticks) <= PER_TICK
     assert sum(len(requests) for requests, _ in ticks) >= len(ticks) // 2  # they do come
     assert median(took for _, took in ticks) < WORK_MOST * TICK_S
     assert not all(left)  # what came is taken off the socket, where each client that has gone costs 30 kB until then

@@ -93,7 +93,7 @@ def test_a_process_that_was_killed_is_started_again(
     monkeypatch.setattr(worker, "RESTART_S", 0.0)
     process._process._process.kill()
     process._process._process.wait()
-    process.submit(0.0, SESSION, [])  # nobody takes it
+    process.tend(time.monotonic())
     assert process.starts == 2
     wait_for(process, run)
 

@@ -60,8 +60,10 @@ class Bus:
                 self._publisher.send_multipart([topic.encode(), told, b"1.0"])
             while self._commands.poll(0):
                 *route, request = self._commands.recv_multipart()
-                self.asked.append(msgpack.unpackb(request))
-                self._commands.send_multipart([*route, msgpack.packb({"id": self.asked[-1]["id"], "ok": True})])
+                asked = msgpack.unpackb(request)
+                if asked["cmd"] != "alive":  # the page renews its lease all the time
+                    self.asked.append(asked)
+                self._commands.send_multipart([*route, msgpack.packb({"id": asked["id"], "ok": True})])
 
     def close(self):
         self._over.set()

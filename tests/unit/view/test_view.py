@@ -258,7 +258,7 @@ def test_without_the_token_a_page_only_watches(daemon, served, token):
 
 
 def test_a_token_that_is_no_text_at_all_is_not_ours():
-    assert not http_guard.may_operate(wire.token_in('{"token": "\\ud800"}'), TOKEN)
+    assert not http_guard.may_operate((wire.token_in('{"token": "\\ud800"}') or ("",))[0], TOKEN)
 
 
 # ----------------------------------------------------------------------------------------------------- commands
@@ -342,7 +342,7 @@ def test_what_applies_when_is_the_daemons_own_table():
     assert table["arm"] == ["ready"]
     assert table["reset"] == ["fault"]
     assert set(table["start"]) == set(table["hold"]) == {"tracking", "hold"}
-    assert {command for command, states in table.items() if "idle" in states} == {"note"}
+    assert {command for command, states in table.items() if "idle" in states} == {"note", "alive"}
 
 
 # ------------------------------------------------------------------------------------------------------ batches
@@ -426,7 +426,7 @@ async def pause():
 def test_a_slow_page_loses_frames_and_never_grows():
     async def story():
         connection = Stuck()
-        client = PageClient(connection, operator=False)
+        client = PageClient(connection, operator=False, name="page 1")
         sending = asyncio.create_task(client.serve())
         latest = {"palm/loop": b"old"}
         for frame in range(1000):
@@ -465,9 +465,11 @@ def test_a_page_that_reads_nothing_holds_up_nobody(daemon, served):
 
 
 def test_the_wire_says_what_it_must():
-    text = wire.hello("1", True, "tcp://a", "tcp://b", {"arm": ["ready"]})
+    text = wire.hello("1", True, "tcp://a", "tcp://b", {"arm": ["ready"]}, "page 1")
     assert json.loads(text)["hello"]["allowed"] == {"arm": ["ready"]}
-    assert wire.token_in('{"token": null}') == ""
+    assert wire.token_in('{"token": null}') == ("", "")
+    assert wire.token_in('{"token": "t", "page": "ab1"}') == ("t", "ab1")
+    assert wire.token_in('{"token": "t", "page": "a b"}') is None
     assert wire.order_in('{"id": 3, "cmd": "arm"}') == wire.Order(3, "arm")
     assert wire.order_in('{"id": 3, "cmd": "jog", "args": {"a": 0.4}}') == wire.Order(3, "jog", {"a": 0.4})
 

@@ -53,6 +53,8 @@ CAUSES: dict[str, frozenset[str]] = {
     **_pad(PADS[0]),
     **_pad(PADS[1]),
     "plan-refused": frozenset({"told"}),
+    "operator-lost": frozenset({"told"}),
+    "smoother-silent": frozenset({"slow"}),
     "explorer-silent": frozenset({"slow", "broken", "told"}),
     "pads-swapped": frozenset({f"touch@{pad}" for pad in PADS}),
     "estimate-lost": frozenset({"broken", "told", *_BODY}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},

@@ -75,7 +75,7 @@ class Slow:
     """Who works beside the loop takes so long for what it is given within `for_s`."""
 
     t: float
-    who: Literal["planner", "explorer"]
+    who: Literal["planner", "explorer", "smoother"]
     takes_s: float
     for_s: float
 
@@ -197,7 +197,7 @@ def _one(t: float, rng: random.Random) -> Happening:
         case "stall":
             return Stall(t, rng.choice(PARTS), rng.choice((0.004, 0.012, 0.03, 0.06, 0.15, 0.4, 1.2)))
         case "slow":
-            return Slow(t, rng.choice(("planner", "explorer")), rng.choice((0.05, 0.5, 4.0)), LONGEST_S)
+            return Slow(t, rng.choice(("planner", "explorer", "smoother")), rng.choice((0.05, 0.5, 4.0)), LONGEST_S)
         case "clock":
             return ClockStep(t, rng.choice((-3600.0, -0.5, 0.5, 3600.0)))
         case "restart":
@@ -214,6 +214,8 @@ def _told(t: float, client: int, rng: random.Random) -> Told:
     if name == "plan":
         args = {"path": "sent.yaml", "text": PLAN_TEXTS[rng.randrange(len(PLAN_TEXTS))]}
     message = {"id": rng.randrange(1 << 30), "cmd": name, "args": args, "from": f"client {client}"}
+    if rng.random() < 0.2:
+        message["lease_s"] = rng.choice((0.2, 2.0, 10.0, 100.0))
     payload: bytes = msgpack.packb(message)
     if rng.random() < 0.05:
         cut = bytearray(payload)
@@ -223,6 +225,8 @@ def _told(t: float, client: int, rng: random.Random) -> Told:
 
 
 def _value(argument: Argument, rng: random.Random) -> object:
+    if argument.kind == "flag":
+        return rng.random() < 0.5
     if argument.kind == "text":
         return rng.choice(("a word", "ärger", "x" * 90))
     low, high = max(argument.low, -1e6), min(argument.high, 1e6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any, ParamSpec, Protocol, TypeVar
@@ -12,6 +12,7 @@ from typing import Any, ParamSpec, Protocol, TypeVar
 import zmq
 
 from palmd.daemon.exploration_requests import ExplorationAnswer, Question
+from palmd.daemon.worker import SILENT_S
 from palmd.devices.port import DevicePort, PortCounters
 from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import PORTS, PortName
@@ -293,6 +294,19 @@ class Aside(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class VirtualSmoother:
+    """A smoother's process, as far as it may be at fault: its signs of life come as late as they are told to."""
+
+    def __init__(self, late_s: Callable[[], float]) -> None:
+        """`late_s` says how late (s) a sign of life comes now."""
+        self._late_s = late_s
+
+    def conditions(self, _t: float) -> Iterator[str]:
+        """The codes of the fault table that hold."""
+        if self._late_s() > SILENT_S:
+            yield "smoother-silent"
 
 
 class Answers(Protocol):

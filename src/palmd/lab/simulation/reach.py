@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import msgpack
 
-from palmd.daemon.bus import COMMANDS_PER_TICK
+from palmd.daemon.command_queue import PER_TICK
 from palmd.daemon.commands import COMMANDS
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import COMMANDED, State
@@ -134,9 +134,9 @@ class Director:
     def _deeds(self, view: _View) -> Iterator[Happening]:
         here = view.stands(self._code)
         if here and view.state is self._state:
-            yield from self._tell(view, *self._batch(view, COMMANDS_PER_TICK))
+            yield from self._tell(view, *self._batch(view, PER_TICK))
         elif here and view.state in COMMANDED and behind_a_stop(self._state, TABLE.get(self._code)):
-            yield from self._tell(view, "stop", *self._batch(view, COMMANDS_PER_TICK - 1))
+            yield from self._tell(view, "stop", *self._batch(view, PER_TICK - 1))
         else:
             yield from self._lead(view, here)
 
@@ -230,6 +230,7 @@ class Director:
                 "plan": {"path": "sent.yaml", "text": _PLANS.get(self._code, PLAN_TEXTS[0])},
                 "jog": {"phi1_deg": 0.1},
                 "note": {"text": "here"},
+                "alive": {"take": True},
                 "recorder": _RECORDED | (_FULL if self._code == "recorder-failed" else {}),
             }
             yield self._message(view.t, name, args.get(name, {}))
@@ -291,6 +292,15 @@ class Director:
             return 1.0, list(self._tell(view, "reset"))
         return 0.1, [Trick(view.t, "unplug", "arm", 1.0, 0.4)]
 
+    def silent_smoother(self, view: _View) -> tuple[float, list[Happening]]:
+        """The smoother's process gives no sign of life."""
+        return 1.0, [Slow(view.t, "smoother", 15.0, 0.8)]
+
+    def lost_operator(self, view: _View) -> tuple[float, list[Happening]]:
+        """The client that has control declares a lease, and nothing comes from it any more."""
+        message = {"id": next(self._ids), "cmd": "alive", "args": {"take": True}, "client": "lost", "lease_s": 0.05}
+        return 0.3, [Told(view.t, 1, msgpack.packb(message))]
+
     def held_up(self, view: _View) -> tuple[float, list[Happening]]:
         """An adapter keeps back so much that most of it is too old."""
         return 3.0, [Trick(view.t, "burst", PADS[0], 0.4, 2.5)]
@@ -321,6 +331,7 @@ _CAUSES: dict[str, _Cause] = {
     "recorder-failed": Director.recorder,
     "recorder-silent": Director.recorder,
     "samples-too-late": Director.held_up,
+    "smoother-silent": Director.silent_smoother,
 }
 """What brings a fault about in the state in which it is sought. The arm's and the pads' by what follows the port."""
 
@@ -335,6 +346,7 @@ _CAUSES_IN_MOTION: dict[str, _Cause] = {
     "estimate-lost": lambda by, view: by.broken(view, "blind", 12.0),
     "estimate-inconsistent": lambda by, view: by.broken(view, "misses", 7.0),
     "explorer-silent": Director.slow,
+    "operator-lost": Director.lost_operator,
 }
 """What does so only while the palms move, from where a command or another fault leads to the state."""
 

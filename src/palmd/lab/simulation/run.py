@@ -60,6 +60,7 @@ from palmd.lab.simulation.machine import (
     SlowSource,
     Sockets,
     VirtualPort,
+    VirtualSmoother,
     VirtualWaiter,
 )
 from palmd.lab.simulation.reach import Director
@@ -163,6 +164,7 @@ class Simulation:
             Aside(clock, lambda: self._takes("planner", PLANNED_S)),
             _plan(self.scenario.plan),
             explorer=SlowSource(Decider(rig_description(self.config)), lambda: self._takes("explorer", DECIDED_S)),
+            smoother=VirtualSmoother(lambda: self._takes("smoother", 0.0)),
         )
         core.simulation = self
         core.ports()
@@ -345,7 +347,7 @@ class Simulation:
                 self._tell("start")
 
     def _tell(self, command: str) -> None:
-        message = {"id": next(self._numbers), "cmd": command, "args": {}, "from": "operator"}
+        message = {"id": next(self._numbers), "cmd": command, "args": {"take": True}, "from": "operator"}
         self._commands.waiting.append((OPERATOR, msgpack.packb(message)))
 
 

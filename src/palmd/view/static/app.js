@@ -38,6 +38,7 @@ const connection = new Connection({
   },
   batch({ commandable }) {
     commands.reach(commandable);
+    commands.renew(performance.now());
   },
   answer(said) {
     commands.answer(said);

@@ -8,6 +8,8 @@ const DOUBLE_CLICK_MS = 350; // two presses within it are one
 const ANSWER_MS = 2500; // the server itself gives up after 2 s
 const MOVED = ["T", "H", "D"]; // the arm's states in which there is something to stop
 const GUARDED = new Set(["arm", "start"]);
+const NEEDS_CONTROL = new Set(["arm", "start", "reset", "jog", "plan"]);
+const ALIVE_MS = 1000; // from one renewal of the lease to the next; the lease itself is 5 s
 const KEYS = { a: "arm", s: "start", h: "hold", Escape: "stop", r: "reset" };
 
 export class Commands {
@@ -21,6 +23,8 @@ export class Commands {
   #confirmTimer = 0;
   #waiting = new Map(); // of unanswered commands: {timer, told}
   #arming = false;
+  #othersControl = false;
+  #aliveAt = -Infinity;
   #replayed = false;
   #next = 1;
 
@@ -33,6 +37,15 @@ export class Commands {
       button.addEventListener("click", () => this.#press(command));
     }
     addEventListener("keydown", (event) => this.#key(event));
+    document.getElementById("take").addEventListener("click", () => this.give("alive", { take: true }, (error) =>
+      this.#say(error === null ? "This page has control." : `take control: ${error}`, error !== null)));
+  }
+
+  /** Renews this page's lease: called with every batch that comes, for timers of a hidden page do not run. */
+  renew(now) {
+    if (!this.operator || !this.#commandable || now - this.#aliveAt < ALIVE_MS) return;
+    this.#aliveAt = now;
+    this.give("alive", {}, () => {});
   }
 
   /** The server's first words, null when the connection is lost. */
@@ -51,7 +64,7 @@ export class Commands {
   /** Whether a command of that name can be given now: never by data that are stale or old. */
   applies(command, state, stale) {
     return Boolean(this.#hello?.operator && this.#commandable && !stale && !this.#replayed
-      && this.#hello.allowed[command]?.includes(state));
+      && !(this.#othersControl && NEEDS_CONTROL.has(command)) && this.#hello.allowed[command]?.includes(state));
   }
 
   get operator() {
@@ -61,7 +74,8 @@ export class Commands {
   /** Enables what does something in this state of the daemon. Stop does whenever that state is not known, too. */
   offer(store, stale, replayed) {
     this.#replayed = replayed;
-    const { state } = store.get("palm/state");
+    const { state, control = "", unattended = false } = store.get("palm/state");
+    this.#showControl(stale ? "" : control, unattended && !stale);
     const { plan, arm_state: arm } = store.get("palm/motion");
     const idle = {
       start: state === "tracking" && (underWay(store) || !plan),
@@ -81,6 +95,16 @@ export class Commands {
       set("authority", replayed ? "A recorded run is shown: there is nothing to command."
         : this.#commandable ? "" : `Nobody takes commands at ${this.#hello.command}.`);
     }
+  }
+
+  /** Says which client has control, and offers to take it. */
+  #showControl(control, unattended) {
+    const ours = Boolean(control) && control === this.#hello?.client;
+    this.#othersControl = Boolean(control) && !ours;
+    const who = ours ? "This page has control." : control ? `${control} has control.` : "";
+    set("control", unattended ? `${who} The motion is unattended.`.trim() : who);
+    const take = document.getElementById("take");
+    take.hidden = !(this.operator && this.#commandable && (this.#othersControl || (unattended && !ours)));
   }
 
   /** Gives a command with its arguments; `told`, if any, gets the error or null instead of the page's line. */

@@ -5,6 +5,13 @@ import { decode } from "./msgpack.js";
 const AGAIN_MS = [250, 500, 1000, 2000];
 const GOING_AWAY = 1001; // the server has been ended, not lost
 const TOKEN = "palmd-token";
+const PAGE = "palmd-page";
+
+/** By what this tab is known again when it is loaded anew, so that it keeps the control that it had. */
+function page() {
+  if (!sessionStorage.getItem(PAGE)) sessionStorage.setItem(PAGE, Math.random().toString(36).slice(2, 8) || "0");
+  return sessionStorage.getItem(PAGE);
+}
 
 /** The token from the address, kept for this tab so that a reload still has it; null for none. */
 function token() {
@@ -42,7 +49,7 @@ export class Connection {
   #open() {
     const socket = new WebSocket(`ws://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => socket.send(JSON.stringify({ token: this.#token }));
+    socket.onopen = () => socket.send(JSON.stringify({ token: this.#token, page: page() }));
     socket.onmessage = ({ data }) => this.#take(data);
     socket.onclose = ({ code }) => {
       this.#on.lost(code === GOING_AWAY);

@@ -1,0 +1,58 @@
+"""Where a daemon is: at the addresses of its configuration, of which clients need nothing else."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palmd.bus.link import COMMAND, PUBLISH
+from palmd.config.addresses import from_here
+from palmd.console.errors import BAD_INPUT, CliError
+
+INSTALLED = Path("/etc/palmd/palmd.yaml")
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """The argument by which a command finds a daemon whose addresses are not the usual ones."""
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"the daemon's configuration, for its addresses (default: {INSTALLED} if there is one)",
+    )
+
+
+def publish_address(given: str | None, config: Path | None = None) -> str:
+    """Where to listen: the address given, else that of the configuration; raises CliError for a faulty file."""
+    return given or _configured(config).get("publish", PUBLISH)
+
+
+def command_address(given: str | None, config: Path | None = None) -> str:
+    """Where to command: the address given, else that of the configuration; raises CliError for a faulty file."""
+    return given or _configured(config).get("command", COMMAND)
+
+
+def _configured(config: Path | None) -> dict[str, str]:
+    """The addresses in the file, or in the installed one, as far as that says any."""
+    try:
+        return _bus_of(config or INSTALLED)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        if config is None:
+            return {}
+        raise CliError(BAD_INPUT, f"{config}: no addresses can be read from it: {error}") from None
+
+
+def _bus_of(config: Path) -> dict[str, str]:
+    """Read by hand, for models of the whole configuration take a third of a second, which a `stop` has not got."""
+    with config.open(encoding="utf-8") as stream:
+        read: Any = yaml.load(stream, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    if not isinstance(read, Mapping):
+        raise ValueError("it is no configuration")
+    bus = read.get("bus")
+    if not isinstance(bus, Mapping):
+        return {}
+    return {key: from_here(bus[key]) for key in ("publish", "command") if isinstance(bus.get(key), str)}

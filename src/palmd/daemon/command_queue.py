@@ -1,0 +1,115 @@
+"""Commands that have come and wait for their turn: who is served first, and who is told to try again. Pure.
+
+While no more wait than a tick serves, they are served in the order in which they came. When more do, `stop` and `hold`
+go first, then the client in control, then the others' commands by turns, and their questions last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from palmd.daemon.commands import COMMANDS, Request
+from palmd.daemon.ownership import ALWAYS_OBEYED, client_of
+
+PER_TICK = 4
+"""Commands that are served in a tick, `stop` and `hold` beyond them."""
+
+WAITING_MOST = 32
+"""Commands that may wait; what comes then is refused, unless it goes before one that waits."""
+
+OWNER_MOST = 8
+"""Commands of the client in control that may wait beyond those."""
+
+Key = tuple[str, str, str]
+Refusal = tuple[Request, str]
+Waiting = tuple[Request, Key]
+
+_OWNER, _COMMAND, _QUESTION = range(3)
+
+
+class CommandQueue:
+    """Safe in the loop: the work is bounded by what waits."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Waiting] = []
+        self._count: Counter[Key] = Counter()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, request: Request, owner: Key) -> Refusal | None:
+        """Have a command wait; returns what is refused instead, this one or one that had to make room for it."""
+        key = client_of(request).key
+        if len(self._waiting) >= WAITING_MOST:
+            if request.name in ALWAYS_OBEYED:
+                if any(each.name == request.name for each, _ in self._waiting):
+                    return request, f"a {request.name} waits already"
+            elif key != owner or self._count[key] >= OWNER_MOST:
+                victim = self._victim(request, key, owner)
+                if victim is None:
+                    return request, self._busy(key)
+                why = self._busy(victim[1])
+                self._keep([each for each in self._waiting if each is not victim])
+                self._append(request, key)
+                return victim[0], why
+        self._append(request, key)
+        return None
+
+    def take(self, owner: Key) -> tuple[list[Request], list[Refusal]]:
+        """The commands of a tick, and what is refused: no command that moves may follow a stop that overtook it."""
+        if len(self._waiting) <= PER_TICK:
+            served = [request for request, _ in self._waiting]
+            self._keep([])
+            return served, []
+        last = max((number for number, (each, _) in enumerate(self._waiting) if each.name in ALWAYS_OBEYED), default=-1)
+        urgent, refused, left = [], [], []
+        for number, (each, key) in enumerate(self._waiting):
+            if each.name in ALWAYS_OBEYED:
+                urgent.append(each)
+            elif number < last and COMMANDS[each.name].moves:
+                refused.append((each, f"a {self._waiting[last][0].name} has overtaken it"))
+            else:
+                left.append((each, key))
+        turns = _by_turns(left, owner)
+        self._keep([left[number] for number in sorted(turns[PER_TICK:])])
+        return urgent + [left[number][0] for number in turns[:PER_TICK]], refused
+
+    def _victim(self, request: Request, key: Key, owner: Key) -> Waiting | None:
+        """What makes room for a command: the newest of the least urgent, of the client that has most waiting."""
+        rank, mine = _rank(request, key, owner), self._count[key]
+        if rank == _QUESTION and mine:
+            return None
+        worst = (rank, mine + 1, WAITING_MOST + OWNER_MOST)
+        found: Waiting | None = None
+        for number, waiting in enumerate(self._waiting):
+            standing = (_rank(*waiting, owner), self._count[waiting[1]], number)
+            if standing > worst and waiting[0].name not in ALWAYS_OBEYED:
+                worst, found = standing, waiting
+        return found
+
+    def _busy(self, key: Key) -> str:
+        return f"busy: {self._count[key]} of this client's and {len(self._waiting)} commands in all wait, try again"
+
+    def _append(self, request: Request, key: Key) -> None:
+        self._waiting.append((request, key))
+        self._count[key] += 1
+
+    def _keep(self, waiting: list[Waiting]) -> None:
+        self._waiting = waiting
+        self._count = Counter([key for _, key in waiting])
+
+
+def _rank(request: Request, key: Key, owner: Key) -> int:
+    if key == owner:
+        return _OWNER
+    return _QUESTION if request.name == "status" else _COMMAND
+
+
+def _by_turns(waiting: list[Waiting], owner: Key) -> list[int]:
+    """In which order they are served: the owner's as they came, then each client's first ones before any second one."""
+    turns: Counter[Key] = Counter()
+    order = []
+    for number, (request, key) in enumerate(waiting):
+        turns[key] += 1
+        order.append((_rank(request, key, owner), 0 if key == owner else turns[key], number))
+    return [number for *_, number in sorted(order)]
