@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pickle
+import random
 import re
 from functools import cache
 from random import Random
@@ -1095,3 +1096,96 @@ def test_what_comes_while_the_observer_works_is_kept_for_the_next_tick(running):
     core.observe(running.t, between)
     core.observe(running.t + 0.01)
     assert len(running.observer.events) == begun + 4
+
+
+# ------------------------------------------------------------------------------------------------------ control
+
+
+def sent(bench, name, client, lease_s=None, **args):
+    """A client's command, and its answer."""
+    request = Request(name, args, id=name, client=client, lease_s=lease_s, route=(client.encode(),))
+    bench.core.handle(request, bench.t)
+    answers = []
+
+    def answered():
+        answers.extend(bench.core.replies())
+        return bool(answers)
+
+    if not answered():
+        bench.go(0.5, answered)
+    return answers[0]
+
+
+def swung(client, lease_s=None):
+    """A bench whose palms a client has set moving, for ever."""
+    bench = Bench(spec=SWING.model_copy(update={"repeat": "forever"}))
+    bench.go(5.0, lambda: bench.state == "ready")
+    for name in ("arm", "start"):
+        assert sent(bench, name, client, lease_s).error is None
+    return bench.go(2.0, lambda: bench.core.setpoints.moving)
+
+
+def test_after_one_operators_hold_no_other_moves_the_rig_at_any_phase():
+    bench = swung("a")
+    rng = random.Random(5)
+    for _ in range(10):
+        bench.go(rng.uniform(0.1, 0.6))
+        assert sent(bench, "hold", "a").error is None
+        bench.go(rng.uniform(0.0, 0.8))
+        for name, args in (
+            ("start", {}),
+            ("jog", {"phi1_deg": 0.1}),
+            ("reset", {}),
+            ("plan", {"path": "p", "text": "t"}),
+        ):
+            assert "a has control" in sent(bench, name, "b", **args).error
+        assert bench.state == "hold"
+        assert not bench.core.setpoints.moving
+        bench.go(0.02)
+        assert bench.last("palm/state")["control"] == "a"
+        assert sent(bench, "start", "a").error is None
+    assert sent(bench, "hold", "b").error is None
+    assert "b has control" in sent(bench, "start", "a").error
+    assert sent(bench, "start", "a", take=True).error is None
+    taken = [entry for entry in bench.core.journal.entries if entry.kind == "control"]
+    assert [(entry.name, "took control from b" in entry.text) for entry in taken] == [("taken", True)]
+
+
+def test_a_declared_lease_that_runs_out_holds_the_motion_at_any_phase():
+    bench, rng, worst = swung("a", 1.0), random.Random(6), 0.0
+    for _ in range(10):
+        for _ in range(rng.randrange(4)):
+            bench.go(rng.uniform(0.1, 0.7))
+            assert sent(bench, "alive", "a").error is None
+        assert bench.core.setpoints.moving
+        assert not bench.last("palm/state")["unattended"]
+        t = bench.t
+        bench.go(1.5, lambda: bench.state == "hold")
+        worst = max(worst, bench.t - t)
+        bench.go(0.05)
+        assert bench.faults == ["operator-lost"]
+        assert bench.last("palm/state")["control"] == ""
+        assert sent(bench, "start", "a", 1.0).error is None
+        bench.go(0.2)
+    assert worst <= 1.02
+    bench.check_the_arm()
+
+
+def test_motion_without_a_declared_lease_goes_on_and_is_said_to_be_unattended():
+    bench = swung("a")
+    bench.go(6.0)
+    state = bench.last("palm/state")
+    assert (state["control"], state["unattended"], state["state"]) == ("", True, "tracking")
+    assert sent(bench, "alive", "b", 5.0, take=True).error is None  # somebody answers for it from now on
+    bench.go(0.1)
+    state = bench.last("palm/state")
+    assert (state["control"], state["unattended"]) == ("b", False)
+    bench.go(6.0, lambda: bench.state == "hold")
+
+
+def test_a_refused_command_gives_no_control():
+    bench = Bench(spec=SWING)
+    bench.go(5.0, lambda: bench.state == "ready")
+    assert sent(bench, "start", "a").error is not None
+    assert sent(bench, "plan", "a", path="p", text="no plan").error is not None
+    assert sent(bench, "arm", "b").error is None
