@@ -10,6 +10,10 @@ MAGIC = b"\x89MCAP0\r\n"
 """What it begins with."""
 
 
+METADATA = "palmd"
+"""The name of what it says of itself."""
+
+
 class RunError(Exception):
     """A recording that cannot be used; its text is one line `file: what`."""
 

@@ -14,10 +14,10 @@ from palmd import __version__
 from palmd.config.any_config import AnyConfig, config_hash
 from palmd.outlinefile import SUFFIXES
 from palmd.quantities import SCHEMA
+from palmd.record import METADATA
 from palmd.record.mcapfile import Preface
 from palmd.systems import LIVE, load_part
 
-METADATA = "palmd"
 CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 
 

@@ -21,10 +21,12 @@ from palmd.messages import Fields, Says, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
-from palmd.record import RunError
+from palmd.record import METADATA, RunError
+from palmd.record.damage import Damage, described
 from palmd.record.eventlog import EventLog
-from palmd.record.mcapfile import Preface, RawMessage, Tail, is_finished, read_messages, read_preface
-from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
+from palmd.record.mcapfile import Preface, RawMessage
+from palmd.record.mcapread import Layout, read_layout, read_messages
+from palmd.record.metadata import CONFIG, OUTLINES, RIG
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
@@ -65,7 +67,7 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class AnyRun(ABC):
-    """A recording of whichever system. `complete` says whether it was finished.
+    """A recording of whichever system. What of its file is damaged is left out, and told by `notes`.
 
     What is read lazily may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and which
     run it continues. `rig` is what the observer was told.
@@ -78,11 +80,33 @@ class AnyRun(ABC):
     """Its messages."""
 
     path: Path
-    complete: bool
+    layout: Layout
     metadata: Mapping[str, str]
     preface: Preface
     config: Any
     rig: Any
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was finished, and has its end still."""
+        return self.layout.finished and not self.damage.cut
+
+    @property
+    def damage(self) -> Damage:
+        """What of its file cannot be read."""
+        return self.layout.damage
+
+    @property
+    def damage_notes(self) -> tuple[str, ...]:
+        """How much of it is missing, if it is damaged."""
+        said = described(self.damage, self.layout.begin_ns)
+        return (f"{self.path}: {said}",) if said else ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What whoever uses it should know: how much of it is missing, or that it was not finished."""
+        unfinished = f"{self.path}: the recording was not finished; what there is of it is used"
+        return self.damage_notes or (() if self.complete else (unfinished,))
 
     @property
     def topics(self) -> SystemTopics:
@@ -104,9 +128,9 @@ class AnyRun(ABC):
         """Its estimate as it is published."""
         return self.says.estimate_fields(estimate)
 
-    def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
-        """All messages, or those of these topics, as they were received; `tail` learns of a torn end."""
-        for message in read_messages(self.path, tail):
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """All intact messages, or those of these topics, as they were received."""
+        for message in read_messages(self.path, self.layout):
             if not topics or message.topic in topics:
                 yield message
 
@@ -212,8 +236,7 @@ class Run(AnyRun):
         events = tuple(event for _, event in self.events())
         if not events:
             raise RunError(f"{self.path}: {EVENTS.name} tells of no event: neither pad nor arm was heard")
-        notes = () if self.complete else (f"{self.path}: the recording was not finished; what there is of it is used",)
-        return EventLog(self.rig, events, notes)
+        return EventLog(self.rig, events, self.notes)
 
     def outlines(self) -> tuple[Outline, ...]:
         """The stored outlines that the observer had to choose from, empty without any."""
@@ -245,15 +268,15 @@ def read_any_run(path: Path) -> AnyRun:
     messages. Not for the loop.
     """
     try:
-        complete = is_finished(path)
-        preface = read_preface(path)
-        empty = next(read_messages(path), None) is None
+        layout = read_layout(path)
     except FileNotFoundError:
         raise RunError(f"{path}: no such file; `palmd runs FOLDER` lists what has been recorded there") from None
     except IsADirectoryError:
         raise RunError(f"{path}: is a folder; a run is a file in one: `palmd runs FOLDER` lists them") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
+    preface, empty = layout.preface, not layout.count
+    complete = layout.finished and not layout.damage.cut
     metadata = preface.metadata.get(METADATA)
     if metadata is None and empty and not complete:
         raise RunError(f"{path}: is cut off before its first message: there is nothing left in it")
@@ -271,7 +294,7 @@ def read_any_run(path: Path) -> AnyRun:
         raise RunError(f"{path}: is of a system that this palmd does not know: {named}")
     kind: type[AnyRun] = load_part(LIVE[named].recording)
     config = _config(path, load_part(LIVE[named].config), values)
-    return kind(path, complete, metadata, preface, config, _rig(path, preface, kind.described))
+    return kind(path, layout, metadata, preface, config, _rig(path, preface, kind.described))
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:

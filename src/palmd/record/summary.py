@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from palmd.messages import Fields
 from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
 from palmd.record import RunError
+from palmd.record.damage import described
 from palmd.record.index import RunSummary
 from palmd.record.recognition import NONE_OF_THESE
 from palmd.record.run import read_run
@@ -29,7 +31,8 @@ def summary_of(path: Path) -> RunSummary:
         seen = _Seen()
         for message in run.messages():
             seen.take(message.topic, message.log_time_ns, message.sequence, message)
-        return seen.summary(run.metadata.get("started", ""), complete=run.complete)
+        summary = seen.summary(run.metadata.get("started", ""), complete=run.complete)
+        return replace(summary, damage=described(run.damage, run.layout.begin_ns))
     except RunError as error:
         return RunSummary(problem=str(error).removeprefix(f"{path}: "))
     except OSError as error:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
+from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
 from palmd.record.run import Run, RunError, read_run
 from palmd.report.series import Series, series_of
@@ -24,7 +25,9 @@ def run(recording: Path, output: Path) -> int:
     """Writes the report, prints the outcome; CliError when the run, the output or matplotlib is not there."""
     _check(output)
     try:
-        series = _read(read_run(recording))
+        recorded = read_run(recording)
+        say_notes(recorded.notes)
+        series = _read(recorded)
     except RunError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     except OSError as error:

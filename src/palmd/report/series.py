@@ -14,7 +14,6 @@ from palmd.events import FloatArray
 from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import BODY, CONTACT, ESTIMATE, IMPROVEMENT, LOG, LOOP, MOTION, RIG, SHAPE, STATE, TRUTH, Topic
 from palmd.record import RunError
-from palmd.record.mcapfile import Tail
 from palmd.record.run import Run, Survey
 from palmd.topics import truth_of
 
@@ -90,13 +89,12 @@ class Series:
     """A run as arrays; times in s since its first message.
 
     `faults` are in the order in which they came, `log` the entries of `palm/log`, `improvements` the times of the
-    smoother's answers, `counts` the last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file.
-    rig_off: what the last `palm/rig` says to be off, None without one.
+    smoother's answers, `counts` the last `palm/loop`. rig_off: what the last `palm/rig` says to be off, None without
+    one.
     """
 
     run: Run
     survey: Mapping[str, Survey]
-    torn_bytes: int
     observer: str
     duration: float
     estimate: TopicSeries
@@ -134,15 +132,15 @@ def series_of(run: Run, survey: Mapping[str, Survey], at: Callable[[int], None] 
     """
     if ESTIMATE.name not in survey:
         raise RunError(f"{run.path}: holds no {ESTIMATE.name}: there is nothing to report")
-    tail, reader = Tail(), _RunReader()
-    for number, message in enumerate(run.messages(tail=tail)):
+    reader = _RunReader()
+    for number, message in enumerate(run.messages()):
         if message.topic in reader.takers:
             try:
                 reader.take(message.topic, message.fields)
             except (KeyError, TypeError, ValueError) as error:
                 raise RunError(f"{run.path}: {message.topic}, message {message.sequence}: {error!r}") from None
         at(number + 1)
-    return reader.series(run, survey, tail.torn_bytes)
+    return reader.series(run, survey)
 
 
 class _Columns:
@@ -233,7 +231,7 @@ class _RunReader:
         self._end = max(self._end, t)
         self.takers[topic](t, fields)
 
-    def series(self, run: Run, survey: Mapping[str, Survey], torn_bytes: int) -> Series:
+    def series(self, run: Run, survey: Mapping[str, Survey]) -> Series:
         end = self._end
         faults = [*self._faults, *(replace(fault, end=end) for fault in self._standing.values())]
         tracks = {topic: columns.track() for topic, columns in self._columns.items()}
@@ -241,7 +239,6 @@ class _RunReader:
         return Series(
             run=run,
             survey=survey,
-            torn_bytes=torn_bytes,
             observer=self._observer,
             duration=end,
             estimate=tracks[ESTIMATE.name],

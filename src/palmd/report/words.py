@@ -13,6 +13,7 @@ from palmd.chords import MEANT, chords_of
 from palmd.observer.likeness import likeness, root_of_band
 from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
+from palmd.record.damage import described
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
 from palmd.report.series import SD, OutlineAt, Series, Spell
@@ -309,9 +310,12 @@ def _objects(series: Series) -> str:
 
 
 def _recording(series: Series) -> str:
+    damage = series.run.damage
+    if damage.damaged:
+        return described(damage, series.run.layout.begin_ns)
     if series.run.complete:
         return "complete"
-    return f"cut short: {series.torn_bytes} bytes at its end hold no whole message and are left out"
+    return f"not finished: {damage.torn_bytes} bytes at its end hold no whole message and are left out"
 
 
 def _lost(series: Series) -> str:
