@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.notes import say_notes
+from palmd.console.output import strict_output
 from palmd.console.progress import working
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import EventLog, LogError
@@ -97,7 +98,13 @@ def opened(path: Path, log: Path) -> Iterator[TextIO]:
     if path == STDOUT:
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(encoding="utf-8")  # as in a file: what a terminal cannot show must not be lost
-        yield sys.stdout
+        try:
+            with strict_output():
+                yield sys.stdout
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise CliError(BAD_INPUT, f"standard output: cannot be written: {error.strerror or error}") from None
         return
     try:
         if path.exists() and path.samefile(log):

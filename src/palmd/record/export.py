@@ -58,6 +58,8 @@ def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None
     """
     if _is_recording(target):
         raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        raise ExportError(f"{target}: is a device; export to a file")
     if target.is_dir() and form != "csv":
         raise ExportError(f"{target}: is a folder; the form {form} is one file")
     if target.is_dir() and any(target.iterdir()):

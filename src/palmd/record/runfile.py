@@ -115,6 +115,8 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
             f"{source}: {layout.damage.unread_bytes:,} bytes of it cannot be read, and would be lost in its place; "
             "write to another file"
         )
+    if target.exists() and not target.is_file():
+        raise RunError(f"{target}: is no file; write to a file")
     part = target.with_name(f".{target.name}.part")
     count = 0
     try:
