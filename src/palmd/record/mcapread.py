@@ -20,8 +20,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Statistics
 
 from palmd import __version__
+from palmd.messages import Fields
 from palmd.payload import unpacked
-from palmd.quantities import STAMP, Kind
+from palmd.quantities import CONFIG, STAMP, Kind
 from palmd.record import MAGIC, METADATA, RunError
 from palmd.record.damage import Damage, LostStretch
 from palmd.record.mcapfile import BY_NAME, SEQUENCE_MODULUS, Preface, RawMessage
@@ -67,7 +68,8 @@ class Layout:
 
     spans: byte ranges that hold messages, in the order in which they are read; `broken`: they may overlap. topics: by
     channel. finished: it has the end of a finished file. packed: its messages are in compressed chunks. ours: of this
-    version of palmd. usual_ns: the median of its first messages' arrivals. begin_ns, end_ns: first and last arrival.
+    version of palmd. config: the first `palm/config`,
+    empty for none. usual_ns: the median of its first messages' arrivals. begin_ns, end_ns: first and last arrival.
     """
 
     spans: tuple[tuple[int, int], ...]
@@ -81,6 +83,7 @@ class Layout:
     usual_ns: int
     begin_ns: int
     end_ns: int
+    config: Fields
     damage: Damage
 
 
@@ -213,6 +216,8 @@ class _Look:
         self._count = self._preface_bytes = self._index_bytes = 0
         self._times: list[int] = []
         self._begin_ns = self._last_ns = self._prefaced_ns = -1
+        self._config: Fields = {}
+        self._configured: set[int] = set()  # channels
         self._begun = self._after_data = self._finished = False
         self._plain = self._compressed = False
         self._tail: Gap | None = None
@@ -263,17 +268,17 @@ class _Look:
             if opcode == Opcode.CHANNEL:
                 self._channel(each)
             elif opcode == Opcode.MESSAGE:
-                self._heard(item, MESSAGE_HEAD.unpack_from(each)[2])
+                self._heard(item, each)
 
     def _bare(self, item: Record, content: bytes) -> None:
-        channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(content)
+        channel = MESSAGE_HEAD.unpack_from(content)[0]
         names = self._names.get(channel)
         named = {channel: names.most_common(1)[0][0] if names else ""}
         if not all(is_believable(each, ours=self._ours) for each in _message(content, named)):
             self._gap(item.begin, item.end)
             return
         self._after_data = False
-        self._heard(item, log_time)
+        self._heard(item, content)
 
     @property
     def _ours(self) -> bool:
@@ -283,9 +288,14 @@ class _Look:
         channel = parsed(Channel, content)
         if channel is not None:
             self._names[channel.id][channel.topic] += 1
+            if channel.topic == CONFIG.name:
+                self._configured.add(channel.id)
 
-    def _heard(self, item: Record, log_ns: int) -> None:
-        """A message in this record; its arrival."""
+    def _heard(self, item: Record, content: bytes) -> None:
+        """A message in this record."""
+        channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
+        if channel in self._configured and not self._config:
+            self._config = unpacked(content[MESSAGE_HEAD.size :]) or {}
         self._count += 1
         if len(self._times) < _TIMES:
             self._times.append(log_ns)
@@ -333,6 +343,7 @@ class _Look:
             usual_ns=median_low(self._times) if self._times else 0,
             begin_ns=self._begin_ns,
             end_ns=self._last_ns,
+            config=self._config,
             damage=Damage(),
         )
         return replace(found, **self._judged(data, found))

@@ -13,19 +13,28 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from palmd.config.any_config import AnyConfig
+import yaml
+
+from palmd.config.any_config import AnyConfig, config_hash
+from palmd.messages import Fields
 from palmd.payload import unpacked
+from palmd.quantities import CONFIG
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
+from palmd.record.tables import flat
+from palmd.topics import TOPICS
+from palmd.yamlfile import ConfigError, recorded_config
 
 log = logging.getLogger(__name__)
 
 LONGEST_S = 3600.0  # of one file
 SILENT_S = 5.0  # without a message from the daemon: its run is over
 RETRY_S = 10.0
+UNTOLD_S = 2.0  # of a daemon that tells no configuration; others tell it in their first tick, and each second
+NAMED = 5
 _LATEST_S = 1e10
-DAEMON = "palm/"
+ROOTS = frozenset(topic.name.partition("/")[0] for topic in TOPICS)
 """What the topics of the daemon begin with; a file begins and ends with its messages, whoever else is heard."""
 
 
@@ -46,9 +55,12 @@ class Recording:
         self.problem = ""
         self.lost = 0
         self._config = config
+        self._directory = config.record.directory
+        self._hash = config_hash(config)
+        self._kept: list[RawMessage] | None = None  # what is in the file, until the daemon has told its configuration
         self._ended = ended
         self._file: RunFile | None = None
-        self._last = ""  # file of the daemon's present life
+        self._last = self._before = ""  # file of the daemon's present life, and the one before it
         self._expected: dict[str, int] = {}
         self._t_begun = self._t_heard = self._t_failed = -math.inf
 
@@ -80,15 +92,52 @@ class Recording:
             return
         topic = frames[0].decode(errors="replace")
         self._count(topic, number)
-        if topic.startswith(DAEMON):
+        if _is_daemons(topic):
             self._t_heard = t
             if self._file is None or t - self._t_begun >= LONGEST_S:
                 self.finish()
                 self._begin(t)
             self.lost += self._file is None
+        if topic == CONFIG.name and fields.get("config_hash") != self._hash:
+            self._learn(fields, t)
         if self._file is not None:
-            published = _ns(fields.get("timestamp"), t)
-            self._file.write(RawMessage(topic, _ns(t, t), published, number, frames[1]))
+            message = RawMessage(topic, _ns(t, t), _ns(fields.get("timestamp"), t), number, frames[1])
+            self._file.write(message)
+            self._keep(message, t)
+
+    def _keep(self, message: RawMessage, t: float) -> None:
+        if self._kept is not None:
+            self._kept.append(message)
+            if message.topic == CONFIG.name or t - self._t_begun > UNTOLD_S:
+                self._kept = None
+
+    def _learn(self, told: Fields, t: float) -> None:
+        """The daemon goes by another configuration than ours: from its first message on, the file is one of that."""
+        self._hash = str(told.get("config_hash"))
+        try:
+            config = recorded_config(yaml.safe_load(str(told.get("yaml"))))
+        except (ConfigError, yaml.YAMLError) as error:
+            log.warning("the daemon's configuration cannot be used, and the recorder's own is kept: %s", error)
+            return
+        log.warning(
+            "the daemon's configuration differs from the recorder's, and is the one that is kept: %s",
+            ", ".join(differences(self._config, config)) or "in its hash",
+        )
+        self._config = config
+        kept, file = self._kept, self._file
+        if file is None:
+            return
+        if kept is None:  # too late for what is in the file
+            self.finish()
+            self._begin(t)
+            return
+        self._file = None
+        file.abandon()
+        file.path.unlink(missing_ok=True)
+        self._last = self._before
+        self._begin(self._t_begun)
+        for message in kept if self._file is not None else ():
+            self._file.write(message)
 
     def flush(self, t: float) -> None:
         """Hand over what has been taken, and end a run that has fallen silent by `t`."""
@@ -129,7 +178,7 @@ class Recording:
         """Count what is missing before this message; a number that has gone back is another life of the daemon."""
         expected = self._expected.get(topic, number)
         self.lost += max(0, number - expected)
-        if number < expected and topic.startswith(DAEMON):
+        if number < expected and _is_daemons(topic):
             self.finish()
             self._last = ""
             self._expected.clear()
@@ -141,12 +190,13 @@ class Recording:
         begin = datetime.fromtimestamp(t, UTC)
         try:
             before = preface(self._config, begin.isoformat(), self._last)
-            self._file = RunFile(self._config.record.directory, before, begin)
+            self._file = RunFile(self._directory, before, begin)
         except OSError as error:
             self.fail(error, t)
             return
         self.problem = ""
         self._t_begun = t
+        self._kept, self._before = [], self._last
         self._last = self._file.path.name
         log.info("recording to %s", self._file.path)
 
@@ -158,7 +208,18 @@ class Recording:
 
     def _told(self, error: OSError) -> str:
         why = "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
-        return f"{self._config.record.directory}: {why}"
+        return f"{self._directory}: {why}"
+
+
+def _is_daemons(topic: str) -> bool:
+    return topic.partition("/")[0] in ROOTS
+
+
+def differences(ours: AnyConfig, theirs: AnyConfig) -> list[str]:
+    """The keys, dotted, in which two configurations differ; a few of them."""
+    mine, other = (dict(flat(each.model_dump(mode="json"))) for each in (ours, theirs))
+    names = [name for name in {**mine, **other} if mine.get(name) != other.get(name)]
+    return names if len(names) <= NAMED else [*names[:NAMED], f"and {len(names) - NAMED} more"]
 
 
 def _ns(seconds: object, otherwise: float) -> int:

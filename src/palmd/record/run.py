@@ -26,7 +26,7 @@ from palmd.record.damage import Damage, described
 from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage
 from palmd.record.mcapread import Layout, read_layout, read_messages
-from palmd.record.metadata import CONFIG, OUTLINES, RIG
+from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
@@ -275,7 +275,7 @@ def read_any_run(path: Path) -> AnyRun:
         raise RunError(f"{path}: is a folder; a run is a file in one: `palmd runs FOLDER` lists them") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
-    preface, empty = layout.preface, not layout.count
+    preface, empty = preface_of(layout), not layout.count
     complete = layout.finished and not layout.damage.cut
     metadata = preface.metadata.get(METADATA)
     if metadata is None and empty and not complete:

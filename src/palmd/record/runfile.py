@@ -13,6 +13,7 @@ from pathlib import Path
 from palmd.record import SUFFIX, RunError
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.mcapread import Layout, read_layout, read_messages
+from palmd.record.metadata import preface_of
 
 NAME = "%Y-%m-%dT%H-%M-%SZ"
 _MOST_OF_ONE_SECOND = 100
@@ -122,7 +123,7 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
     try:
         with part.open("wb") as stream:
             _give(stream.fileno(), source)
-            preface = layout.preface
+            preface = preface_of(layout)
             writer: RunWriter | None = None
             for message in read_messages(source, layout):
                 writer = writer or RunWriter(stream, preface, message.log_time_ns, compressed=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palmd.messages import Fields
 from palmd.quantities import STAMP
-from palmd.record.run import Run
+
+if TYPE_CHECKING:
+    from palmd.record.run import Run
 
 _FIRST = tuple(field.name for field in STAMP)
 

@@ -107,6 +107,7 @@ def course_of(run: AnyRun) -> Course:
     log: list[LogEntry] = []
     steps: list[tuple[float, float]] = []
     begin = end = apart = None
+    logged = -1  # number of the last message; one that is lower is of another start of the daemon
     for message, t in _timed(run, STATE.name, LOOP.name, LOG.name):
         fields = message.fields
         begin, end = t if begin is None else begin, t if end is None else max(t, end)
@@ -121,7 +122,8 @@ def course_of(run: AnyRun) -> Course:
         elif message.topic == LOOP.name:
             loops.append((t, fields))
         else:
-            known = log[-1].number if log else -1
+            known = log[-1].number if log and message.sequence > logged else -1
+            logged = message.sequence
             log += [entry for entry in entries_of(fields) if entry.number > known]
     if begin is None or end is None or not told:
         raise RunError(f"{run.path}: holds no {STATE.name}: it does not tell what held or stopped it")
