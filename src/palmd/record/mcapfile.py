@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from palmd.messages import Fields
 from palmd.payload import unpacked
 from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
-from palmd.record import RunError
+from palmd.record import END, RunError
 from palmd.topics import TOPICS
 
 PROFILE = "palmd"
@@ -125,9 +125,11 @@ class RunWriter:
             channel, message.log_time_ns, message.payload, message.publish_time_ns, message.sequence % SEQUENCE_MODULUS
         )
 
-    def finish(self) -> None:
-        """Write the summary and the end; the stream stays open. Raises OSError."""
+    def finish(self, why: str = "") -> None:
+        """Write why it ends, where that is told, the summary and the end; the stream stays open. Raises OSError."""
         self._repeat()
+        if why:
+            self._writer.add_metadata(END, {"why": why})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
     def _begin(self, topic: str) -> int:

@@ -18,6 +18,7 @@ from palmd.bus.subscriber import Subscriber
 from palmd.config.addresses import from_here
 from palmd.config.any_config import AnyConfig
 from palmd.keys import Credentials
+from palmd.record import ASKED, STARTER_GONE
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
@@ -40,7 +41,7 @@ def record(
     `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises CliError for what
     is no address.
     """
-    recording = Recording(config, ended)
+    recording, starter = Recording(config, ended), os.getppid()
     with contextlib.ExitStack() as stack:
         publish, command = from_here(config.bus.publish), from_here(config.bus.command)
         subscriber = stack.enter_context(Subscriber(publish, topics=("",), key=key, keyless=truth, high_water=0))
@@ -62,7 +63,7 @@ def record(
         t_end = time.monotonic() + LAST_WORDS_S
         while _drain(subscriber, recording, LAST_WORDS_S) and time.monotonic() < t_end:
             pass
-    recording.finish()
+    recording.finish(ASKED if os.getppid() == starter else STARTER_GONE)
 
 
 def _drain(subscriber: Subscriber, recording: Recording, wait_s: float) -> int:

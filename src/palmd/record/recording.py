@@ -19,6 +19,7 @@ from palmd.config.any_config import AnyConfig, config_hash
 from palmd.messages import Fields
 from palmd.payload import unpacked
 from palmd.quantities import CONFIG
+from palmd.record import ANOTHER, LONG, SILENT
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
@@ -95,7 +96,7 @@ class Recording:
         if _is_daemons(topic):
             self._t_heard = t
             if self._file is None or t - self._t_begun >= LONGEST_S:
-                self.finish()
+                self.finish(LONG)
                 self._begin(t)
             self.lost += self._file is None
         if topic == CONFIG.name and fields.get("config_hash") != self._hash:
@@ -128,7 +129,7 @@ class Recording:
         if file is None:
             return
         if kept is None:  # too late for what is in the file
-            self.finish()
+            self.finish(ANOTHER)
             self._begin(t)
             return
         self._file = None
@@ -149,7 +150,7 @@ class Recording:
             self.fail(error, t)
         else:
             if t - self._t_heard > SILENT_S:
-                self.finish()
+                self.finish(SILENT)
 
     def fail(self, error: OSError, t: float) -> None:
         """Let go of the file, as it is, and begin another one later."""
@@ -160,13 +161,13 @@ class Recording:
         if self._file is not None:
             self._abandon(self._file)
 
-    def finish(self) -> None:
-        """End the file in hand."""
+    def finish(self, why: str = "") -> None:
+        """End the file in hand; `why` as in `palmd.record`."""
         if self._file is None:
             return
         file = self._file
         try:
-            file.finish()
+            file.finish(why)
         except OSError as error:
             self.problem = self._told(error)
             self._abandon(file)
@@ -179,7 +180,7 @@ class Recording:
         expected = self._expected.get(topic, number)
         self.lost += max(0, number - expected)
         if number < expected and _is_daemons(topic):
-            self.finish()
+            self.finish(ANOTHER)
             self._last = ""
             self._expected.clear()
         self._expected[topic] = number + 1

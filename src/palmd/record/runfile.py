@@ -82,9 +82,9 @@ class RunFile:
         self._spool.flush()
         self._flushed = self.messages
 
-    def finish(self) -> None:
-        """Write the end, bring everything to the disk, and close."""
-        self._writer.finish()
+    def finish(self, why: str = "") -> None:
+        """Write the end, and why it has come, bring everything to the disk, and close."""
+        self._writer.finish(why)
         self.flush()
         os.fsync(self.fd)
         os.close(self.fd)
