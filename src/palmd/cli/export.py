@@ -16,7 +16,7 @@ from palmd.console.extras import missing, only_without
 from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
 from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
-from palmd.record.run import RunError, read_run
+from palmd.record.run import RunError, read_any_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if form in DRAWINGS:
         drawing(DRAWINGS[form])
     try:
-        recording = read_run(source)
+        recording = read_any_run(source)
         count = itertools.count(1)
         with Progress("export", passes(form) * recording.layout.count, "messages") as progress:
             export(recording, target, form, lambda: progress.at(next(count)))

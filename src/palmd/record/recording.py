@@ -34,7 +34,7 @@ SILENT_S = 5.0  # without a message from the daemon: its run is over
 RETRY_S = 10.0
 UNTOLD_S = 2.0  # of a daemon that tells no configuration; others tell it in their first tick, and each second
 NAMED = 5
-_LATEST_S = 1e10
+DAY_S = 86_400.0
 ROOTS = frozenset(topic.name.partition("/")[0] for topic in TOPICS)
 """What the topics of the daemon begin with; a file begins and ends with its messages, whoever else is heard."""
 
@@ -224,7 +224,7 @@ def differences(ours: AnyConfig, theirs: AnyConfig) -> list[str]:
 
 
 def _ns(seconds: object, otherwise: float) -> int:
-    """Unix time in nanoseconds; what others send need not be a time."""
-    if not isinstance(seconds, float) or not 0.0 <= seconds < _LATEST_S:
+    """Unix time in nanoseconds; a stamp that is no time, or a day and more from its arrival, is that of its arrival."""
+    if not isinstance(seconds, float) or not abs(seconds - otherwise) < DAY_S:
         seconds = otherwise
     return round(seconds * 1e9)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
 import yaml
 from pydantic import TypeAdapter
 
@@ -27,6 +28,8 @@ from palmd.record.eventlog import EventLog
 from palmd.record.mcapfile import Preface, RawMessage
 from palmd.record.mcapread import Layout, read_layout, read_messages
 from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.scene import Scene, SceneWatch
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
@@ -120,6 +123,17 @@ class AnyRun(ABC):
             self.topics.events, lambda fields: FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
         )
 
+    band: ClassVar[str] = "h_sd_m"
+    """The field of its shape that tells the outline's one-sigma."""
+
+    def scenes(self) -> Callable[[str, Fields], Scene | None] | None:
+        """What makes scenes of its messages, by topic; None where there are none."""
+        return None
+
+    @abstractmethod
+    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """An outline as it was published, as curves for CAD."""
+
     @abstractmethod
     def observer(self) -> LiveObserver:
         """The one that it was made with, as it began, hearing the smoother's recorded answers."""
@@ -197,6 +211,17 @@ class Run(AnyRun):
 
     config: Config
     rig: RigDescription
+
+    def scenes(self) -> Callable[[str, Fields], Scene | None]:
+        """Palms and outline in the world frame."""
+        return SceneWatch(self.config).take
+
+    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """About the centre of mass."""
+        theta, h, h_sd, touched = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched"))
+        name = f"{self.path.stem}, object {estimate['object']}, as it was known at the end"
+        told = {"rho_m": estimate["rho_m"], "mass_kg": estimate["mass_kg"]}
+        return curves_of(name, theta, h, h_sd, touched > 0, **told)
 
     def observer(self) -> Observer:
         """As configured."""

@@ -33,7 +33,8 @@ class Table:
 def facts(series: Series) -> tuple[tuple[str, str], ...]:
     """The title block: name and value."""
     metadata = series.run.metadata
-    begun = datetime.fromisoformat(metadata["started"]).strftime("%Y-%m-%d %H:%M:%S %Z").strip()
+    started = metadata.get("started")
+    begun = datetime.fromisoformat(started).strftime("%Y-%m-%d %H:%M:%S %Z").strip() if started else "unknown"
     versions = ", ".join(
         f"{name} {metadata[name]}" for name in ("palmd", "python", "numpy", "casadi") if name in metadata
     )
@@ -62,7 +63,10 @@ def outcome(series: Series) -> str:
     ]
     outlines = last_outlines(series)
     if not outlines or not outlines[-1].valid:
-        return "; ".join([*told, "this observer tells no outline"])
+        touched = series.estimate["touched"]
+        known = bool(len(series.shape)) and bool(np.isfinite(touched).any())
+        last = f"{np.nanmax(touched):.0%} touched" if known else "this observer tells no outline"
+        return "; ".join([*told, last])
     return "; ".join([*told, *(_outline_told(series, outline, several=len(outlines) > 1) for outline in outlines)])
 
 
