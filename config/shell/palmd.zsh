@@ -852,7 +852,7 @@ _shtab_palmd_record_defaults_added=0
 
 _shtab_palmd_recover_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[where to\; default\: in place of RUN]:FILE:_files"
+  {-o,--output}"[where to\; default\: in place of RUN, or RUN.recovered.mcap where something of RUN cannot be read]:FILE:_files"
   ":the recording (.mcap):_files"
 )
 

@@ -474,6 +474,17 @@ NOTE = Topic(
         Quantity("text", "text", "", "what somebody has to say about this time of the run"),
     ),
 )
+CONFIG = Topic(
+    "palm/config",
+    1.0,
+    "",
+    (
+        Quantity("config_hash", "text", "", "sha256 of the effective configuration, as in palm/info"),
+        Quantity("yaml", "text", "", "the effective configuration, defaults included"),
+    ),
+)
+"""What a recorder keeps, whatever configuration it was started with."""
+
 TRUTH = Topic(
     "rig/truth",
     100.0,

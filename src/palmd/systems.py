@@ -37,6 +37,8 @@ class LiveParts:
     """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made of configuration and seed."""
     recording: str
     """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
+    report: str
+    """The report of a recording: makes a `palmd.report.sections.Report` of a `palmd.report.series.Series`."""
     comparison: str
     """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
     status: str
@@ -76,6 +78,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 loop="palmd.daemon.two_palms:LiveTwoPalms",
                 rig="palmd.rig.world:World",
                 recording="palmd.record.run:Run",
+                report="palmd.report.sections:report_of",
                 comparison="palmd.harness.comparison:Comparison",
                 status="palmd.cli.board:status_lines",
                 kernels="palmd.observer.kernels:needed",
@@ -96,6 +99,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 loop="palmd.daemon.pivot_system:PivotGrasp",
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
+                report="palmd.report.pivot_report:report_of",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
                 status="palmd.cli.pivot_status:status_lines",
                 kernels="palmd.model.pivot:needed",
@@ -115,6 +119,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 loop="palmd.daemon.three_palms_system:ThreePalmsInSpace",
                 rig="palmd.rig.three_palms.world:ThreePalmsWorld",
                 recording="palmd.record.three_palms_run:ThreePalmsRun",
+                report="palmd.report.three_palms_report:report_of",
                 comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
                 status="palmd.cli.three_palms_status:status_lines",
                 kernels="palmd.observer.three_palms.needed:needed",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from palmd.quantities import LOG, LOOP, NOTE, RIG, STALL, STATE, Quantity, SystemTopics, Topic
+from palmd.quantities import CONFIG, LOG, LOOP, NOTE, RIG, STALL, STATE, Quantity, SystemTopics, Topic
 from palmd.systems import LIVE, load_part
 
 SYSTEM_TOPICS: Mapping[str, SystemTopics] = {name: load_part(live.topics) for name, live in LIVE.items()}
@@ -12,7 +12,7 @@ SYSTEM_TOPICS: Mapping[str, SystemTopics] = {name: load_part(live.topics) for na
 
 TOPICS: tuple[Topic, ...] = (
     *(topic for own in SYSTEM_TOPICS.values() for topic in own.published),
-    *(STATE, LOOP, RIG, NOTE, LOG),
+    *(STATE, LOOP, RIG, NOTE, LOG, CONFIG),
 )
 """What the daemon publishes."""
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import difflib
 import functools
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,11 +21,16 @@ from pydantic_core import ErrorDetails
 
 from palmd.config.any_config import AnyConfig
 from palmd.config.two_palms import Config, PlanSpec
+from palmd.lookalikes import is_letter, meant, named, number_meant, odd_characters
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
 MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
 MAX_DEPTH = 20
 MAX_ERRORS = 100
+
+_LINE_END = re.compile("\r\n|[\n\r\x85\u2028\u2029]")  # as PyYAML counts lines
+_FIRST_HALF = re.compile(r"([-+\u2212]?\d+),\s*$")
+_SECOND_HALF = re.compile(r"\d+(\.\d+)?([eE][-+]?\d+)?")
 
 Loc = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -50,6 +57,7 @@ class Document:
     """A YAML file as plain data, with the place of every key and value (by its path from the top)."""
 
     path: Path
+    text: str = ""
     data: Any = None
     values: dict[Loc, Place] = field(default_factory=dict)
     keys: dict[Loc, Place] = field(default_factory=dict)
@@ -67,8 +75,15 @@ class Document:
         return f"{self.path}:{place.line}:{place.column}: {' '.join(text.splitlines())}"
 
     def error(self, problems: list[tuple[Place, str]]) -> ConfigError:
-        """All problems in the order of the file."""
-        return ConfigError([self.line(place, text) for place, text in sorted(dict.fromkeys(problems))])
+        """All problems in the order of the file, and the characters in their lines that only look like ASCII."""
+        lines = {place.line - before for place, _ in problems for before in (0, 1)}
+        alike = [
+            (place, named(odd.character))
+            for odd in islice(odd_characters(self.text), MAX_ERRORS)
+            for place in [_place_at(self.text, odd.index)]
+            if place.line in lines and (meant(odd.character) is not None or is_letter(odd.character))
+        ]
+        return ConfigError([self.line(place, text) for place, text in sorted(dict.fromkeys(problems + alike))])
 
 
 def read_document(path: Path, text: str | None = None) -> Document:
@@ -82,16 +97,21 @@ def read_document(path: Path, text: str | None = None) -> Document:
     document = Document(path)
     if text is None:
         text = read_text(path)
+    document.text = text
+    document.problems += [
+        (_place_at(text, odd.index), named(odd.character))
+        for odd in islice(odd_characters(text), MAX_ERRORS)
+        if odd.unseen and not odd.quoted
+    ]
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
-        raise document.error([_syntax_problem(text, error)]) from None
+        raise document.error([*document.problems, _syntax_problem(text, error)]) from None
     except yaml.reader.ReaderError as error:
-        place = _place_at(text, error.position)
-        raise document.error([(place, f"a character that text must not hold (code {error.character})")]) from None
+        raise document.error([*document.problems, (_place_at(text, error.position), _forbidden(error))]) from None
     if node is None:
-        raise document.error([(Place(), "the file is empty")])
+        raise document.error([*document.problems, (Place(), "the file is empty")])
     document.data = _Reading(document).plain(node, ())
     return document
 
@@ -130,6 +150,20 @@ def system_meant(document: Document) -> str:
 def parse_config(document: Document) -> AnyConfig:
     """The document as the configuration of the system that it names; raises ConfigError as `parse` does."""
     config: AnyConfig = parse(document, load_part(LIVE[system_meant(document)].config))
+    return config
+
+
+def recorded_config(values: Any) -> AnyConfig:
+    """A configuration from its values as a daemon told them, its paths those of the daemon's machine.
+
+    Raises ConfigError where this palmd cannot have such a one.
+    """
+    name = Path("the daemon's configuration")
+    try:
+        system = values["rig"].get("system", TWO_PALMS)
+        config: AnyConfig = load_part(LIVE[system].config).model_validate(values)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ConfigError([f"{name}: {str(error).splitlines()[0]}"]) from None
     return config
 
 
@@ -205,9 +239,14 @@ def read_text(path: Path) -> str:
         raise document.error([(place, "not UTF-8 text; save the file as UTF-8")]) from None
 
 
+def _forbidden(error: yaml.reader.ReaderError) -> str:
+    character = error.character if isinstance(error.character, str) else chr(error.character)
+    return named(character)
+
+
 def _place_at(text: str, position: int) -> Place:
-    before = text[:position]
-    return Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
+    lines = _LINE_END.split(text[:position])
+    return Place(len(lines), len(lines[-1]) + 1)
 
 
 def _place(mark: yaml.Mark | None) -> Place:
@@ -300,8 +339,8 @@ class _Reading:
         if ":" in digits:
             self._problem(node, f"{node.value} counts in sixties in YAML; write {number:g} if that is meant")
         elif isinstance(number, int) and len(digits) > 1 and digits[0] == "0" and digits[1] in "01234567_":
-            meant = digits.lstrip("0_") or "0"
-            self._problem(node, f"{node.value} is octal in YAML ({number}); write {meant} without the zero")
+            decimal = ("-" if node.value.startswith("-") else "") + (digits.lstrip("0_") or "0")
+            self._problem(node, f"{node.value} is octal in YAML ({number}); write {decimal} without the zero")
 
     def _problem(self, node: yaml.Node, text: str) -> None:
         self.document.problems.append((_place(node.start_mark), text))
@@ -320,7 +359,9 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
         place = document.keys.get(around, document.place(around))
         return place, f"{_dotted(loc)}: is missing"
     if kind == "extra_forbidden":
-        return document.keys.get(loc, document.place(loc)), f"{_dotted(loc)}: {_unknown_key(model, loc)}"
+        place = document.keys.get(loc, document.place(loc))
+        comma = _decimal_comma(document, place, loc)
+        return place, comma or f"{_dotted(loc)}: {_unknown_key(model, loc)}"
     while loc not in document.values:  # a part that only the model knows, as in one number given for two
         loc = loc[:-1]
     place = document.values[loc]
@@ -331,6 +372,21 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
 def _unknown_key(model: type[BaseModel], loc: Loc) -> str:
     near = difflib.get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
     return "unknown key" + (f"; is {near[0]} meant?" if near else "")
+
+
+def _decimal_comma(document: Document, place: Place, loc: Loc) -> str:
+    """What to write where a comma in a number has made an entry of its second half; empty for another key."""
+    lines = _LINE_END.split(document.text)
+    line = lines[place.line - 1] if place.line <= len(lines) else ""
+    first, second = _FIRST_HALF.search(line[: place.column - 1]), str(loc[-1])
+    if first is None or not _SECOND_HALF.fullmatch(second):
+        return ""
+    written = f"{first[1]},{second}"
+    number = number_meant(written)
+    ways = [number or f"{first[1]}{second}"]
+    if number and len(second) == 3:
+        ways.append(f"{first[1]}{second}")
+    return f"{_dotted(loc[:-1])}: a comma begins another entry: for {written} write {' or '.join(ways)}"
 
 
 def _known_keys(model: type[BaseModel], section: Loc) -> list[str]:
@@ -418,16 +474,12 @@ def _advice(kind: str, value: Any, written: str) -> str:
         return f'; put it in quotes: "{_shortened(written)}"' if not isinstance(value, (dict, list)) else ""
     if not isinstance(value, str) or kind not in ("float_type", "int_type"):
         return ""
-    try:
-        number = float(value)
-    except ValueError:
+    number = number_meant(value)
+    if not number:
         return ""
-    if written.startswith('"'):
+    if written == f'"{number}"':
         return "; leave out the quotes"
-    mantissa, _, exponent = value.lower().partition("e")
-    if not exponent:
-        return ""
-    return f"; write {number} or {float(mantissa)}e{int(exponent):+d}"
+    return f"; write {float(number)} or {number}" if "e" in number else f"; write {number}"
 
 
 def _shortened(text: str) -> str:

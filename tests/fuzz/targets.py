@@ -26,7 +26,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.plan import PlanError, compile_plan
 from palmd.record import RunError
 from palmd.record.eventlog import LogError, read_log
-from palmd.record.mcapfile import is_packed
+from palmd.record.mcapread import is_packed
 from palmd.record.run import read_run
 from palmd.record.runfile import pack
 from palmd.rig.adept_arm import arm_limits

@@ -9,10 +9,11 @@ import recorded
 
 from palmd.messages import stamp
 from palmd.quantities import CONTACT, ESTIMATE, LOOP, MOTION, SHAPE, STATE
-from palmd.record.mcapfile import RawMessage
+from palmd.record.mcapfile import RawMessage, RunWriter
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile
 
+BEGIN = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
 TICK_S = 0.01
 GAUGE = 1.3  # ψ as estimated less ψ as it is (rad)
 SD_M = 1e-5  # of r1, r2 and h
@@ -119,13 +120,25 @@ def told(seconds, *, observer="shape", shapes=True, truths=True, valid=True, sec
             yield from messages
 
 
+def write_packed(path, messages):
+    """The messages in chunks, whose checksums vouch for them whatever they say; the file."""
+    began = BEGIN.timestamp()
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, preface(recorded.config(path.parent), BEGIN.isoformat()), 0, compressed=True)
+        for topic, fields, t, number in messages:
+            t_ns = round((began + t) * 1e9)
+            payload = msgpack.packb(stamp(dict(fields), began + t, 100.0 + t, number))
+            writer.write(RawMessage(topic, t_ns, t_ns, number, payload))
+        writer.finish()
+    return path
+
+
 def write(folder, messages, *, finish=True):
     """The messages as a recording; the file."""
-    begin = datetime(2026, 11, 21, 22, 30, 5, tzinfo=UTC)
-    file = RunFile(folder, preface(recorded.config(folder), begin.isoformat()), begin)
+    file = RunFile(folder, preface(recorded.config(folder), BEGIN.isoformat()), BEGIN)
     for topic, fields, t, number in messages:
-        stamped = stamp(dict(fields), begin.timestamp() + t, 100.0 + t, number)
-        t_ns = round((begin.timestamp() + t) * 1e9)
+        stamped = stamp(dict(fields), BEGIN.timestamp() + t, 100.0 + t, number)
+        t_ns = round((BEGIN.timestamp() + t) * 1e9)
         file.write(RawMessage(topic, t_ns, t_ns, number, msgpack.packb(stamped)))
     file.flush()
     if finish:

@@ -10,7 +10,7 @@ import pytest
 from harness import Bench, Process, wait
 from mcap.reader import make_reader
 
-from palmd.record.mcapfile import is_packed
+from palmd.record.mcapread import is_packed
 from palmd.record.run import read_run
 
 pytestmark = pytest.mark.rig

@@ -89,7 +89,7 @@ bus: {publish: "tcp://0.0.0.0:9872"}
         ),
         ("a: &x 1\nb: *x\n", "2:4: aliases (*x) are not taken; write the values out"),
         (b"a: b\n\xff\xfe: 1", "2:1: not UTF-8 text; save the file as UTF-8"),
-        ("a: b\0c", "1:5: a character that text must not hold (code 0)"),
+        ("a: b\0c", "1:5: U+0000 a control character: it is not seen: delete it"),
         ("[" * 1000, "1:21: nested too deeply"),
     ],
 )

@@ -17,7 +17,7 @@ from rigpc import PALMD, PYTHON, RUNS
 
 from palmd import cli
 from palmd.quantities import CONTACT
-from palmd.record.mcapfile import read_messages
+from palmd.record.mcapread import read_messages
 
 LOST_MOST_S = 0.1
 TIMES = 10
@@ -25,7 +25,7 @@ TIMES = 10
 LAST = """
 import sys
 from pathlib import Path
-from palmd.record.mcapfile import read_messages
+from palmd.record.mcapread import read_messages
 print(max(m.fields["mono_ns"] for m in read_messages(Path(sys.argv[1])) if m.topic == "palm/contact"))
 """
 

@@ -12,8 +12,9 @@ from types import ModuleType
 
 from palmd import __version__, blas
 from palmd.cli.table import Command, below, loaded, parser_of, said
+from palmd.console import output
 from palmd.console.arguments import Parser, one_of
-from palmd.console.errors import USAGE, CliError
+from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.logformat import formatter
 
 INTERRUPTED = 128 + 2
@@ -26,20 +27,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     blas.one_thread_from_here()
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of every package to find them
+    output.take_over()
     _take_any_terminal()
     try:
         module, arguments = _asked_for(argv)
         _start_logging()
         status: int = module.run(arguments)
-        sys.stdout.flush()
     except CliError as error:
         print(error, file=sys.stderr)
-        return error.status
+        status = error.status
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in output.LOST:
+            raise
+        print(f"{error.filename or 'an output'}: cannot be written: {error.strerror}", file=sys.stderr)
+        status = BAD_INPUT
+    lost = output.lost_output()
+    if lost:
+        print(f"standard output: {lost}: what was to be said there is lost", file=sys.stderr)
     return status
 
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import sys
 from pathlib import Path
 
 from palmd.cli.drawings import curves_of_result, drawing, write_drawing
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
+from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
 from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
-from palmd.record.length import message_count
-from palmd.record.run import RunError, read_run
+from palmd.record.run import RunError, read_any_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,9 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     if form in DRAWINGS:
         drawing(DRAWINGS[form])
     try:
-        recording = read_run(source)
+        recording = read_any_run(source)
         count = itertools.count(1)
-        with Progress("export", passes(form) * message_count(recording), "messages") as progress:
+        with Progress("export", passes(form) * recording.layout.count, "messages") as progress:
             export(recording, target, form, lambda: progress.at(next(count)))
     except (RunError, ExportError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
@@ -60,6 +59,5 @@ def run(arguments: argparse.Namespace) -> int:
         raise missing("the form rrd", "rerun-sdk", "rerun") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
-    if not recording.complete:
-        print(f"{source}: the recording was not finished; what there is of it is exported", file=sys.stderr)
+    say_notes(recording.notes)
     return 0

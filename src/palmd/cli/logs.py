@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.notes import say_notes
+from palmd.console.output import strict_output
 from palmd.console.progress import working
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import EventLog, LogError
@@ -70,8 +72,7 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
             system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    for note in log.notes:
-        print(note, file=sys.stderr)
+    say_notes(log.notes)
     try:
         return system, system.known_to(log, dict(calibration_sd))
     except NotYetError as error:
@@ -97,7 +98,13 @@ def opened(path: Path, log: Path) -> Iterator[TextIO]:
     if path == STDOUT:
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(encoding="utf-8")  # as in a file: what a terminal cannot show must not be lost
-        yield sys.stdout
+        try:
+            with strict_output():
+                yield sys.stdout
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise CliError(BAD_INPUT, f"standard output: cannot be written: {error.strerror or error}") from None
         return
     try:
         if path.exists() and path.samefile(log):

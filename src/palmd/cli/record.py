@@ -25,7 +25,7 @@ from palmd.harness.processes import StopRequest, start_beside
 from palmd.keys import Credentials, KeysError, client_credentials, own_credentials
 from palmd.record import RunError
 from palmd.record.lock import RecorderLockedError, only_recorder
-from palmd.record.mcapfile import is_packed
+from palmd.record.mcapread import is_packed
 from palmd.record.recorder import record
 from palmd.record.recording import Ended
 from palmd.record.runfile import pack

@@ -1,4 +1,9 @@
-"""Make a whole, compressed recording of one that was cut off: by a crash, a full disk or a lost machine."""
+"""Make a whole, compressed recording of one that was cut off or damaged.
+
+What was only never finished is finished in place. Where something cannot be read, RUN stays as it is, and what can be
+read goes to RUN.recovered.mcap beside it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if
+something is missing, which is said.
+"""
 
 from __future__ import annotations
 
@@ -6,41 +11,54 @@ import argparse
 from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
-from palmd.record.mcapfile import is_packed
-from palmd.record.run import AnyRun, RunError, read_any_run
+from palmd.record import SUFFIX
+from palmd.record.mcapread import Layout
+from palmd.record.run import RunError, read_any_run
 from palmd.record.runfile import pack
+
+RECOVERED = ".recovered"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="the recording (.mcap)")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to; default: in place of RUN")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="where to; default: in place of RUN, or RUN.recovered.mcap where something of RUN cannot be read",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Says how much was saved; CliError when nothing can be, or the output cannot be written."""
+    """Says how much was saved; 1 when something is missing. CliError when nothing can be, or the output not written."""
     source: Path = arguments.run
     target: Path = arguments.output or source
     try:
         recording = read_any_run(source)
-        if target == source and is_packed(source):
+        layout = recording.layout
+        if arguments.output is None and layout.damage.unread_bytes:
+            target = source.with_name(source.name.removesuffix(SUFFIX) + RECOVERED + SUFFIX)
+        elif arguments.output is None and layout.finished and layout.packed and not layout.damage.damaged:
             print(f"{source}: is whole already")
             return 0
-        print(_packed(recording, target))
+        with Progress("packing", layout.count, "messages") as bar:
+            pack(source, target, bar.at)
     except RunError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
-    return 0
+    say_notes(recording.damage_notes)
+    print(f"{target}: {_saved(layout)}")
+    missing = layout.damage.lost_bytes + layout.damage.torn_bytes + layout.damage.preface_bytes
+    return BAD_INPUT if missing else 0
 
 
-def _packed(recording: AnyRun, target: Path) -> str:
-    """Pack it; what was saved, in words."""
-    surveys = recording.survey().values()
-    total = sum(survey.count for survey in surveys)
-    seconds = (max(survey.end_ns for survey in surveys) - min(survey.begin_ns for survey in surveys)) * 1e-9
-    with Progress("packing", total, "messages") as bar:
-        count, torn = pack(recording.path, target, bar.at)
+def _saved(layout: Layout) -> str:
+    seconds = (layout.end_ns - layout.begin_ns) * 1e-9
+    torn = layout.damage.torn_bytes
     left_out = f", {torn} torn bytes at the end left out" if torn else ""
-    return f"{target}: {count} messages of {seconds:.1f} s saved{left_out}"
+    return f"{layout.count} messages of {seconds:.1f} s saved{left_out}"

@@ -17,11 +17,11 @@ from pydantic import TypeAdapter, ValidationError
 from palmd.bus.link import PUBLISH
 from palmd.config.addresses import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.harness.rules import Kept, kept_by
 from palmd.payload import FRAMES
-from palmd.record.length import message_count
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
 from palmd.record.recheck import Difference, Recheck
@@ -50,8 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Ends with the run or when asked to; status 1 when a check finds a difference. CliError for an unusable run."""
     try:
         recording = read_any_run(arguments.run)
-        if not recording.complete:
-            print(f"{recording.path}: the recording was not finished; what there is of it is used", file=sys.stderr)
+        say_notes(recording.notes)
         if arguments.check:
             return _check(recording)
         _publish(recording, arguments.publish, arguments.speed, arguments.frames, loop=arguments.loop)
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _publish(recording: AnyRun, address: str, speed: float, frames: int, *, loop: bool) -> None:
-    total = message_count(recording)
+    total = recording.layout.count
     publisher = RecordedPublisher(address, frames)
 
     def send(message: RawMessage) -> None:

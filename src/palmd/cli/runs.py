@@ -114,6 +114,7 @@ def matches(run: IndexedRun, words: Sequence[str], since: str) -> bool:
     """Whether a run has every word somewhere, whatever its case, and is not from before that day. Pure."""
     told = run.summary
     text = " ".join((run.name, told.started, told.object or NOT_RECOGNISED, *told.plans, *told.faults, *told.notes,
+                     told.damage,
                      told.problem)).lower()  # fmt: skip
     return all(word.lower() in text for word in words) and (told.started or run.name) >= since
 
@@ -129,7 +130,9 @@ def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
 def _row(run: IndexedRun) -> tuple[str, ...]:
     told = run.summary
     last = [*told.faults, *(f'"{note}"' for note in told.notes), *([told.problem] if told.problem else [])]
-    if not told.complete and not told.problem:
+    if told.damage:
+        last.append(told.damage)
+    elif not told.complete and not told.problem:
         last.append("not finished")
     return (
         run.name.removesuffix(".mcap"),

@@ -20,6 +20,7 @@ from palmd.bus.link import PUBLISH, add_key, credentials, silent
 from palmd.bus.subscriber import Subscriber
 from palmd.cli.board import Board, BoardRow, fitted, frame
 from palmd.console.keys import pressed, unbuffered
+from palmd.console.output import strict_output
 from palmd.keys import Credentials
 
 REDRAW_S = 0.1
@@ -45,10 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
     with Subscriber(address, topics=("palm/",), key=key) as subscriber:
         if arguments.once:
             _once(board, subscriber, key)
-        elif sys.stdout.isatty():
-            _live(board, subscriber)
         else:
-            _plain(board, subscriber)
+            with strict_output():
+                show = _live if sys.stdout.isatty() else _plain
+                show(board, subscriber)
     return 0
 
 

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+import yaml
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator
 
 from palmd.config.addresses import guarded_address, local_address
@@ -112,6 +113,11 @@ class AnyConfig(Strict):
     def explores(self) -> bool:
         """Whether its observer knows an outline to explore by."""
         return True
+
+
+def as_yaml(config: Strict) -> str:
+    """An effective configuration, defaults included, as it is kept with a run."""
+    return yaml.safe_dump(config.model_dump(mode="json"), allow_unicode=True)
 
 
 def config_hash(config: Strict) -> str:

@@ -12,7 +12,7 @@ from subprocess import Popen
 from types import FrameType
 from typing import Any
 
-from palmd.config.any_config import AnyConfig
+from palmd.config.any_config import AnyConfig, as_yaml, config_hash
 from palmd.daemon import realtime
 from palmd.daemon.async_log import start_async_log
 from palmd.daemon.bus import Bus, BusError
@@ -124,6 +124,7 @@ def _run(
         backend=estimator.backend,
         info=system.info(estimator.name, PlanFolder.of(config, folder).names()),
         info_topic=SYSTEM_TOPICS[config.system].info,
+        config={"config_hash": config_hash(config), "yaml": as_yaml(config)},
         counters=lambda: _counters(smoother, estimator, explorer),
         processor=ProcessorTime(),
         tend=[each.tend for each in (compiler, smoother, explorer, recorder) if each is not None],

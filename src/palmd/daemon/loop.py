@@ -25,7 +25,7 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.port import DevicePort, PortWaiter
 from palmd.faults import Fault
 from palmd.messages import Fields
-from palmd.quantities import INFO, LOOP, Topic
+from palmd.quantities import CONFIG, INFO, LOOP, Topic
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +74,7 @@ class Loop:
         backend: str,
         info: Fields,
         info_topic: Topic = INFO,
+        config: Fields | None = None,
         counters: Callable[[], Fields] = dict,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
@@ -81,7 +82,8 @@ class Loop:
         processor: ProcessorTime | None = None,
         tend: Sequence[Callable[[float], None]] = (),
     ) -> None:
-        """`info` is what `info_topic` says, `counters` gives what `palm/loop` says beyond the loop's own.
+        """`info` is what `info_topic` says, `config` what `palm/config` does, `counters` gives what `palm/loop`
+        says beyond the loop's own.
 
         `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports;
         `processor` says who had it when a tick is late, if it is to be said. `tend` are called with the time (s) a few
@@ -96,7 +98,7 @@ class Loop:
         self._notifier = notifier
         self._period = 1.0 / rate_hz
         self._backend = backend
-        self._info, self._info_topic = info, info_topic
+        self._info, self._info_topic, self._config = info, info_topic, config
         self._counters = counters
         self._clock, self._wall = clock, wall
         self._waiter: Waiter = waiter or PortWaiter(list(self._ports.values()), clock)
@@ -283,6 +285,8 @@ class Loop:
             timestamp = self._wall()
             self._bus.publish(LOOP, self._loop_fields(), t, timestamp)
             self._bus.publish(self._info_topic, dict(self._info), t, timestamp)
+            if self._config is not None:
+                self._bus.publish(CONFIG, dict(self._config), t, timestamp)
 
     def _look_after(self, t: float) -> None:
         """One process a time, so that no tick starts two."""

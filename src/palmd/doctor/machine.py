@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import re
 import resource
+import shlex
 import shutil
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -61,9 +62,15 @@ def _installed(name: str) -> bool:
 
 def compiler() -> Finding:
     """Without one the observers run, several times slower."""
-    found = os.environ.get("CC") or next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-    if found:
-        return Finding("compiler", "ok", found)
+    from palmd.model.compiler import CompilerError, command, tried
+
+    try:
+        found = command()
+        if found:
+            tried(found, Path(tempfile.gettempdir()))
+            return Finding("compiler", "ok", shlex.join(found))
+    except (CompilerError, OSError) as error:
+        return Finding("compiler", "missing", str(error), "set CC to a compiler that works, or leave it out")
     return Finding("compiler", "missing", "no C compiler", "sudo apt-get install gcc libc6-dev")
 
 

@@ -13,7 +13,7 @@ from itertools import groupby
 
 from palmd.daemon.lifecycle import COMMANDED, TRANSITIONS, State
 from palmd.faults import Severity
-from palmd.messages import LogEntry, entries_of
+from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import LOG, STATE
 from palmd.record.run import AnyRun, RunError
 
@@ -80,35 +80,56 @@ class Kept:
 
 def kept_by(run: AnyRun) -> Kept:
     """The rules applied to a recorded run; raises RunError for messages that are none."""
-    entries: dict[int, LogEntry] = {}
-    t_logged = -math.inf  # of what came later the log has not told yet
-    looks: list[tuple[float, State, list[str], bool]] = []
+    lives = [_Life()]
+    last: dict[str, int] = {}
     for message in run.messages(STATE.name, LOG.name):
+        if message.sequence < last.get(message.topic, 0):  # the daemon was started again
+            lives.append(_Life())
+            last.clear()
+        last[message.topic] = message.sequence
         try:
-            fields = message.fields
-            if message.topic == LOG.name:
-                entries |= {entry.number: entry for entry in entries_of(fields)}
-                t_logged = fields["mono_ns"] * 1e-9
-            else:
-                t, running = fields["mono_ns"] * 1e-9, bool(fields.get("running", False))
-                looks.append((t, State(fields["state"]), fields["severities"], running))
+            lives[-1].take(message.topic, message.fields)
         except (KeyError, TypeError, ValueError) as error:
             raise RunError(f"{run.path}: {message.topic}, message {message.sequence}: {error!r}") from None
+    broken = tuple(what for life in lives for what in _broken_in(life))
+    return Kept(sum(len(life.looks) for life in lives), sum(len(life.entries) for life in lives), broken)
+
+
+class _Life:
+    """What one start of the daemon has told: log entries by number, and states."""
+
+    def __init__(self) -> None:
+        self.entries: dict[int, LogEntry] = {}
+        self.looks: list[tuple[float, State, list[str], bool]] = []
+        self.t_logged = -math.inf  # of what came later the log has not told yet
+
+    def take(self, topic: str, fields: Fields) -> None:
+        """Raises KeyError, TypeError, ValueError for what is no message of that topic."""
+        if topic == LOG.name:
+            self.entries |= {entry.number: entry for entry in entries_of(fields)}
+            self.t_logged = fields["mono_ns"] * 1e-9
+        else:
+            t, running = fields["mono_ns"] * 1e-9, bool(fields.get("running", False))
+            self.looks.append((t, State(fields["state"]), fields["severities"], running))
+
+
+def _broken_in(life: _Life) -> list[str]:
+    entries = life.entries
     rules, broken = Rules(), list[str]()
     told = groupby((entries[number] for number in sorted(entries)), key=lambda entry: entry.t_s)
     ticks = [(t, list(some)) for t, some in told]
     number = 0
-    for t, state, severities, running in looks:
+    for t, state, severities, running in life.looks:
         while ticks and ticks[0][0] <= t + 1e-6:
             t_tick, some = ticks.pop(0)
             if some[0].number != number:
                 rules.unknown()
             number = some[-1].number + 1
             broken += [f"{t_tick:.3f} s: {what}" for what in rules.tick(_granted(some), _changes(some))]
-        if t > t_logged:
+        if t > life.t_logged:
             rules.unknown()
         broken += [f"{t:.3f} s: {what}" for what in rules.look(state, severities, running=running)]
-    return Kept(len(looks), len(entries), tuple(broken))
+    return broken
 
 
 def _granted(entries: Iterable[LogEntry]) -> list[str]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +25,7 @@ from palmd.model.compiled import (
     key_of,
     note_of,
 )
+from palmd.model.compiler import COMPILE_S, CompilerError, command, remember_fault, run, tried
 from palmd.model.kernels import Kernel, source
 from palmd.model.symbolic import ca
 
@@ -41,13 +40,18 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
 
     What has been compiled from the same C already is left as it is.
 
-    False when there is no compiler. Raises OSError or CalledProcessError when it fails, RuntimeError when what it has
-    made computes something else.
+    False when there is no compiler. Raises OSError or CompilerError when it fails, RuntimeError when what it has made
+    computes something else.
     """
-    compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
-    if compiler is None:
+    compiler = command()
+    if not compiler:
         return False
-    note.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        note.parent.mkdir(parents=True, exist_ok=True)
+        _tried(tuple(compiler), note.parent)
+    except (OSError, CompilerError):
+        remember_fault(note.parent)
+        raise
     with tempfile.TemporaryDirectory(dir=note.parent) as folder:
         files: dict[Path, Sequence[str]] = dict.fromkeys(written, WRITTEN)
         for columns in (False, True):
@@ -65,23 +69,25 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
     return True
 
 
+@cache
+def _tried(compiler: tuple[str, ...], folder: Path) -> None:
+    tried(compiler, folder)
+
+
 def _compile(
-    compiler: str, files: Mapping[Path, Sequence[str]], kernels: Sequence[Kernel], library: Path, folder: Path
+    compiler: Sequence[str], files: Mapping[Path, Sequence[str]], kernels: Sequence[Kernel], library: Path, folder: Path
 ) -> None:
     """Each file by flags of its own."""
     built = folder / "built.so"
-    command = [compiler, *FLAGS, "-I", str(Path(__file__).parent)]
+    begun = [*compiler, *FLAGS, "-I", str(Path(__file__).parent)]
     objects = [str(folder / f"{each.stem}.o") for each in files]
 
-    def run(*arguments: str) -> None:
-        subprocess.run([*command, *arguments], check=True, capture_output=True, text=True)
+    def compiled(*arguments: str) -> None:
+        run([*begun, *arguments], COMPILE_S)
 
-    try:
-        with ThreadPoolExecutor() as pool:  # most of the time goes into two files of about the same length
-            list(pool.map(lambda each, made: run(*files[each], "-c", str(each), "-o", made), files, objects))
-        run("-o", str(built), *objects, "-lm")
-    except FileNotFoundError as error:
-        raise OSError(f"{compiler}: {error.strerror}") from error
+    with ThreadPoolExecutor() as pool:  # most of the time goes into two files of about the same length
+        list(pool.map(lambda each, made: compiled(*files[each], "-c", str(each), "-o", made), files, objects))
+    compiled("-o", str(built), *objects, "-lm")
     _checked(built, kernels)  # refused before anybody relies on it
     built.replace(library)
 

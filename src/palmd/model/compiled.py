@@ -15,7 +15,6 @@ import json
 import logging
 import os
 import platform
-import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from palmd.events import FloatArray
+from palmd.model import compiler
 
 if TYPE_CHECKING:
     from palmd.model.kernels import Kernel
@@ -43,6 +43,7 @@ Only with `-fexpensive-optimizations` does GCC clear the vector registers' upper
 """
 
 log = logging.getLogger(__name__)
+_SAID: set[str] = set()
 
 Run = Callable[[int], None]
 
@@ -145,15 +146,25 @@ def load(
     from palmd.model import building
 
     made = list(kernels())
+    if compiler.known_fault(note.parent):
+        return building.on_the_vm(made)
     try:
         if building.build(name, made, files, note):
             found = _opened(note)
         else:
-            log.warning("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
-    except (OSError, subprocess.CalledProcessError) as error:
-        detail = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else error
-        log.warning("could not compile %s, using CasADi's virtual machine: %s", name, detail)
+            _say("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
+    except (OSError, compiler.CompilerError) as error:
+        why = f"{error.filename or note.parent}: {error.strerror}" if isinstance(error, OSError) else error
+        _say(f"could not compile {name}, using CasADi's virtual machine: {why}")
     return found or building.on_the_vm(made)
+
+
+def _say(text: str) -> None:
+    """Once for each reason, whichever library it was found with."""
+    reason = text.partition(": ")[2]
+    if reason not in _SAID:
+        _SAID.add(reason)
+        log.warning("%s", text)
 
 
 def cache_directory() -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Event, PadLift, PadSample, PalmSample
+from palmd.events import Event, FloatArray, PadLift, PadSample, PalmSample
 from palmd.observer.median import median
 from palmd.system.mechanism import PALMS
 
@@ -17,6 +17,9 @@ ARM_GAP_S = 0.3  # the palms' motion is not guessed across more
 SUSPICIOUS_GAP_S = 0.08  # between readings, in which an object may have been changed for another
 ARM = 0  # among the numbers of the pads
 LEAD_S = 0.5  # of the arm's reports before both pads feel the object
+STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
+REST_SIGMAS = 6.0  # of a pad's noise, beyond which it reads another place
+REST_KEPT_S, REST_TRIMMED_S = 1.0, 3.0  # of a rest at an end: what of it stays, and the shortest that is trimmed
 STARVED_S, STARVED = 0.06, 3.0  # without a report of the arm, and that in usual intervals: it had to stand, and stepped
 
 
@@ -53,6 +56,27 @@ class DataSegment:
         apart = np.diff(t)
         ends = t[1:][apart > max(STARVED_S, STARVED * median(apart))]
         return max(float(ends[-1]) + LEAD_S, self.start) if len(ends) else self.start
+
+    def trimmed(self, noise: float) -> DataSegment:
+        """Without most of a long rest at either end, of which nothing more is learned.
+
+        It moves while the palms are away from where they rest, and while a pad reads another place than in its rest: by
+        `REST_SIGMAS` of `noise` (m) in the median of five readings. `REST_KEPT_S` of a rest stay.
+        """
+        places = [
+            (np.array([sample.t_sample for sample in self.palms]), np.array([sample.angles for sample in self.palms])),
+            *(
+                _places([sample for sample in self.pads if sample.pad == number], STILL_RAD / (REST_SIGMAS * noise))
+                for number in PALMS
+            ),
+        ]
+        first = min(_first_away(t, place) for t, place in places)
+        last = -min(_first_away(-t[::-1], place[::-1]) for t, place in places)
+        start, end = first - REST_KEPT_S, last + REST_KEPT_S
+        if not math.isfinite(first):  # it rests all the time
+            return self
+        trimmed = self if start - self.start < REST_TRIMMED_S else self.since(start)
+        return trimmed if self.end - end < REST_TRIMMED_S else trimmed.until(end)
 
     def until(self, t: float) -> DataSegment:
         """What was before `t` (s)."""
@@ -118,6 +142,24 @@ def _trimmed(pads: list[PadSample], palms: list[PalmSample]) -> DataSegment | No
     inside = tuple(sample for sample in pads if start <= sample.t_sample <= end)
     about = tuple(sample for sample in palms if sample.t_sample >= start - LEAD_S)
     return DataSegment(start, end, inside, about) if inside and end > start else None
+
+
+def _places(samples: Sequence[PadSample], scale: float) -> tuple[FloatArray, FloatArray]:
+    """Times and places of a pad's readings, medians of five, in units of which `STILL_RAD` is much."""
+    t, s = np.array([sample.t_sample for sample in samples]), np.array([sample.s for sample in samples])
+    if len(s) < 5:
+        return t[:0], s[:0, None]
+    five = np.lib.stride_tricks.sliding_window_view(s, 5)
+    return t[2:-2], np.partition(five, 2, axis=1)[:, 2:3] * scale
+
+
+def _first_away(t: FloatArray, place: FloatArray) -> float:
+    """When (s) something is away from where it was first; infinity where it never is."""
+    if not len(t):
+        return math.inf
+    begun = [median(column) for column in place[:50].T]
+    away = np.flatnonzero((np.abs(place - begun) > STILL_RAD).any(axis=1))
+    return float(t[away[0]]) if len(away) else math.inf
 
 
 def _place(event: Event) -> tuple[float, ...]:

@@ -87,14 +87,14 @@ def reconstruct(
     with `converged` False and the reason. `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
-    found = _by_length(data_segments(events))
+    found = _by_length(data_segments(events), rig)
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
     search = _search(found[0], rig)
     attempts = attempts_on(search)
     main = _part(search, seed, attempts[:BEFORE_OTHERS])
     if main is None or main.reason:
-        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S))
+        shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S), rig)
         swapped = shorter if shorter and shorter[0].lasts < found[0].lasts else []  # perhaps, in a gap
         apart = _search(swapped[0], rig) if swapped else None
         unlike = _Unlike(search, found, rig, seed, begun, say)
@@ -222,8 +222,10 @@ class _Joined:
     omega0: FloatArray
 
 
-def _by_length(found: Sequence[DataSegment]) -> list[DataSegment]:
-    long_enough = (segment for segment in found if segment.lasts >= LEAST_S)
+def _by_length(found: Sequence[DataSegment], rig: RigDescription) -> list[DataSegment]:
+    """Those that last long enough without their rests, the longest first."""
+    noise = max(math.hypot(pad.noise, pad.resolution) for pad in rig.pads)
+    long_enough = (segment for segment in (each.trimmed(noise) for each in found) if segment.lasts >= LEAST_S)
     return sorted(long_enough, key=lambda segment: segment.lasts, reverse=True)
 
 

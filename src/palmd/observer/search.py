@@ -22,7 +22,7 @@ from palmd.model.compiled import Library
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.beginning import known_of, with_beginning
 from palmd.observer.criticism import RigBelief
-from palmd.observer.data_segment import DataSegment
+from palmd.observer.data_segment import STILL_RAD, DataSegment
 from palmd.observer.factor import Knowledge, Prior
 from palmd.observer.first_guess import blind_starts, prior_of
 from palmd.observer.normal_equations import Guess, ProcessNoise
@@ -62,7 +62,6 @@ MOST_STRAIN = 60.0  # of the cost, from some thirty constants and their prior
 AMBIGUOUS = "another outline explains the readings as well"
 OVERFITTED = "only an unlikely object explains the readings, and better than their noise allows"
 NOTHING_MOVES = "nothing moves: readings at rest tell nothing of the outline"
-STILL_RAD = 5e-3  # palms that move by less tell nothing of what turns with them
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,16 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, get_args
 
-import numpy as np
-
 from palmd.messages import Fields
-from palmd.quantities import ESTIMATE, SHAPE
 from palmd.record.export_csv import write_csv, write_zip
 from palmd.record.export_json import write_json
 from palmd.record.export_log import write_log
-from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.outline_curves import OutlineCurves
 from palmd.record.outline_files import Writer, writer_of
-from palmd.record.run import Run, RunError, read_run
+from palmd.record.run import AnyRun, Run, RunError, read_any_run
+from palmd.systems import SYSTEMS
 
 Form = Literal["log", "csv", "mcap-json", "rrd", "svg", "dxf", "points"]
 FORMS: tuple[Form, ...] = get_args(Form)
@@ -32,6 +30,7 @@ _SUFFIXES: dict[str, Form] = {
 }
 DRAWINGS: dict[Form, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
 """The forms of one outline, and the suffix of each."""
+OTHERS = "its events are in the tables of a folder (CSV) and in .mcap"
 _TWICE = ("csv", "mcap-json")
 """The forms that a run must be read through beforehand for."""
 
@@ -50,7 +49,7 @@ def passes(form: Form) -> int:
     return 2 if form in _TWICE else 1
 
 
-def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None:
+def export(run: AnyRun, target: Path, form: Form, done: Callable[[], None]) -> None:
     """Write `run` to `target`; `done` is called after each message of each pass.
 
     A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
@@ -58,6 +57,8 @@ def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None
     """
     if _is_recording(target):
         raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        raise ExportError(f"{target}: is a device; export to a file")
     if target.is_dir() and form != "csv":
         raise ExportError(f"{target}: is a folder; the form {form} is one file")
     if target.is_dir() and any(target.iterdir()):
@@ -73,16 +74,16 @@ def export(run: Run, target: Path, form: Form, done: Callable[[], None]) -> None
 
 def _is_recording(target: Path) -> bool:
     try:
-        read_run(target)
+        read_any_run(target)
     except RunError:
         return False
     return True
 
 
-def _writer(form: Form, target: Path) -> Callable[[Run, Path, Callable[[], None]], None]:
+def _writer(form: Form, target: Path) -> Callable[[AnyRun, Path, Callable[[], None]], None]:
     match form:
         case "log":
-            return write_log
+            return _write_log
         case "csv":
             return write_zip if target.suffix.lower() == ".zip" else write_csv
         case "mcap-json":
@@ -96,23 +97,26 @@ def _writer(form: Form, target: Path) -> Callable[[Run, Path, Callable[[], None]
             return lambda run, path, done: _write_outline(drawn, run, path, done)
 
 
-def _write_outline(drawn: Writer, run: Run, path: Path, done: Callable[[], None]) -> None:
+def _write_log(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
+    if not isinstance(run, Run):
+        raise ExportError(f"{run.path}: is of {SYSTEMS[run.system].words}, of which no event log is written; {OTHERS}")
+    write_log(run, path, done)
+
+
+def _write_outline(drawn: Writer, run: AnyRun, path: Path, done: Callable[[], None]) -> None:
     path.write_bytes(drawn(last_outline(run, done)))
 
 
-def last_outline(run: Run, done: Callable[[], None]) -> OutlineCurves:
+def last_outline(run: AnyRun, done: Callable[[], None]) -> OutlineCurves:
     """The last outline of a run whose estimate was valid; raises ExportError when there is none."""
     estimate: Fields | None = None
     found: tuple[Fields, Fields] | None = None
     for message in run.messages():
-        if message.topic == ESTIMATE.name:
+        if message.topic == run.topics.estimate.name:
             estimate = message.fields
-        elif message.topic == SHAPE.name and estimate is not None and estimate["valid"]:
+        elif message.topic == run.topics.shape.name and estimate is not None and estimate["valid"]:
             found = message.fields, estimate
         done()
     if found is None:
         raise ExportError(f"{run.path}: no outline in it was ever called valid: there is nothing to draw")
-    shape, told = found
-    theta, h, h_sd, touched = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched"))
-    name = f"{run.path.stem}, object {told['object']}, as it was known at the end"
-    return curves_of(name, theta, h, h_sd, touched > 0, rho_m=told["rho_m"], mass_kg=told["mass_kg"])
+    return run.drawn(*found)

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from palmd.jsonvalues import or_none
-from palmd.record.run import Run
+from palmd.record.run import AnyRun
 from palmd.record.tables import examples, flat
 
 
-def write_csv(run: Run, folder: Path, done: Callable[[], None]) -> None:
+def write_csv(run: AnyRun, folder: Path, done: Callable[[], None]) -> None:
     """The tables as files of a new `folder`; see `cell` for what stands in them. Raises RunError, OSError.
 
     `done` is called twice for each message.
@@ -36,7 +36,7 @@ def write_csv(run: Run, folder: Path, done: Callable[[], None]) -> None:
             done()
 
 
-def write_zip(run: Run, path: Path, done: Callable[[], None]) -> None:
+def write_zip(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
     """The same files in a ZIP archive. Raises RunError, OSError."""
     with tempfile.TemporaryDirectory(prefix="palmd-export-", dir=path.parent) as scratch:
         folder = Path(scratch) / "tables"

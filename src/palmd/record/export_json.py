@@ -12,8 +12,8 @@ from mcap.writer import CompressionType, Writer
 from palmd.jsonvalues import or_none
 from palmd.messages import Fields
 from palmd.record.mcapfile import SCHEMA_ENCODING, json_schema
-from palmd.record.run import Run
-from palmd.record.scene import Scene, SceneWatch
+from palmd.record.run import AnyRun
+from palmd.record.scene import Scene
 from palmd.record.tables import examples
 
 MESSAGE_ENCODING = "json"
@@ -23,27 +23,29 @@ _SCENE = ("palms_x_m", "palms_y_m", "outline_x_m", "outline_y_m", "com_x_m", "co
 _TYPES = {bool: "boolean", int: "number", float: "number", str: "string"}
 
 
-def write_json(run: Run, path: Path, done: Callable[[], None]) -> None:
+def write_json(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
     """Every message with its times, no value being null, and `scene`: palms and outline in the world frame (m).
 
     `done` is called twice for each message. Raises RunError, OSError.
     """
-    watch = SceneWatch(run.config)
-    known = examples(run, done) | {SCENE: {"valid": True} | {name: [0.0] for name in _SCENE}}
+    scenes = run.scenes()
+    known = examples(run, done)
+    if scenes is not None:
+        known |= {SCENE: {"valid": True} | {name: [0.0] for name in _SCENE}}
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start()
         writer.add_metadata(EXPORTED, dict(run.metadata))
         channels = {topic: _channel(writer, topic, fields) for topic, fields in known.items()}
-        scenes = 0
+        drawn = 0
         for message in run.messages():
             fields = message.fields
             times = message.log_time_ns, message.publish_time_ns
             _write(writer, channels[message.topic], fields, times, message.sequence)
-            scene = watch.take(message.topic, fields)
+            scene = None if scenes is None else scenes(message.topic, fields)
             if scene is not None:
-                _write(writer, channels[SCENE], _scene_fields(scene), times, scenes)
-                scenes += 1
+                _write(writer, channels[SCENE], _scene_fields(scene), times, drawn)
+                drawn += 1
             done()
         writer.finish()  # type: ignore[no-untyped-call]
 

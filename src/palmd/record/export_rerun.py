@@ -15,8 +15,8 @@ import rerun as rr
 from palmd.events import FloatArray
 from palmd.messages import Fields
 from palmd.quantities import STATE
-from palmd.record.run import Run
-from palmd.record.scene import Scene, SceneWatch
+from palmd.record.run import AnyRun
+from palmd.record.scene import Scene
 from palmd.record.tables import flat
 
 TIMELINE = "time"
@@ -26,9 +26,9 @@ _PALMS, _CENTRE = [120, 120, 120], [213, 94, 0]
 _OUTLINE_RADIUS, _PALM_RADIUS, _CENTRE_RADIUS = 2e-4, 5e-4, 1e-3  # m
 
 
-def write_rerun(run: Run, path: Path, done: Callable[[], None]) -> None:
+def write_rerun(run: AnyRun, path: Path, done: Callable[[], None]) -> None:
     """Times are those of the stamps. `done` is called after each message. Raises RunError, OSError."""
-    watch = SceneWatch(run.config)
+    scenes = run.scenes()
     path.touch()  # tells an OSError of its own if that cannot be
     recording = rr.RecordingStream("palmd", recording_id=run.metadata["started"])
     recording.save(path)
@@ -41,7 +41,7 @@ def write_rerun(run: Run, path: Path, done: Callable[[], None]) -> None:
             if isinstance(value, int | float):
                 entity = f"{message.topic}/{name.replace('.', '/')}"
                 series.setdefault(entity, _Series(recording, entity)).add(t_ns, value)
-        scene = watch.take(message.topic, fields)
+        scene = None if scenes is None else scenes(message.topic, fields)
         if scene is not None:
             _log_scene(recording, t_ns, scene)
         if message.topic == STATE.name:

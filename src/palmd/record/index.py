@@ -15,7 +15,7 @@ from typing import Any
 from palmd.record import SUFFIX
 
 NAME = ".palmd-runs.json"
-FORMAT = 1
+FORMAT = 2
 NOTE_SUFFIX = ".note"
 LIVE_S = 3.0
 """A file that was written to so lately is being recorded: it is listed, and read when it is finished."""
@@ -27,7 +27,7 @@ class RunSummary:
 
     object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, in the
     end. sd_m, worst_sd_m: of the outline in the end, median and largest. faults: codes of those that held or stopped.
-    problem: why it cannot be used.
+    damage: what of it cannot be read. problem: why it cannot be used.
     """
 
     started: str = ""
@@ -42,6 +42,7 @@ class RunSummary:
     mass_kg: float = math.nan
     faults: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    damage: str = ""
     problem: str = ""
 
 

@@ -1,42 +1,35 @@
-"""MCAP, as palmd uses it: a writer whose file is whole after every flush, and a reader that forgives a torn end.
+"""MCAP as palmd writes it: a file that is readable after every flush.
 
 A run is written record by record, without chunks, so that what has been flushed survives whatever happens to the
 recorder. Once it has ended, its messages are packed into compressed chunks. Both forms begin with the metadata and
-attachments, then come schemas, channels and messages in the order in which they were received. Everything below is
-plain bytes and files; what is in a run is `palmd.record.run`'s business.
+attachments, then come schemas, channels and messages in the order in which they were received. The channels are
+repeated every megabyte, outside the chunks: a damaged chunk then costs no other chunk the names of its topics.
+`palmd.record.mcapread` reads such files.
 """
 
 from __future__ import annotations
 
 import json
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, BinaryIO, TypeVar
+from typing import IO, Any
 
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from palmd.messages import Fields
 from palmd.payload import unpacked
 from palmd.quantities import SCHEMA, STAMP, Kind, Quantity, Topic
-from palmd.record import MAGIC, RunError
+from palmd.record import END, RunError
 from palmd.topics import TOPICS
 
 PROFILE = "palmd"
 MESSAGE_ENCODING, SCHEMA_ENCODING = "msgpack", "jsonschema"
-RECORD_BYTES_MAX = 1 << 28  # a longer record is no record
-_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time
-_FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
-_SEQUENCE_MODULUS = 1 << 32
+SEQUENCE_MODULUS = 1 << 32
 
-Part = TypeVar("Part", Attachment, Channel, Metadata)
+REPEATED_BYTES = 1 << 20  # of messages, between repetitions of the channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +69,12 @@ _JSON_TYPES: dict[Kind, dict[str, Any]] = {
     "texts": {"type": "array", "items": {"type": "string"}},
     "sds": {"type": "object", "additionalProperties": {"type": "number"}},
 }
-_BY_NAME = {topic.name: topic for topic in TOPICS}
+BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 def json_schema(name: str) -> dict[str, Any]:
     """The JSON schema of a topic's messages, as the table of topics has them; anything goes where it has none."""
-    topic = _BY_NAME.get(name)
+    topic = BY_NAME.get(name)
     if topic is None:
         return {"title": name, "type": "object"}
     return _table_schema(topic)
@@ -110,7 +103,10 @@ class RunWriter:
         """Writes the preface at once; `compressed` packs messages into zstd chunks. Raises OSError."""
         self._writer = Writer(stream, compression=CompressionType.ZSTD, use_chunking=compressed)
         self._writer.start(PROFILE)
+        self._stream, self._compressed = stream, compressed
         self._channels: dict[str, int] = {}
+        self._records: dict[str, Channel] = {}
+        self._bytes = 0
         for name, values in preface.metadata.items():
             self._writer.add_metadata(name, dict(values))
         for name, data in preface.attachments.items():
@@ -121,145 +117,41 @@ class RunWriter:
         channel = self._channels.get(message.topic)
         if channel is None:
             channel = self._channels[message.topic] = self._begin(message.topic)
+        self._bytes += len(message.payload)
+        if self._bytes >= REPEATED_BYTES:
+            self._bytes = 0
+            self._repeat()
         self._writer.add_message(
-            channel, message.log_time_ns, message.payload, message.publish_time_ns, message.sequence % _SEQUENCE_MODULUS
+            channel, message.log_time_ns, message.payload, message.publish_time_ns, message.sequence % SEQUENCE_MODULUS
         )
 
-    def finish(self) -> None:
-        """Write the summary and the end; the stream stays open. Raises OSError."""
+    def finish(self, why: str = "") -> None:
+        """Write why it ends, where that is told, the summary and the end; the stream stays open. Raises OSError."""
+        self._repeat()
+        if why:
+            self._writer.add_metadata(END, {"why": why})
         self._writer.finish()  # type: ignore[no-untyped-call]
 
     def _begin(self, topic: str) -> int:
         data = json.dumps(json_schema(topic), ensure_ascii=False).encode()
         schema = self._writer.register_schema(topic, SCHEMA_ENCODING, data)
-        return self._writer.register_channel(topic, MESSAGE_ENCODING, schema, {"schema": str(SCHEMA)})
+        told = {"schema": str(SCHEMA)}
+        channel = self._writer.register_channel(topic, MESSAGE_ENCODING, schema, told)
+        self._records[topic] = Channel(channel, topic, MESSAGE_ENCODING, told, schema)
+        if self._compressed:  # else the library has just written both there
+            self._beside(Schema(data=data, encoding=SCHEMA_ENCODING, id=schema, name=topic), self._records[topic])
+        return channel
+
+    def _repeat(self) -> None:
+        self._beside(*self._records.values())
+
+    def _beside(self, *some: McapRecord) -> None:
+        """Write records outside of the chunks; the library has nothing unwritten but a chunk's contents."""
+        builder = RecordBuilder()
+        for record in some:
+            record.write(builder)
+        self._stream.write(builder.end())
 
 
 def _media_type(name: str) -> str:
     return {".yaml": "application/yaml", ".json": "application/json"}.get(Path(name).suffix, "text/plain")
-
-
-# ---------------------------------------------------------------------------------------------------- reading
-
-
-@dataclass(slots=True)
-class Tail:
-    """Where reading ended: `torn_bytes` at the end of the file hold no whole record."""
-
-    torn_bytes: int = 0
-
-
-def is_finished(path: Path) -> bool:
-    """Whether the file ends as a finished MCAP file does; raises OSError."""
-    with path.open("rb") as stream:
-        if stream.seek(0, 2) < len(MAGIC) + _FOOTER_BYTES:
-            return False
-        stream.seek(-_FOOTER_BYTES, 2)
-        end = stream.read()
-    return end[0] == Opcode.FOOTER and end.endswith(MAGIC)
-
-
-def is_packed(path: Path) -> bool:
-    """Whether the file is finished, and its messages in chunks; raises RunError, OSError."""
-    with path.open("rb") as stream:
-        contents = (opcode for opcode, _ in _records(path, stream, Tail()) if opcode in (Opcode.MESSAGE, Opcode.CHUNK))
-        return is_finished(path) and next(contents, None) == Opcode.CHUNK
-
-
-def read_preface(path: Path) -> Preface:
-    """Metadata and attachments before the first message, but for damaged ones; raises RunError, OSError."""
-    metadata: dict[str, Mapping[str, str]] = {}
-    attachments: dict[str, bytes] = {}
-    with path.open("rb") as stream:
-        for opcode, content in _records(path, stream, Tail()):
-            if opcode == Opcode.METADATA:
-                one = _parsed(Metadata, content)
-                if one is not None:
-                    metadata[one.name] = one.metadata
-            elif opcode == Opcode.ATTACHMENT:
-                file = _parsed(Attachment, content)
-                if file is not None:
-                    attachments[file.name] = file.data
-            elif opcode in (Opcode.MESSAGE, Opcode.CHUNK):
-                break
-    return Preface(metadata, attachments)
-
-
-def read_messages(path: Path, tail: Tail | None = None) -> Iterator[RawMessage]:
-    """The messages in the order of the file, up to where it ends or makes no sense; raises RunError, OSError.
-
-    `tail` is told, once all have been read, how much at the end was left out.
-    """
-    topics: dict[int, str] = {}
-    tail = tail or Tail()
-    with path.open("rb") as stream:
-        for opcode, content in _records(path, stream, tail):
-            if opcode == Opcode.CHUNK:
-                inner = _unpacked(content)
-                if inner is None:
-                    tail.torn_bytes = path.stat().st_size - stream.tell() + len(content) + _HEAD.size
-                    return
-                for inner_opcode, inner_content in _framed(BytesIO(inner), len(inner), Tail()):
-                    yield from _message(inner_opcode, inner_content, topics)
-            elif opcode == Opcode.DATA_END:
-                return
-            else:
-                yield from _message(opcode, content, topics)
-
-
-def _message(opcode: int, content: bytes, topics: dict[int, str]) -> Iterator[RawMessage]:
-    """The message that a record is, if it is one; a channel is added to `topics`."""
-    if opcode == Opcode.CHANNEL:
-        channel = _parsed(Channel, content)
-        if channel is not None:
-            topics[channel.id] = channel.topic
-    elif opcode == Opcode.MESSAGE and len(content) >= _MESSAGE_HEAD.size:
-        channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
-        if channel_id in topics:
-            payload = content[_MESSAGE_HEAD.size :]
-            yield RawMessage(topics[channel_id], log_time, publish_time, sequence, payload)
-
-
-def _records(path: Path, stream: BinaryIO, tail: Tail) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each whole record; raises RunError."""
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise RunError(f"{path}: is no MCAP file")
-    size = stream.seek(0, 2)
-    stream.seek(len(MAGIC))
-    yield from _framed(stream, size, tail)
-
-
-def _framed(stream: IO[bytes], size: int, tail: Tail) -> Iterator[tuple[int, bytes]]:
-    at = stream.tell()
-    while at < size:
-        head = stream.read(_HEAD.size)
-        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
-        if not opcode or length > min(RECORD_BYTES_MAX, size - at - _HEAD.size):
-            tail.torn_bytes = size - at
-            return
-        yield opcode, stream.read(length)
-        if opcode == Opcode.FOOTER:
-            return
-        at += _HEAD.size + length
-
-
-def _unpacked(content: bytes) -> bytes | None:
-    """What is in a chunk, None where it is damaged."""
-    try:
-        stream, length = get_chunk_data_stream(Chunk.read(_stream(content)), validate_crc=True)
-        return stream.read(length)
-    except Exception:  # each compression has its own kinds
-        return None
-
-
-def _parsed(kind: type[Part], content: bytes) -> Part | None:
-    """The record in `content`, None where it is damaged."""
-    try:
-        record: Part = kind.read(_stream(content))
-    except Exception:  # bytes that run out, text that is no text, lengths beyond all reason
-        return None
-    return record
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))

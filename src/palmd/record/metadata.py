@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 from dataclasses import asdict
@@ -11,13 +12,15 @@ from pathlib import Path
 import yaml
 
 from palmd import __version__
-from palmd.config.any_config import AnyConfig, config_hash
+from palmd.config.any_config import AnyConfig, as_yaml, config_hash
 from palmd.outlinefile import SUFFIXES
 from palmd.quantities import SCHEMA
+from palmd.record import METADATA
 from palmd.record.mcapfile import Preface
+from palmd.record.mcapread import Layout
 from palmd.systems import LIVE, load_part
+from palmd.yamlfile import ConfigError, recorded_config
 
-METADATA = "palmd"
 CONFIG, RIG, OUTLINES = "config.yaml", "rig.json", "outlines/"
 
 
@@ -41,10 +44,25 @@ def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float =
     }
     rig = load_part(LIVE[config.system].description)(config)
     attachments = {
-        CONFIG: yaml.safe_dump(config.model_dump(mode="json"), allow_unicode=True).encode(),
+        CONFIG: as_yaml(config).encode(),
         RIG: json.dumps(asdict(rig)).encode(),
     }
     return Preface({METADATA: metadata}, attachments | _outlines(config.outlines))
+
+
+def preface_of(layout: Layout) -> Preface:
+    """What a file says before its messages; what of it is damaged is told by `palm/config`, where that was recorded."""
+    preface, told = layout.preface, layout.config
+    if not told or ({CONFIG, RIG} <= preface.attachments.keys() and METADATA in preface.metadata):
+        return preface
+    text = str(told.get("yaml"))
+    attachments = {CONFIG: text.encode(), **preface.attachments}
+    with contextlib.suppress(ConfigError, yaml.YAMLError):
+        config = recorded_config(yaml.safe_load(text))
+        rig = load_part(LIVE[config.system].description)(config)
+        attachments = {RIG: json.dumps(asdict(rig)).encode(), **attachments}
+    metadata = {"schema": str(told.get("v")), "config_hash": str(told.get("config_hash"))}
+    return Preface({METADATA: metadata, **preface.metadata}, attachments)
 
 
 def _outlines(path: Path | None) -> dict[str, bytes]:

@@ -24,7 +24,8 @@ _NORMALS = 720  # a chord is then off a side of 200 mm radius by 2 µm
 class OutlineCurves:
     """Points (n, 2) in mm of three closed curves, counter-clockwise, the first point not repeated.
 
-    They are in the object's own frame: its centre of mass is the origin, its turn about it is arbitrary. outer, inner:
+    They are in the object's own frame: its centre of mass, or else `origin`, is the origin, its turn about it is
+    arbitrary. outer, inner:
     `SDS` one-sigmas to either side along each point's normal. normal (n,): that normal's direction (rad). sd (n,):
     one-sigma in mm. touched (n,). chords: both ends (2, 2) of each straight part, in mm. rho_mm, mass_kg: NaN where not
     told.
@@ -40,6 +41,7 @@ class OutlineCurves:
     rho_mm: float = math.nan
     mass_kg: float = math.nan
     chords: tuple[FloatArray, ...] = ()
+    origin: str = "the object's centre of mass"
 
     @property
     def untouched(self) -> tuple[FloatArray, ...]:
@@ -60,7 +62,7 @@ class OutlineCurves:
         """What a reader of the file must know."""
         return (
             f"palmd: {self.name}",
-            "units: mm; origin: the object's centre of mass; its turn about it is arbitrary",
+            f"units: mm; origin: {self.origin}; its turn about it is arbitrary",
             f"band: {SDS:g} one-sigmas to either side, along the normal",
             f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
             *(f"straight over {math.dist(*chord):.2f} mm of the hull: {MEANT}" for chord in self.chords),
@@ -85,6 +87,7 @@ def curves_of(
     *,
     rho_m: float = math.nan,
     mass_kg: float = math.nan,
+    origin: str = "the object's centre of mass",
 ) -> OutlineCurves:
     """The curves of a support function h (m) on normals theta (rad), evenly spaced round the full circle.
 
@@ -99,5 +102,15 @@ def curves_of(
     chords = tuple(np.array([chord.begin, chord.end]) * 1e3 for chord in chords_of(theta, h, touched))
     reach = (SDS * sd)[:, None] * normals(normal)
     return OutlineCurves(
-        name, points, points + reach, points - reach, normal, sd, touched[nearest], rho_m * 1e3, mass_kg, chords
+        name,
+        points,
+        points + reach,
+        points - reach,
+        normal,
+        sd,
+        touched[nearest],
+        rho_m * 1e3,
+        mass_kg,
+        chords,
+        origin,
     )

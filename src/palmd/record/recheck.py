@@ -42,7 +42,7 @@ class Checked:
 
 
 class Recheck:
-    """The observer that a run was made with, given the same again."""
+    """The observer that a run was made with, given the same again: a new one for each start of the daemon."""
 
     def __init__(self, run: AnyRun) -> None:
         """Raises RunError for a run without events or estimates; takes seconds when C has to be compiled."""
@@ -50,16 +50,21 @@ class Recheck:
         self._run, self._observer = run, run.observer()
 
     def ticks(self) -> Iterator[Checked]:
-        """Every recorded tick from the first up to a missing one; raises RunError when the first is not there."""
+        """Every recorded tick from a first one up to a missing one; raises RunError when no first one is there."""
         estimates = (message.fields for message in self._run.messages(self._run.topics.estimate.name))
         recorded = next(estimates, None)
-        for number, tick in enumerate(self._run.ticks()):
-            if tick.number != number:
-                if number:
-                    return
-                raise RunError(
-                    f"{self._run.path}: begins with tick {tick.number}; what the observer knew by then is not in it"
-                )
+        expected: int | None = None
+        begins, started = -1, False
+        for tick in self._run.ticks():
+            if begins < 0:
+                begins = tick.number
+            if tick.number == 0:
+                self._observer = self._run.observer() if started else self._observer
+                expected, started = 0, True
+            if tick.number != expected:
+                expected = None
+                continue
+            expected += 1
             with one_thread():
                 for event in tick.events:
                     self._observer.feed(event)
@@ -70,7 +75,9 @@ class Recheck:
             while recorded is not None and recorded["mono_ns"] < t_ns:
                 recorded = next(estimates, None)
             if recorded is not None and recorded["mono_ns"] == t_ns:
-                yield Checked(number, tuple(differences(number, recorded, now)))
+                yield Checked(tick.number, tuple(differences(tick.number, recorded, now)))
+        if not started:
+            raise RunError(f"{self._run.path}: begins with tick {begins}; what the observer knew by then is not in it")
 
     def elsewhere(self) -> list[str]:
         """In what the run's making differs from this program and machine, so that last bits may differ too."""

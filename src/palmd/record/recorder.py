@@ -18,6 +18,7 @@ from palmd.bus.subscriber import Subscriber
 from palmd.config.addresses import from_here
 from palmd.config.any_config import AnyConfig
 from palmd.keys import Credentials
+from palmd.record import ASKED, STARTER_GONE
 from palmd.record.recording import Ended, Recording
 
 LOOK_S = 0.05  # between looks at the clock when nothing comes
@@ -40,36 +41,53 @@ def record(
     `ready` is called when it listens, whoever is there; `ended` is told of each closed file. Raises CliError for what
     is no address.
     """
-    recording = Recording(config, ended)
+    recording, starter = Recording(config, ended), os.getppid()
     with contextlib.ExitStack() as stack:
         publish, command = from_here(config.bus.publish), from_here(config.bus.command)
         subscriber = stack.enter_context(Subscriber(publish, topics=("",), key=key, keyless=truth, high_water=0))
         daemon = stack.enter_context(CommandClient(command, key=key, now_or_never=True))
         syncer = stack.enter_context(_Syncer())
         sync_due = tell_due = 0.0
+        clock = _SteadyClock()
         ready()
         while not stopped():
-            _drain(subscriber, recording, LOOK_S)
-            recording.flush(time.time())
+            if recording.path is None:
+                clock.set()
+            _drain(subscriber, recording, LOOK_S, clock)
+            recording.flush(clock())
             error = syncer.failed()
             if error is not None:
-                recording.fail(error, time.time())
+                recording.fail(error, clock())
             now = time.monotonic()
             if now >= sync_due and syncer.sync(recording.fd):
                 sync_due = now + SYNC_S
             if now >= tell_due and _told(daemon, recording):
                 tell_due = now + TELL_S
         t_end = time.monotonic() + LAST_WORDS_S
-        while _drain(subscriber, recording, LAST_WORDS_S) and time.monotonic() < t_end:
+        while _drain(subscriber, recording, LAST_WORDS_S, clock) and time.monotonic() < t_end:
             pass
-    recording.finish()
+    recording.finish(ASKED if os.getppid() == starter else STARTER_GONE)
 
 
-def _drain(subscriber: Subscriber, recording: Recording, wait_s: float) -> int:
+class _SteadyClock:
+    """Unix time (s) that no setting of the wall clock moves within a file: a file has no message of another year."""
+
+    def __init__(self) -> None:
+        self.set()
+
+    def set(self) -> None:
+        """By the wall clock, as it is now."""
+        self._ahead = time.time() - time.monotonic()
+
+    def __call__(self) -> float:
+        return time.monotonic() + self._ahead
+
+
+def _drain(subscriber: Subscriber, recording: Recording, wait_s: float, clock: Callable[[], float]) -> int:
     """Wait for something to come, then take what there is; how much that was."""
     count = 0
     for frames in subscriber.frames(BATCH, wait_s):
-        recording.take(frames, time.time())
+        recording.take(frames, clock())
         count += 1
     return count
 

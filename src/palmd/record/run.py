@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
 import yaml
 from pydantic import TypeAdapter
 
@@ -21,10 +22,14 @@ from palmd.messages import Fields, Says, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
-from palmd.record import RunError
+from palmd.record import METADATA, RunError
+from palmd.record.damage import Damage, described
 from palmd.record.eventlog import EventLog
-from palmd.record.mcapfile import Preface, RawMessage, Tail, is_finished, read_messages, read_preface
-from palmd.record.metadata import CONFIG, METADATA, OUTLINES, RIG
+from palmd.record.mcapfile import Preface, RawMessage
+from palmd.record.mcapread import Layout, read_layout, read_messages
+from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
+from palmd.record.outline_curves import OutlineCurves, curves_of
+from palmd.record.scene import Scene, SceneWatch
 from palmd.system.description import RigDescription
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
@@ -65,7 +70,7 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class AnyRun(ABC):
-    """A recording of whichever system. `complete` says whether it was finished.
+    """A recording of whichever system. What of its file is damaged is left out, and told by `notes`.
 
     What is read lazily may raise RunError or OSError. `metadata` holds versions, the configuration's hash, and which
     run it continues. `rig` is what the observer was told.
@@ -78,11 +83,33 @@ class AnyRun(ABC):
     """Its messages."""
 
     path: Path
-    complete: bool
+    layout: Layout
     metadata: Mapping[str, str]
     preface: Preface
     config: Any
     rig: Any
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was finished, and has its end still."""
+        return self.layout.finished and not self.damage.cut
+
+    @property
+    def damage(self) -> Damage:
+        """What of its file cannot be read."""
+        return self.layout.damage
+
+    @property
+    def damage_notes(self) -> tuple[str, ...]:
+        """How much of it is missing, if it is damaged."""
+        said = described(self.damage, self.layout.begin_ns)
+        return (f"{self.path}: {said}",) if said else ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What whoever uses it should know: how much of it is missing, or that it was not finished."""
+        unfinished = f"{self.path}: the recording was not finished; what there is of it is used"
+        return self.damage_notes or (() if self.complete else (unfinished,))
 
     @property
     def topics(self) -> SystemTopics:
@@ -96,6 +123,17 @@ class AnyRun(ABC):
             self.topics.events, lambda fields: FedTick(fields["t_tick_s"], events_of(fields), fields["seq"])
         )
 
+    band: ClassVar[str] = "h_sd_m"
+    """The field of its shape that tells the outline's one-sigma."""
+
+    def scenes(self) -> Callable[[str, Fields], Scene | None] | None:
+        """What makes scenes of its messages, by topic; None where there are none."""
+        return None
+
+    @abstractmethod
+    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """An outline as it was published, as curves for CAD."""
+
     @abstractmethod
     def observer(self) -> LiveObserver:
         """The one that it was made with, as it began, hearing the smoother's recorded answers."""
@@ -104,9 +142,9 @@ class AnyRun(ABC):
         """Its estimate as it is published."""
         return self.says.estimate_fields(estimate)
 
-    def messages(self, *topics: str, tail: Tail | None = None) -> Iterator[RawMessage]:
-        """All messages, or those of these topics, as they were received; `tail` learns of a torn end."""
-        for message in read_messages(self.path, tail):
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """All intact messages, or those of these topics, as they were received."""
+        for message in read_messages(self.path, self.layout):
             if not topics or message.topic in topics:
                 yield message
 
@@ -174,6 +212,17 @@ class Run(AnyRun):
     config: Config
     rig: RigDescription
 
+    def scenes(self) -> Callable[[str, Fields], Scene | None]:
+        """Palms and outline in the world frame."""
+        return SceneWatch(self.config).take
+
+    def drawn(self, shape: Fields, estimate: Fields) -> OutlineCurves:
+        """About the centre of mass."""
+        theta, h, h_sd, touched = (np.array(shape[name]) for name in ("theta_rad", "h_m", "h_sd_m", "touched"))
+        name = f"{self.path.stem}, object {estimate['object']}, as it was known at the end"
+        told = {"rho_m": estimate["rho_m"], "mass_kg": estimate["mass_kg"]}
+        return curves_of(name, theta, h, h_sd, touched > 0, **told)
+
     def observer(self) -> Observer:
         """As configured."""
         from palmd import observer
@@ -212,8 +261,7 @@ class Run(AnyRun):
         events = tuple(event for _, event in self.events())
         if not events:
             raise RunError(f"{self.path}: {EVENTS.name} tells of no event: neither pad nor arm was heard")
-        notes = () if self.complete else (f"{self.path}: the recording was not finished; what there is of it is used",)
-        return EventLog(self.rig, events, notes)
+        return EventLog(self.rig, events, self.notes)
 
     def outlines(self) -> tuple[Outline, ...]:
         """The stored outlines that the observer had to choose from, empty without any."""
@@ -245,15 +293,15 @@ def read_any_run(path: Path) -> AnyRun:
     messages. Not for the loop.
     """
     try:
-        complete = is_finished(path)
-        preface = read_preface(path)
-        empty = next(read_messages(path), None) is None
+        layout = read_layout(path)
     except FileNotFoundError:
         raise RunError(f"{path}: no such file; `palmd runs FOLDER` lists what has been recorded there") from None
     except IsADirectoryError:
         raise RunError(f"{path}: is a folder; a run is a file in one: `palmd runs FOLDER` lists them") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
+    preface, empty = preface_of(layout), not layout.count
+    complete = layout.finished and not layout.damage.cut
     metadata = preface.metadata.get(METADATA)
     if metadata is None and empty and not complete:
         raise RunError(f"{path}: is cut off before its first message: there is nothing left in it")
@@ -271,7 +319,7 @@ def read_any_run(path: Path) -> AnyRun:
         raise RunError(f"{path}: is of a system that this palmd does not know: {named}")
     kind: type[AnyRun] = load_part(LIVE[named].recording)
     config = _config(path, load_part(LIVE[named].config), values)
-    return kind(path, complete, metadata, preface, config, _rig(path, preface, kind.described))
+    return kind(path, layout, metadata, preface, config, _rig(path, preface, kind.described))
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:

@@ -10,8 +10,10 @@ from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 
-from palmd.record import SUFFIX
-from palmd.record.mcapfile import Preface, RawMessage, RunWriter, Tail, read_messages, read_preface
+from palmd.record import SUFFIX, RunError
+from palmd.record.mcapfile import Preface, RawMessage, RunWriter
+from palmd.record.mcapread import Layout, read_layout, read_messages
+from palmd.record.metadata import preface_of
 
 NAME = "%Y-%m-%dT%H-%M-%SZ"
 _MOST_OF_ONE_SECOND = 100
@@ -80,9 +82,9 @@ class RunFile:
         self._spool.flush()
         self._flushed = self.messages
 
-    def finish(self) -> None:
-        """Write the end, bring everything to the disk, and close."""
-        self._writer.finish()
+    def finish(self, why: str = "") -> None:
+        """Write the end, and why it has come, bring everything to the disk, and close."""
+        self._writer.finish(why)
         self.flush()
         os.fsync(self.fd)
         os.close(self.fd)
@@ -101,22 +103,29 @@ def _created(directory: Path, begin: datetime) -> tuple[Path, int]:
     raise FileExistsError(f"{stem}{SUFFIX} and {_MOST_OF_ONE_SECOND - 1} more exist")
 
 
-def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> tuple[int, int]:
-    """Write what `source` holds to `target` as a finished file of compressed chunks, and rename it into place.
+def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> Layout:
+    """Write what can be read of `source` to `target` as a finished file of compressed chunks, and rename it into place.
 
-    Both may be the same path. It belongs to whom `source` belongs to, as far as we may give it away. `at` is told the
-    number of messages that are done. Returns how many there are, and how
-    many bytes of a torn end were left out. Raises OSError, RunError, and leaves no part of a file then.
+    Both may be the same path, unless something in it cannot be read. It belongs to whom `source` belongs to, as far as
+    we may give it away. `at` is told the number of messages that are done. Returns what `source` holds. Raises OSError,
+    RunError, and leaves no part of a file then.
     """
+    layout = read_layout(source)
+    if layout.damage.unread_bytes and target.exists() and target.samefile(source):
+        raise RunError(
+            f"{source}: {layout.damage.unread_bytes:,} bytes of it cannot be read, and would be lost in its place; "
+            "write to another file"
+        )
+    if target.exists() and not target.is_file():
+        raise RunError(f"{target}: is no file; write to a file")
     part = target.with_name(f".{target.name}.part")
-    tail = Tail()
     count = 0
     try:
         with part.open("wb") as stream:
             _give(stream.fileno(), source)
-            preface = read_preface(source)
+            preface = preface_of(layout)
             writer: RunWriter | None = None
-            for message in read_messages(source, tail):
+            for message in read_messages(source, layout):
                 writer = writer or RunWriter(stream, preface, message.log_time_ns, compressed=True)
                 writer.write(message)
                 count += 1
@@ -129,7 +138,7 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
-    return count, tail.torn_bytes
+    return layout
 
 
 def _give(fd: int, like: Path) -> None:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from palmd.messages import Fields
-from palmd.quantities import ESTIMATE, MOTION, OBJECT, SHAPE, STATE
+from palmd.quantities import OBJECT, STATE
 from palmd.record import RunError
+from palmd.record.damage import described
 from palmd.record.index import RunSummary
 from palmd.record.recognition import NONE_OF_THESE
-from palmd.record.run import read_run
+from palmd.record.run import AnyRun, read_any_run
 
 LOG = "palm/log"
 NOTE = "note"
@@ -25,11 +27,12 @@ _EVERY = 10  # of the topics that come each tick: nothing here is told more fine
 def summary_of(path: Path) -> RunSummary:
     """Reads the recording once through; one that cannot be used says why."""
     try:
-        run = read_run(path)
-        seen = _Seen()
+        run = read_any_run(path)
+        seen = _Seen(run)
         for message in run.messages():
             seen.take(message.topic, message.log_time_ns, message.sequence, message)
-        return seen.summary(run.metadata.get("started", ""), complete=run.complete)
+        summary = seen.summary(run.metadata.get("started", ""), complete=run.complete)
+        return replace(summary, damage=described(run.damage, run.layout.begin_ns))
     except RunError as error:
         return RunSummary(problem=str(error).removeprefix(f"{path}: "))
     except OSError as error:
@@ -39,7 +42,8 @@ def summary_of(path: Path) -> RunSummary:
 class _Seen:
     """What has been read so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, run: AnyRun) -> None:
+        self._topics, self._band = run.topics, run.band
         self._begin_ns = self._end_ns = 0
         self._plans: dict[str, None] = {}
         self._faults: dict[str, None] = {}
@@ -50,7 +54,7 @@ class _Seen:
     def take(self, topic: str, t_ns: int, number: int, message: Any) -> None:
         """One message; only what is needed is unpacked."""
         self._begin_ns, self._end_ns = self._begin_ns or t_ns, t_ns
-        if topic in (SHAPE.name, OBJECT.name):
+        if topic in (self._topics.shape.name, OBJECT.name):
             self._last[topic] = message
         elif topic == STATE.name:
             fields = message.fields
@@ -58,10 +62,10 @@ class _Seen:
             self._faults |= {code: None for code, severity in grave if severity in _GRAVE}
         elif topic == LOG:
             self._hear(message.fields)
-        elif number % _EVERY == 0 and topic == MOTION.name:
+        elif number % _EVERY == 0 and topic == self._topics.motion.name:
             plan = message.fields.get("plan")
             self._plans |= {plan: None} if plan else {}
-        elif number % _EVERY == 0 and topic == ESTIMATE.name:
+        elif number % _EVERY == 0 and topic == self._topics.estimate.name:
             fields = message.fields
             self._valid = fields if fields.get("valid") else self._valid
 
@@ -73,9 +77,9 @@ class _Seen:
     def summary(self, started: str, *, complete: bool) -> RunSummary:
         """Of all that was read."""
         shape, recognised = (
-            self._last[each].fields if each in self._last else {} for each in (SHAPE.name, OBJECT.name)
+            self._last[each].fields if each in self._last else {} for each in (self._topics.shape.name, OBJECT.name)
         )
-        sds = np.array([each for each in shape.get("h_sd_m", ()) if math.isfinite(each)])
+        sds = np.array([each for each in shape.get(self._band, ()) if math.isfinite(each)])
         return RunSummary(
             started=started,
             seconds=(self._end_ns - self._begin_ns) * 1e-9,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palmd.messages import Fields
 from palmd.quantities import STAMP
-from palmd.record.run import Run
+
+if TYPE_CHECKING:
+    from palmd.record.run import AnyRun
 
 _FIRST = tuple(field.name for field in STAMP)
 
@@ -21,7 +23,7 @@ def flat(fields: Fields) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def examples(run: Run, done: Callable[[], None]) -> dict[str, Fields]:
+def examples(run: AnyRun, done: Callable[[], None]) -> dict[str, Fields]:
     """By topic: every field that occurs in any of its messages, with the first value of each; the stamp comes first.
 
     Maps within maps are gathered likewise. `done` is called after each message. Raises RunError, OSError.

@@ -17,12 +17,14 @@ from palmd.devices.pad import SILENT_INTERVALS
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
+from palmd.record import ANOTHER, ASKED, SILENT, STARTER_GONE
 from palmd.report.course import Closeup, Course, StateChange
 
 CauseKind = Literal[
     "port", "mute", "foreign", "damaged", "lifted", "stalled", "watchdog", "break", "estop", "power-off", "manual",
     "uncalibrated", "controller", "servo", "left", "late", "failed", "not-finite", "limits", "overruns", "command",
     "ended", "rig-gone", "rig-stalled", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
+    "damaged-file", "recorder-ended",
 ]  # fmt: skip
 
 STALL_S = 0.1
@@ -59,6 +61,11 @@ _STATES: dict[str, tuple[CauseKind, str]] = {
     "arm-manual": ("manual", "somebody took the arm: its controller went to manual mode"),
     "arm-uncalibrated": ("uncalibrated", "the arm's controller lost its calibration"),
     "arm-left-tracking": ("left", "the arm's controller stopped following by itself"),
+}
+_ENDINGS = {
+    SILENT: "it was finished by its recorder, which heard nothing more of the daemon",
+    ANOTHER: "it was finished by its recorder when it heard that another daemon had begun",
+    STARTER_GONE: "it was finished by its recorder, which the daemon had started, when the daemon was gone",
 }
 _OWN: dict[str, tuple[CauseKind, str]] = {
     "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
@@ -468,7 +475,13 @@ def of_no_fault(case: RunCase, before: StateChange, now: StateChange) -> StopCau
     return StopCause("command", "", sentence, (*evidence, Clue("palm/state", said)))
 
 
-def of_end(case: RunCase) -> StopCause:
+def of_damage(said: str, begin: str, end: str) -> StopCause:
+    """What happened lies in a part of the file that cannot be read, between these times."""
+    sentence = f"what happened between {begin} and {end} cannot be told: the file is damaged there"
+    return StopCause("damaged-file", "", sentence, (Clue("the file", said),))
+
+
+def of_end(case: RunCase, *, being_written: bool = False) -> StopCause:
     """The recording ends while the palms moved: the daemon has died, or its recorder."""
     course, last = case.course, case.course.end
     motion: Fields = case.closeup.last_motion(math.inf)
@@ -478,19 +491,23 @@ def of_end(case: RunCase) -> StopCause:
     ]  # fmt: skip
     if any(entry.name == "stopping" for entry in course.log[-3:]):
         return StopCause("ended", "", "palmd was told to end", tuple(evidence))
+    if course.ending == ASKED:
+        evidence.append(Clue("the file", "it was finished by its recorder, which was asked to end"))
+        return StopCause("recorder-ended", "", "the recorder was told to end; palmd went on", tuple(evidence))
     if course.complete:
-        evidence.append(Clue("the file", "it was finished by its recorder, which heard nothing more of the daemon"))
+        evidence.append(Clue("the file", _ENDINGS.get(course.ending, _ENDINGS[SILENT])))
+        unless = "" if course.ending else ", unless its recorder alone was told to end"
         sentence = (
-            "the daemon said nothing more, and no word of ending: it was killed or has crashed, unless its recorder "
-            "alone was told to end; without set-points the arm's controller holds after 48 ms and latches error -600 "
+            f"the daemon said nothing more, and no word of ending: it was killed or has crashed{unless}; "
+            "without set-points the arm's controller holds after 48 ms and latches error -600 "
             f"after {CONTROLLER_WATCHDOG_MS} ms"
         )
         return StopCause("died", "", sentence, tuple(evidence))
     evidence.append(Clue("the file", "nobody has finished it"))
     sentence = (
         "the recording breaks off, and tells of nothing that held or stopped it: its recorder was killed or could not "
-        "write, or the machine went; or it is still being written"
-    )
+        "write, or the machine went; what palmd did after that is not in it"
+    ) + ("; or it is still being written: it was a moment ago" if being_written else "")
     return StopCause("cut", "", sentence, tuple(evidence))
 
 

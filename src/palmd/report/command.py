@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
+from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
-from palmd.record.run import Run, RunError, read_run
+from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.report.series import Series, series_of
 from palmd.report.words import outcome
+from palmd.systems import LIVE, load_part
 
 if TYPE_CHECKING:
     from palmd.report.sections import Report
@@ -24,16 +26,17 @@ def run(recording: Path, output: Path) -> int:
     """Writes the report, prints the outcome; CliError when the run, the output or matplotlib is not there."""
     _check(output)
     try:
-        series = _read(read_run(recording))
+        recorded = read_any_run(recording)
+        say_notes(recorded.notes)
+        series = _read(recorded)
     except RunError as error:
         raise CliError(BAD_INPUT, str(error)) from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{recording}: {error.strerror or error}") from None
 
     def made() -> Report:
-        from palmd.report import sections
-
-        return sections.report_of(series)
+        report: Report = load_part(LIVE[recorded.system].report)(series)
+        return report
 
     _write(made, recording, output)
     print(f"{output}: {outcome(series)}")
@@ -71,7 +74,7 @@ def _write(made: Callable[[], Report], source: Path, output: Path) -> None:
         raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
 
 
-def _read(recorded: Run) -> Series:
+def _read(recorded: AnyRun) -> Series:
     survey = recorded.survey()
     with Progress("reading", sum(topic.count for topic in survey.values()), "messages") as progress:
         return series_of(recorded, survey, progress.at)

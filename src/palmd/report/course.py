@@ -13,7 +13,7 @@ from typing import Any
 
 from palmd.messages import Fields, LogEntry, entries_of
 from palmd.quantities import LOG, LOOP, STALL, STATE
-from palmd.record import RunError
+from palmd.record import END, RunError
 from palmd.record.mcapfile import RawMessage
 from palmd.record.run import AnyRun
 
@@ -47,7 +47,9 @@ class StateChange:
 class Course:
     """A run's course from `begin` to `end`; `clock_steps` are times at which the wall clock was set, and by how much.
 
-    `log` is empty for runs of before there was one. `complete` says whether the recording got its end.
+    holes: from when to when no `palm/state` is in the file though some were published. ending: why the recorder ended
+    the file, as in `palmd.record`, empty where it does not say. `log` is empty for runs of before there was one.
+    `complete` says whether the recording got its end.
     """
 
     begin: float
@@ -57,6 +59,12 @@ class Course:
     loops: tuple[tuple[float, Fields], ...]
     log: tuple[LogEntry, ...]
     clock_steps: tuple[tuple[float, float], ...]
+    holes: tuple[tuple[float, float], ...] = ()
+    ending: str = ""
+
+    def hole(self, begin: float, end: float) -> tuple[float, float] | None:
+        """The first hole between two times, if there is any."""
+        return next((hole for hole in self.holes if hole[0] < end and hole[1] > begin), None)
 
     def at(self, t: float) -> StateChange | None:
         """What was told last up to `t`, None before the first."""
@@ -106,7 +114,10 @@ def course_of(run: AnyRun) -> Course:
     loops: list[tuple[float, Fields]] = []
     log: list[LogEntry] = []
     steps: list[tuple[float, float]] = []
+    holes: list[tuple[float, float]] = []
+    looked: tuple[int, float] | None = None  # number and time of the last palm/state
     begin = end = apart = None
+    logged = -1  # number of the last message; one that is lower is of another start of the daemon
     for message, t in _timed(run, STATE.name, LOOP.name, LOG.name):
         fields = message.fields
         begin, end = t if begin is None else begin, t if end is None else max(t, end)
@@ -115,17 +126,22 @@ def course_of(run: AnyRun) -> Course:
             steps.append((t, ahead - apart))
         apart = ahead
         if message.topic == STATE.name:
+            if looked is not None and message.sequence > looked[0] + 1:
+                holes.append((looked[1], t))
+            looked = message.sequence, t
             now = _told(fields, t)
             if not told or (told[-1].state, told[-1].faults) != (now.state, now.faults):
                 told.append(now)
         elif message.topic == LOOP.name:
             loops.append((t, fields))
         else:
-            known = log[-1].number if log else -1
+            known = log[-1].number if log and message.sequence > logged else -1
+            logged = message.sequence
             log += [entry for entry in entries_of(fields) if entry.number > known]
     if begin is None or end is None or not told:
         raise RunError(f"{run.path}: holds no {STATE.name}: it does not tell what held or stopped it")
-    return Course(begin, end, run.complete, tuple(told), tuple(loops), tuple(log), tuple(steps))
+    ending = run.preface.metadata.get(END, {}).get("why", "")
+    return Course(begin, end, run.complete, tuple(told), tuple(loops), tuple(log), tuple(steps), tuple(holes), ending)
 
 
 def closeup_of(run: AnyRun, t: float) -> Closeup:

@@ -43,14 +43,14 @@ def draw_motion(figure: FigureBase, series: Series) -> None:
     grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, borderaxespad=0.0)
     grid[2].set_ylabel("actual −\ncommanded (°)")
     grid[2].legend(loc="upper right", ncols=2)
-    key = _states(grid[3], series)
+    key = draw_states(grid[3], series)
     for axes in grid:
         over_time(axes, series, last=axes is grid[3])
     if key:
         figure.legend(handles=key, loc="outside lower center", ncols=6)
 
 
-def _states(axes: Axes, series: Series) -> list[Patch]:
+def draw_states(axes: Axes, series: Series) -> list[Patch]:
     """Draws the bars; the key of the colours that occur."""
     segments = tuple(
         Spell(str(number % 2), spell.begin, spell.end)

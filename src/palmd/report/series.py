@@ -12,10 +12,9 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.messages import Fields, LogEntry, entries_of
-from palmd.quantities import BODY, CONTACT, ESTIMATE, IMPROVEMENT, LOG, LOOP, MOTION, RIG, SHAPE, STATE, TRUTH, Topic
+from palmd.quantities import BODY, ESTIMATE, IMPROVEMENT, LOG, LOOP, RIG, SHAPE, STATE, SystemTopics, Topic
 from palmd.record import RunError
-from palmd.record.mcapfile import Tail
-from palmd.record.run import Run, Survey
+from palmd.record.run import AnyRun, Survey
 from palmd.topics import truth_of
 
 Bools = npt.NDArray[np.bool_]
@@ -90,13 +89,12 @@ class Series:
     """A run as arrays; times in s since its first message.
 
     `faults` are in the order in which they came, `log` the entries of `palm/log`, `improvements` the times of the
-    smoother's answers, `counts` the last `palm/loop`, `torn_bytes` what was left out at the end of an unfinished file.
-    rig_off: what the last `palm/rig` says to be off, None without one.
+    smoother's answers, `counts` the last `palm/loop`. rig_off: what the last `palm/rig` says to be off, None without
+    one. shape: the last outline or surface of a system whose outlines are not among `outlines`; empty for none.
     """
 
-    run: Run
+    run: AnyRun
     survey: Mapping[str, Survey]
-    torn_bytes: int
     observer: str
     duration: float
     estimate: TopicSeries
@@ -114,6 +112,7 @@ class Series:
     improvements: FloatArray
     counts: Mapping[str, float]
     rig_off: tuple[str, ...] | None
+    shape: Fields
 
     @property
     def valid(self) -> Bools:
@@ -127,22 +126,23 @@ class Series:
         return tuple(int(number) for number in numbers if number >= 1)
 
 
-def series_of(run: Run, survey: Mapping[str, Survey], at: Callable[[int], None] = lambda _: None) -> Series:
+def series_of(run: AnyRun, survey: Mapping[str, Survey], at: Callable[[int], None] = lambda _: None) -> Series:
     """Everything a report needs of a run; `at` is told how many messages are done.
 
-    Raises RunError for messages that are not what their topic says, and for a run without a `palm/estimate`; OSError.
+    Raises RunError for messages that are not what their topic says, and for a run without an estimate; OSError.
     """
-    if ESTIMATE.name not in survey:
-        raise RunError(f"{run.path}: holds no {ESTIMATE.name}: there is nothing to report")
-    tail, reader = Tail(), _RunReader()
-    for number, message in enumerate(run.messages(tail=tail)):
+    estimate = run.topics.estimate.name
+    if estimate not in survey:
+        raise RunError(f"{run.path}: holds no {estimate}: there is nothing to report")
+    reader = _RunReader(run.topics)
+    for number, message in enumerate(run.messages()):
         if message.topic in reader.takers:
             try:
                 reader.take(message.topic, message.fields)
             except (KeyError, TypeError, ValueError) as error:
                 raise RunError(f"{run.path}: {message.topic}, message {message.sequence}: {error!r}") from None
         at(number + 1)
-    return reader.series(run, survey, tail.torn_bytes)
+    return reader.series(run, survey)
 
 
 class _Columns:
@@ -191,25 +191,25 @@ class _Spells:
         return (*before, Spell(last.what, last.begin, t))
 
 
-_TRACKS = tuple(topic.name for topic in (ESTIMATE, CONTACT, MOTION, LOOP, TRUTH))
-
-
 class _RunReader:
-    def __init__(self) -> None:
+    def __init__(self, topics: SystemTopics) -> None:
+        self._topics = topics
         self.takers: dict[str, Callable[[float, Fields], None]] = {
-            ESTIMATE.name: self._take_estimate,
-            SHAPE.name: self._take_shape,
-            CONTACT.name: self._numbers(CONTACT),
-            MOTION.name: self._take_motion,
+            topics.estimate.name: self._take_estimate,
+            topics.shape.name: self._take_shape if topics.shape is SHAPE else self._keep_shape,
+            topics.contact.name: self._numbers(topics.contact),
+            topics.motion.name: self._take_motion,
             STATE.name: self._take_state,
             LOOP.name: self._take_loop,
             RIG.name: self._take_rig,
             LOG.name: self._take_log,
             IMPROVEMENT.name: lambda t, _: self._improvements.append(t),
-            TRUTH.name: self._numbers(TRUTH),
+            topics.truth.name: self._numbers(topics.truth),
             BODY.name: self._take_body,
         }
-        self._columns = {topic: _Columns() for topic in _TRACKS}
+        tracks = topics.estimate, topics.contact, topics.motion, LOOP, topics.truth
+        self._columns = {topic.name: _Columns() for topic in tracks}
+        self._shape: Fields = {}
         self._begin_ns: int | None = None
         self._end = 0.0
         self._observer = ""
@@ -222,8 +222,8 @@ class _RunReader:
         self._faults: list[FaultSpell] = []
         self._log: list[LogEntry] = []
         self._improvements = array("d")
-        self._estimated = _names(ESTIMATE)
-        self._moved = _names(MOTION)
+        self._estimated = _names(topics.estimate)
+        self._moved = _names(topics.motion)
 
     def take(self, topic: str, fields: Fields) -> None:
         now = int(fields["mono_ns"])
@@ -233,7 +233,7 @@ class _RunReader:
         self._end = max(self._end, t)
         self.takers[topic](t, fields)
 
-    def series(self, run: Run, survey: Mapping[str, Survey], torn_bytes: int) -> Series:
+    def series(self, run: AnyRun, survey: Mapping[str, Survey]) -> Series:
         end = self._end
         faults = [*self._faults, *(replace(fault, end=end) for fault in self._standing.values())]
         tracks = {topic: columns.track() for topic, columns in self._columns.items()}
@@ -241,14 +241,13 @@ class _RunReader:
         return Series(
             run=run,
             survey=survey,
-            torn_bytes=torn_bytes,
             observer=self._observer,
             duration=end,
-            estimate=tracks[ESTIMATE.name],
-            contact=tracks[CONTACT.name],
-            motion=tracks[MOTION.name],
+            estimate=tracks[self._topics.estimate.name],
+            contact=tracks[self._topics.contact.name],
+            motion=tracks[self._topics.motion.name],
             loop=loop,
-            truth=tracks[TRUTH.name],
+            truth=tracks[self._topics.truth.name],
             outlines=tuple(self._outlines),
             bodies=tuple(self._bodies),
             states=self._states.until(end),
@@ -259,6 +258,7 @@ class _RunReader:
             improvements=np.array(self._improvements),
             counts={name: float(column[-1]) for name, column in loop.columns.items()},
             rig_off=self._rig_off,
+            shape=self._shape,
         )
 
     def _numbers(self, topic: Topic) -> Callable[[float, Fields], None]:
@@ -268,7 +268,7 @@ class _RunReader:
     def _take_estimate(self, t: float, fields: Fields) -> None:
         values = [(name, float(fields[name])) for name in self._estimated]
         values += [(SD + name, float(sd)) for name, sd in fields["sd"].items()]
-        self._columns[ESTIMATE.name].add(t, values)
+        self._columns[self._topics.estimate.name].add(t, values)
         self._observer, self._number, self._valid = fields["observer"], int(fields["object"]), bool(fields["valid"])
 
     def _take_shape(self, t: float, fields: Fields) -> None:
@@ -279,8 +279,11 @@ class _RunReader:
             raise ValueError("its lists differ in length")
         self._outlines.append(OutlineAt(t, self._number, self._valid, theta, h, h_sd, np.asarray(touched > 0.5)))
 
+    def _keep_shape(self, _: float, fields: Fields) -> None:
+        self._shape = fields
+
     def _take_motion(self, t: float, fields: Fields) -> None:
-        self._columns[MOTION.name].add(t, [(name, float(fields[name])) for name in self._moved])
+        self._columns[self._topics.motion.name].add(t, [(name, float(fields[name])) for name in self._moved])
         self._arm_states.say(t, fields["arm_state"])
         segment = int(fields["segment"])
         self._segments.say(t, "" if segment < 0 else f"{fields['plan']} {segment}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,14 +12,18 @@ from itertools import pairwise
 from palmd.faults import TABLE
 from palmd.messages import LogEntry
 from palmd.record import SUFFIX
+from palmd.record.damage import described
+from palmd.record.index import LIVE_S
 from palmd.record.run import AnyRun, RunError, read_any_run
-from palmd.report.causes import RunCase, StopCause, of_break, of_end, of_fault, of_no_fault, of_tracking
+from palmd.report.causes import RunCase, StopCause, of_break, of_damage, of_end, of_fault, of_no_fault, of_tracking
 from palmd.report.course import TOGETHER_S, Course, StateChange, closeup_of, course_of
 
 _COMMANDED = ("tracking", "hold")
 _ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
 _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
              "idle": "the rig was gone"}  # fmt: skip
+ENDINGS = ("died", "cut", "goes-on", "recorder-ended")
+DAMAGED_HINT = "palmd recover keeps what can be read in a new file; look for a fault of the disk"
 OTHERS = 8
 """So many of the other times are listed."""
 
@@ -85,6 +90,9 @@ def answer(run: AnyRun, course: Course, t: float | None) -> Explanation:
     others = tuple((each.now.t - course.begin, _in_short(each)) for each in found if each is not stop)
     if stop is None:
         return _not_stopped(run, course, course.end if t is None else t, others)
+    hole = course.hole(stop.before.t, stop.now.t) if run.damage.damaged else None
+    if hole is not None and stop.now.t - hole[1] < TOGETHER_S:
+        return _unknown(run, course, hole, t, others)
     case = RunCase(course, closeup_of(run, stop.now.t), run.config, run.topics)
     cause = of_fault(case, stop.codes, stop.now.t) if stop.codes else of_no_fault(case, stop.before, stop.now)
     return Explanation(
@@ -128,7 +136,7 @@ def _passed(course: Course, acting: tuple[str, ...], begin: float, end: float) -
 def lines(answer: Explanation) -> Iterator[str]:
     """The answer in plain words."""
     cause = answer.cause
-    if answer.happened and answer.cause.kind in ("died", "cut", "goes-on"):
+    if answer.happened and answer.cause.kind in ENDINGS:
         yield f"{answer.recording}: at {answer.since:.2f} s {answer.happened} (state {answer.state})"
     elif answer.happened:
         until = "to the end" if math.isinf(answer.until) else f"until {answer.until:.2f} s"
@@ -167,10 +175,16 @@ def _not_stopped(run: AnyRun, course: Course, t: float, others: tuple[tuple[floa
     told = course.at(t) or course.told[0]
     case = RunCase(course, closeup_of(run, min(t, course.end)), run.config, run.topics)
     rel = t - course.begin
+    hole = course.hole(t, t) if run.damage.damaged else None
+    if hole is not None:
+        return _unknown(run, course, hole, t, others)
+    lost_end = run.damage.cut or (run.damage.lost and run.damage.lost[-1].before_ns is None)
+    if t >= course.end - END_S and told.state in _COMMANDED and lost_end:
+        return _unknown(run, course, (course.end, math.inf), t, others)
     if t >= course.end - END_S and told.state in _COMMANDED:
         later = _successor(run)
         if later is None:
-            cause = of_end(case)
+            cause = of_end(case, being_written=_is_being_written(run))
         else:
             goes_on = course_of(later)
             if t >= goes_on.begin - GAP_S and t > course.end:
@@ -193,6 +207,26 @@ def _not_stopped(run: AnyRun, course: Course, t: float, others: tuple[tuple[floa
     return Explanation(
         run.path.name, rel, told.state, "", rel, rel, cause, standing, "; ".join(told.hints[c] for c in grave), others
     )
+
+
+def _unknown(
+    run: AnyRun, course: Course, hole: tuple[float, float], t: float | None, others: tuple[tuple[float, str], ...]
+) -> Explanation:
+    """What happened in a part of the file that is damaged."""
+    begin, end = (each - course.begin for each in hole)
+    cause = of_damage(
+        described(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
+    )
+    told = course.at(hole[0])
+    state = told.state if told is not None else ""
+    rel = begin if t is None else t - course.begin
+    return Explanation(run.path.name, rel, state, "the file is damaged", begin, end, cause, (), DAMAGED_HINT, others)
+
+
+def _is_being_written(run: AnyRun) -> bool:
+    with contextlib.suppress(OSError):
+        return time.time() - run.path.stat().st_mtime < LIVE_S
+    return False
 
 
 def _successor(run: AnyRun) -> AnyRun | None:

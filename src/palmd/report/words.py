@@ -13,6 +13,7 @@ from palmd.chords import MEANT, chords_of
 from palmd.observer.likeness import likeness, root_of_band
 from palmd.observer.validity import NIS_RANGE
 from palmd.quantities import ESTIMATE, MOTION
+from palmd.record.damage import described
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
 from palmd.report.series import SD, OutlineAt, Series, Spell
@@ -32,7 +33,8 @@ class Table:
 def facts(series: Series) -> tuple[tuple[str, str], ...]:
     """The title block: name and value."""
     metadata = series.run.metadata
-    begun = datetime.fromisoformat(metadata["started"]).strftime("%Y-%m-%d %H:%M:%S %Z").strip()
+    started = metadata.get("started")
+    begun = datetime.fromisoformat(started).strftime("%Y-%m-%d %H:%M:%S %Z").strip() if started else "unknown"
     versions = ", ".join(
         f"{name} {metadata[name]}" for name in ("palmd", "python", "numpy", "casadi") if name in metadata
     )
@@ -63,7 +65,10 @@ def outcome(series: Series) -> str:
     ]
     outlines = last_outlines(series)
     if not outlines or not outlines[-1].valid:
-        return "; ".join([*told, "this observer tells no outline"])
+        touched = series.estimate["touched"]
+        known = bool(len(series.shape)) and bool(np.isfinite(touched).any())
+        last = f"{np.nanmax(touched):.0%} touched" if known else "this observer tells no outline"
+        return "; ".join([*told, last])
     return "; ".join([*told, *(_outline_told(series, outline, several=len(outlines) > 1) for outline in outlines)])
 
 
@@ -311,9 +316,12 @@ def _objects(series: Series) -> str:
 
 
 def _recording(series: Series) -> str:
+    damage = series.run.damage
+    if damage.damaged:
+        return described(damage, series.run.layout.begin_ns)
     if series.run.complete:
         return "complete"
-    return f"cut short: {series.torn_bytes} bytes at its end hold no whole message and are left out"
+    return f"not finished: {damage.torn_bytes} bytes at its end hold no whole message and are left out"
 
 
 def _lost(series: Series) -> str:

@@ -4,7 +4,7 @@ import pytest
 import recorded
 
 from palmd.cli import main
-from palmd.record.mcapfile import is_packed, read_messages
+from palmd.record.mcapread import is_packed, read_messages
 from palmd.record.run import read_run
 
 
@@ -18,22 +18,36 @@ def cut_off(tmp_path):
     return file.path
 
 
-def test_a_run_that_was_cut_off_is_made_whole_in_place(cut_off, capsys):
-    expected = list(recorded.messages(5))[:-2]
-    assert main(["recover", str(cut_off)]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith(f"{cut_off}: 10 messages of 0.4 s saved, ")
-    assert out.endswith(" torn bytes at the end left out\n")
-    assert list(read_messages(cut_off)) == expected
-    assert is_packed(cut_off)
-    assert read_run(cut_off).complete
-    assert main(["recover", str(cut_off)]) == 0
-    assert capsys.readouterr().out == f"{cut_off}: is whole already\n"
+def test_a_run_that_lacks_its_end_only_is_finished_in_place(tmp_path, capsys):
+    file, _ = recorded.begun(tmp_path)
+    file.abandon()
+    assert main(["recover", str(file.path)]) == 0
+    assert capsys.readouterr().out == f"{file.path}: 12 messages of 0.5 s saved\n"
+    assert list(read_messages(file.path)) == list(recorded.messages(5))
+    assert is_packed(file.path)
+    assert read_run(file.path).complete
+    assert main(["recover", str(file.path)]) == 0
+    assert capsys.readouterr().out == f"{file.path}: is whole already\n"
 
 
-def test_the_original_may_be_kept(cut_off, tmp_path, capsys):
+def test_what_cannot_be_read_stays_where_it_is(cut_off, capsys):
     before = cut_off.read_bytes()
-    assert main(["recover", str(cut_off), "-o", str(tmp_path / "b.mcap")]) == 0
+    saved = cut_off.with_name(f"{cut_off.stem}.recovered.mcap")
+    assert main(["recover", str(cut_off)]) == 1
+    out = capsys.readouterr().out
+    assert out.startswith(f"{saved}: 10 messages of 0.4 s saved, ")
+    assert out.endswith(" torn bytes at the end left out\n")
+    assert cut_off.read_bytes() == before
+    assert list(read_messages(saved)) == list(recorded.messages(5))[:-2]
+    assert read_run(saved).complete
+    assert main(["recover", str(cut_off), "-o", str(cut_off)]) == 1
+    assert "cannot be read, and would be lost in its place" in capsys.readouterr().err
+    assert cut_off.read_bytes() == before
+
+
+def test_the_output_may_be_named(cut_off, tmp_path, capsys):
+    before = cut_off.read_bytes()
+    assert main(["recover", str(cut_off), "-o", str(tmp_path / "b.mcap")]) == 1
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'b.mcap'}: 10 messages")
     assert cut_off.read_bytes() == before
     assert is_packed(tmp_path / "b.mcap")

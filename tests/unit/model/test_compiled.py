@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.model import building, compiled, kernels, shape_map, smoothing
+from palmd.model import building, compiled, compiler, kernels, shape_map, smoothing
 from palmd.model.compiled import LANES, Library, load
 from palmd.model.kernels import of_columns, single
 
@@ -176,6 +176,44 @@ def test_a_compiler_that_fails_is_reported_and_survived(
     monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
     assert toy(tmp_path / "cache").backend == "vm"
     assert "nowhere: No such file" in caplog.text
+
+
+def script(path: Path, text: str) -> Path:
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("exit 1", "ended with status 1: it says nothing"),
+        ("exit 0", "made nothing"),
+        ("sleep 600 & sleep 600", "has not ended"),
+    ],
+)
+def test_a_compiler_that_fails_silently_or_never_ends_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, text: str, why: str
+) -> None:
+    monkeypatch.setattr(compiler, "TRIAL_S", 1.0)
+    monkeypatch.setenv("CC", str(script(tmp_path / "cc", text)))
+    for _ in range(2):
+        assert toy(tmp_path / "cache").backend == "vm"
+    assert caplog.text.count(why) == 1
+
+
+def test_a_compiler_may_have_a_wrapper_and_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrapper = script(tmp_path / "my ccache", 'exec "$@"')
+    monkeypatch.setenv("CC", f"'{wrapper}' cc -pipe")
+    assert toy(tmp_path / "cache").backend == "c"
+
+
+def test_quotes_that_do_not_close_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("CC", "gcc 'x")
+    assert toy(tmp_path / "cache").backend == "vm"
+    assert "no closing quotation" in caplog.text
 
 
 def test_a_library_that_is_not_what_was_built_is_built_anew(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

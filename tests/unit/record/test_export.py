@@ -11,6 +11,7 @@ import lived
 import numpy as np
 import pytest
 import recorded
+import reported
 from mcap.reader import make_reader
 
 from palmd.cli import main
@@ -130,11 +131,9 @@ def test_a_zip_holds_the_same_tables(tmp_path):
 
 def test_a_field_that_comes_later_has_its_column_too(tmp_path):
     said = {"valid": False, "sd": {}}, {"valid": True, "sd": {"r1_m": 0.5}, "late": [1]}, {"valid": True, "sd": {}}
-    file, _ = recorded.begun(tmp_path)
-    for number, fields in enumerate(said):
-        file.write(recorded.message("palm/estimate", fields, number, 0.1 * number))
-    file.finish()
-    with (exported(tmp_path / "tables", run=file.path) / "palm-estimate.csv").open(newline="") as stream:
+    told = [("palm/estimate", fields, 0.1 * number, number) for number, fields in enumerate(said)]
+    run = reported.write_packed(tmp_path / "run.mcap", told)
+    with (exported(tmp_path / "tables", run=run) / "palm-estimate.csv").open(newline="") as stream:
         table = rows(stream)
     assert [(row["valid"], row["sd.r1_m"], row["late"]) for row in table] == [
         ("0", "", ""),

@@ -10,17 +10,8 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from palmd.quantities import ESTIMATE, LOOP
 from palmd.record import MAGIC
-from palmd.record.mcapfile import (
-    Preface,
-    RunError,
-    RunWriter,
-    Tail,
-    is_finished,
-    is_packed,
-    json_schema,
-    read_messages,
-    read_preface,
-)
+from palmd.record.mcapfile import Preface, RunError, RunWriter, json_schema
+from palmd.record.mcapread import is_packed, read_layout, read_messages
 from palmd.record.runfile import pack
 from palmd.topics import TOPICS
 
@@ -93,13 +84,13 @@ def test_the_mcap_library_finds_what_was_attached(run):
 
 def test_only_a_packed_file_is_packed(tmp_path):
     file, _ = recorded.begun(tmp_path)
-    assert not is_finished(file.path)
+    assert not read_layout(file.path).finished
     assert not is_packed(file.path)
     file.finish()
-    assert is_finished(file.path)
+    assert read_layout(file.path).finished
     assert not is_packed(file.path)
     size = file.path.stat().st_size
-    assert pack(file.path, tmp_path / "packed.mcap") == (12, 0)
+    assert pack(file.path, tmp_path / "packed.mcap").count == 12
     assert is_packed(tmp_path / "packed.mcap")
     assert (tmp_path / "packed.mcap").stat().st_size < size
     assert {path.name for path in tmp_path.iterdir()} == {file.path.name, "packed.mcap"}
@@ -126,12 +117,13 @@ def test_a_file_cut_anywhere_gives_every_message_that_is_whole(tmp_path):
     data, cut = stream.getvalue(), tmp_path / "cut.mcap"
     for length in range(len(MAGIC), len(data) + 1):
         cut.write_bytes(data[:length])
-        tail = Tail()
+        layout = read_layout(cut)
         whole = sum(end <= length for end in ends)
-        assert list(read_messages(cut, tail)) == THREE[:whole], length
-        assert not is_finished(cut)
+        assert list(read_messages(cut)) == THREE[:whole], length
+        assert not layout.finished
         if length > ends[0]:  # from there on there is nothing but messages
-            assert tail.torn_bytes == length - ends[whole - 1]
+            assert layout.damage.torn_bytes == length - ends[whole - 1]
+            assert not layout.damage.damaged
 
 
 def test_a_packed_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
@@ -144,7 +136,7 @@ def test_a_packed_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path):
         read = list(read_messages(cut))
         assert read in ([], THREE), length
         found.add(len(read))
-        assert not is_finished(cut)
+        assert not read_layout(cut).finished
     assert found == {0, 3}
 
 
@@ -160,7 +152,7 @@ def test_packing_changes_nobodys_rights(tmp_path):
     assert (after.st_mode, after.st_uid, after.st_gid) == (before.st_mode, before.st_uid, before.st_gid)
 
 
-def test_a_damaged_chunk_ends_the_reading(tmp_path):
+def test_a_damaged_chunk_is_left_out_and_counted(tmp_path):
     file, _ = recorded.begun(tmp_path, 20)
     file.finish()
     pack(file.path, file.path)
@@ -168,9 +160,11 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path):
     at = data.index(b"\x28\xb5\x2f\xfd") + 40  # within the first chunk's zstd frame
     data[at] ^= 0xFF
     file.path.write_bytes(data)
-    tail = Tail()
-    assert list(read_messages(file.path, tail)) == []
-    assert tail.torn_bytes > 0
+    assert list(read_messages(file.path)) == []
+    damage = read_layout(file.path).damage
+    assert damage.damaged
+    assert damage.lost_bytes > 0
+    assert (damage.messages, damage.exact) == (42, True)
 
 
 def test_a_damaged_preface_costs_what_is_damaged_and_no_more(tmp_path):
@@ -179,7 +173,9 @@ def test_a_damaged_preface_costs_what_is_damaged_and_no_more(tmp_path):
     data = bytearray(stream.getvalue())
     data[data.index(b"schema")] = 0xFF  # no text any longer
     path.write_bytes(data)
-    assert read_preface(path) == Preface({}, {"a.txt": b"abc"})
+    layout = read_layout(path)
+    assert layout.preface == Preface({}, {"a.txt": b"abc"})
+    assert layout.damage.preface_bytes > 0
     assert list(read_messages(path)) == THREE
 
 

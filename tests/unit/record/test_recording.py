@@ -10,7 +10,7 @@ from palmd.messages import events_fields
 from palmd.quantities import EVENTS
 from palmd.record import recording as module
 from palmd.record import runfile
-from palmd.record.mcapfile import is_finished, read_messages, read_preface
+from palmd.record.mcapread import read_layout, read_messages
 from palmd.record.recording import LONGEST_S, RETRY_S, SILENT_S, Recording
 
 T0 = recorded.T0
@@ -75,7 +75,7 @@ def test_a_daemon_that_begins_anew_gets_a_file_of_its_own(disk):
     assert (first.messages, first.whole, disk.numbers(first.path)) == (3, True, [0, 1, 2])
     assert disk.numbers(disk.recording.path) == [0]
     assert disk.recording.lost == 0
-    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == ""
+    assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == ""
 
 
 def test_a_rig_that_begins_anew_changes_nothing(disk):
@@ -101,9 +101,9 @@ def test_a_long_run_goes_on_in_another_file(disk):
     disk.take(1, LONGEST_S - 1)
     disk.take(2, LONGEST_S)
     (first,) = disk.ended
-    assert (disk.numbers(first.path), is_finished(first.path)) == ([0, 1], True)
+    assert (disk.numbers(first.path), read_layout(first.path).finished) == ([0, 1], True)
     assert disk.recording.path.name == "2026-11-21T23-30-05Z.mcap"
-    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == first.path.name
+    assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == first.path.name
     assert disk.recording.lost == 0
 
 
@@ -117,7 +117,7 @@ def test_a_run_ends_with_the_daemons_silence_and_goes_on_with_its_voice(disk):
     assert disk.recording.path is None
     disk.take(3, SILENT_S + 1.0)
     assert disk.recording.lost == 2
-    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == disk.ended[0].path.name
+    assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == disk.ended[0].path.name
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_a_full_disk_keeps_what_is_there_and_is_tried_again(disk, full):
     assert disk.recording.problem == ""
     assert disk.numbers(disk.recording.path) == [6]
     assert disk.recording.lost == 3
-    assert read_preface(disk.recording.path).metadata["palmd"]["continues"] == first.path.name
+    assert read_layout(disk.recording.path).preface.metadata["palmd"]["continues"] == first.path.name
 
 
 def test_a_file_that_is_whole_to_the_last_record_can_be_packed(disk, full):
@@ -191,8 +191,8 @@ def test_a_file_that_is_whole_to_the_last_record_can_be_packed(disk, full):
     (first,) = disk.ended
     assert not first.whole
     full.room = None
-    assert runfile.pack(first.path, first.path) == (3, 0)
-    assert is_finished(first.path)
+    assert runfile.pack(first.path, first.path).count == 3
+    assert read_layout(first.path).finished
 
 
 def test_a_disk_that_is_full_from_the_beginning_gets_no_empty_files(disk, full):

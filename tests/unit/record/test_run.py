@@ -31,7 +31,7 @@ def written(path, messages, metadata=None, **attachments):
     said = {**preface.metadata[METADATA], **(metadata or {})}
     files = {**preface.attachments, **attachments}
     with path.open("wb") as stream:
-        writer = RunWriter(stream, Preface({METADATA: said}, files), 0, compressed=False)
+        writer = RunWriter(stream, Preface({METADATA: said}, files), 0, compressed=True)
         for message in messages:
             writer.write(message)
         writer.finish()

@@ -188,7 +188,7 @@ def test_cut_short_is_said(tmp_path):
     cut = reported.write(tmp_path, messages, finish=False)
     cut.write_bytes(cut.read_bytes()[:-10])
     run = read_run(cut)
-    assert "cut short" in said(report_of(series_of(run, run.survey())))["recording"]
+    assert "not finished" in said(report_of(series_of(run, run.survey())))["recording"]
 
 
 def test_a_figure_of_a_long_run_stays_small(tmp_path):

@@ -1,0 +1,399 @@
+"""MCAP read back, damaged or not: what a file holds (`layout_of`), and its messages (`messages_of`).
+
+Whole chunks are verified by their checksum. A file that is still being written has messages outside of chunks, which
+have none; such a message is taken if it is a map of the fields that its topic has. After damage that broke the order of
+the records, stretches are read in the order of their times and each message once, as a block may stand there twice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median_low
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Metadata, Statistics
+
+from palmd import __version__
+from palmd.messages import Fields
+from palmd.payload import unpacked
+from palmd.quantities import CONFIG, STAMP, Kind
+from palmd.record import MAGIC, METADATA, RunError
+from palmd.record.damage import Damage, LostStretch
+from palmd.record.mcapfile import BY_NAME, SEQUENCE_MODULUS, Preface, RawMessage
+from palmd.record.mcapscan import (
+    MESSAGE_HEAD,
+    SUMMARY,
+    Buffer,
+    Gap,
+    Record,
+    attachment,
+    framed,
+    parsed,
+    records,
+    unpacked_chunk,
+)
+
+DAY_NS = 86_400 * 10**9
+"""No time in a file, which lasts an hour at most, is so far from the others."""
+
+_TYPES: dict[Kind, type | tuple[type, ...]] = {
+    "number": (int, float),
+    "bool": bool,
+    "text": str,
+    "numbers": list,
+    "texts": list,
+    "sds": dict,
+}
+_KINDS = {
+    topic: {each.name: _TYPES[each.kind] for each in told.quantities if not each.name.endswith("*")}
+    for topic, told in BY_NAME.items()
+}
+_FAMILIES = {
+    topic: tuple(each.name[:-1] for each in told.quantities if each.name.endswith("*"))
+    for topic, told in BY_NAME.items()
+}
+_STAMPED = frozenset(each.name for each in STAMP)
+_TIMES = 1001
+FOOTER_BYTES = 1 + 8 + 20 + len(MAGIC)  # opcode, length, content of the last record, and the magic bytes that follow
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a file holds.
+
+    spans: byte ranges that hold messages, in the order in which they are read; `broken`: they may overlap. topics: by
+    channel. finished: it has the end of a finished file. packed: its messages are in compressed chunks. ours: of this
+    version of palmd. config: the first `palm/config`,
+    empty for none. usual_ns: the median of its first messages' arrivals. begin_ns, end_ns: first and last arrival.
+    """
+
+    spans: tuple[tuple[int, int], ...]
+    broken: bool
+    topics: Mapping[int, str]
+    preface: Preface
+    finished: bool
+    packed: bool
+    ours: bool
+    count: int
+    usual_ns: int
+    begin_ns: int
+    end_ns: int
+    config: Fields
+    damage: Damage
+
+
+@contextlib.contextmanager
+def mapped(path: Path) -> Iterator[Buffer]:
+    """The bytes of a file; raises OSError."""
+    with path.open("rb") as stream:
+        if not stream.seek(0, 2):
+            yield b""
+            return
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
+
+
+def read_layout(path: Path) -> Layout:
+    """What a file holds; raises RunError where it holds no record of MCAP, OSError."""
+    with mapped(path) as data:
+        layout = layout_of(data)
+        if layout is None:
+            raise RunError(f"{path}: is no MCAP file")
+        return layout
+
+
+def is_finished(path: Path) -> bool:
+    """Whether the file ends as a finished MCAP file does; raises OSError."""
+    with path.open("rb") as stream:
+        if stream.seek(0, 2) < len(MAGIC) + FOOTER_BYTES:
+            return False
+        stream.seek(-FOOTER_BYTES, 2)
+        end = stream.read()
+    return end[0] == Opcode.FOOTER and end.endswith(MAGIC)
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a file is finished, its messages in compressed chunks; raises RunError, OSError."""
+    layout = read_layout(path)
+    return layout.finished and layout.packed
+
+
+def read_messages(path: Path, layout: Layout | None = None) -> Iterator[RawMessage]:
+    """The intact messages of a file; raises RunError where it is no MCAP file, OSError."""
+    layout = layout or read_layout(path)
+    with mapped(path) as data:
+        yield from messages_of(data, layout)
+
+
+def layout_of(data: Buffer) -> Layout | None:
+    """What a file holds, None where it is no MCAP file; reads all of it. Never raises."""
+    look = _Look()
+    for item in records(data):
+        look.take(data, item)
+    if not look.spans and not look.known and data[: len(MAGIC)] != MAGIC:
+        return None
+    return look.layout(data)
+
+
+def messages_of(data: Buffer, layout: Layout) -> Iterator[RawMessage]:
+    """The intact messages, each once. Never raises."""
+    seen: set[tuple[str, int, int]] = set()
+    last_ns = layout.usual_ns
+    for begin, end in layout.spans:
+        for message in _messages(data, begin, end, layout.topics, ours=layout.ours):
+            if layout.broken:
+                key = message.topic, message.sequence, message.log_time_ns
+                if key in seen:
+                    continue
+                seen.add(key)
+            log_ns, publish_ns = sane_times(message, last_ns, layout.usual_ns)
+            last_ns = log_ns
+            if (log_ns, publish_ns) != (message.log_time_ns, message.publish_time_ns):
+                message = RawMessage(message.topic, log_ns, publish_ns, message.sequence, message.payload)
+            yield message
+
+
+def sane_times(message: RawMessage, last_ns: int, usual_ns: int) -> tuple[int, int]:
+    """Arrival and stamp; one that lies a day or more from the file's others is that of the message before it."""
+    log_ns = message.log_time_ns if abs(message.log_time_ns - usual_ns) < DAY_NS else last_ns
+    return log_ns, message.publish_time_ns if abs(message.publish_time_ns - log_ns) < DAY_NS else log_ns
+
+
+def _messages(data: Buffer, begin: int, end: int, topics: Mapping[int, str], *, ours: bool) -> Iterator[RawMessage]:
+    """Those of one span that holds no gap."""
+    for item in records(data, begin, end):
+        if isinstance(item, Gap):
+            continue
+        if item.opcode == Opcode.CHUNK:
+            inner = unpacked_chunk(item.content(data))
+            for opcode, content in framed(inner or b""):
+                if opcode == Opcode.MESSAGE:
+                    yield from _message(content, topics)
+        elif item.opcode == Opcode.MESSAGE:
+            for message in _message(item.content(data), topics):
+                if is_believable(message, ours=ours):
+                    yield message
+
+
+def _message(content: bytes, topics: Mapping[int, str]) -> Iterator[RawMessage]:
+    channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
+    if channel in topics:
+        yield RawMessage(topics[channel], log_time, publish_time, sequence, content[MESSAGE_HEAD.size :])
+
+
+def is_believable(message: RawMessage, *, ours: bool) -> bool:
+    """Whether a message that no checksum protects is a map with its own number, and has the fields of its topic.
+
+    A flipped byte in a field's name makes one field unknown and another one missing, one in a value mostly another kind
+    of value. Another version of palmd may have published other fields than ours.
+    """
+    fields = unpacked(message.payload)
+    number = None if fields is None else fields.get("seq")
+    if fields is None or not isinstance(number, int) or number % SEQUENCE_MODULUS != message.sequence:
+        return False
+    kinds = _KINDS.get(message.topic)
+    if kinds is None or not ours:
+        return True
+    if not all(isinstance(value, kinds[name]) for name, value in fields.items() if name in kinds):
+        return False
+    return kinds.keys() <= fields.keys() or all(map(_known(message.topic, kinds), fields))
+
+
+def _known(topic: str, kinds: Mapping[str, Any]) -> Callable[[str], bool]:
+    families = _FAMILIES[topic]
+    return lambda name: name in kinds or name in _STAMPED or any(map(name.startswith, families))
+
+
+class _Look:
+    """What has been found so far, in the order of the file."""
+
+    def __init__(self) -> None:
+        self.known = False  # whether there is any record
+        self.spans: list[tuple[int, int, int]] = []  # begin, end, first arrival
+        self._open = False
+        self._broken = False
+        self._lost: list[LostStretch] = []
+        self._waiting = 0  # stretches at the end of `_lost` that no message has followed yet
+        self._names: defaultdict[int, Counter[str]] = defaultdict(Counter)
+        self._metadata: dict[str, Mapping[str, str]] = {}
+        self._attachments: dict[str, bytes] = {}
+        self._statistics: Statistics | None = None
+        self._count = self._preface_bytes = self._index_bytes = 0
+        self._times: list[int] = []
+        self._begin_ns = self._last_ns = self._prefaced_ns = -1
+        self._config: Fields = {}
+        self._configured: set[int] = set()  # channels
+        self._begun = self._after_data = self._finished = False
+        self._plain = self._compressed = False
+        self._tail: Gap | None = None
+
+    def take(self, data: Buffer, item: Record | Gap) -> None:
+        """The next stretch of the file."""
+        if isinstance(item, Gap):
+            self._gap(item.begin, item.end)
+            self._tail = item if item.end == len(data) else None
+            return
+        self.known = True
+        self._begun |= item.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+        content = item.content(data)
+        match item.opcode:
+            case Opcode.CHUNK:
+                self._chunk(item, content)
+            case Opcode.MESSAGE:
+                self._plain = True
+                self._bare(item, content)
+            case Opcode.CHANNEL:
+                self._channel(content)
+            case Opcode.METADATA:
+                one = parsed(Metadata, content)
+                if one is not None:
+                    self._metadata.setdefault(one.name, one.metadata)
+            case Opcode.ATTACHMENT:
+                file = attachment(content)
+                if file is None:
+                    self._preface_bytes += item.end - item.begin
+                else:
+                    self._attachments.setdefault(file.name, file.data)
+            case Opcode.STATISTICS:
+                self._statistics = parsed(Statistics, content)
+            case Opcode.FOOTER:
+                self._finished |= data[item.end : item.end + len(MAGIC)] == MAGIC
+        self._after_data |= item.opcode in SUMMARY or item.opcode == Opcode.DATA_END
+
+    def _chunk(self, item: Record, content: bytes) -> None:
+        inner = unpacked_chunk(content)
+        if inner is None:
+            self._gap(item.begin, item.end)
+            return
+        self._after_data = False
+        chunk = parsed(Chunk, content)
+        self._compressed |= chunk is not None and bool(chunk.compression)
+        self._plain |= chunk is not None and not chunk.compression
+        for opcode, each in framed(inner):
+            if opcode == Opcode.CHANNEL:
+                self._channel(each)
+            elif opcode == Opcode.MESSAGE:
+                self._heard(item, each)
+
+    def _bare(self, item: Record, content: bytes) -> None:
+        channel = MESSAGE_HEAD.unpack_from(content)[0]
+        names = self._names.get(channel)
+        named = {channel: names.most_common(1)[0][0] if names else ""}
+        if not all(is_believable(each, ours=self._ours) for each in _message(content, named)):
+            self._gap(item.begin, item.end)
+            return
+        self._after_data = False
+        self._heard(item, content)
+
+    @property
+    def _ours(self) -> bool:
+        return self._metadata.get(METADATA, {}).get("palmd") == __version__
+
+    def _channel(self, content: bytes) -> None:
+        channel = parsed(Channel, content)
+        if channel is not None:
+            self._names[channel.id][channel.topic] += 1
+            if channel.topic == CONFIG.name:
+                self._configured.add(channel.id)
+
+    def _heard(self, item: Record, content: bytes) -> None:
+        """A message in this record."""
+        channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
+        if channel in self._configured and not self._config:
+            self._config = unpacked(content[MESSAGE_HEAD.size :]) or {}
+        self._count += 1
+        if len(self._times) < _TIMES:
+            self._times.append(log_ns)
+        if self._begin_ns < 0:
+            self._begin_ns = log_ns
+        if self._waiting:
+            for number in range(len(self._lost) - self._waiting, len(self._lost)):
+                one = self._lost[number]
+                self._lost[number] = LostStretch(one.begin, one.end, one.after_ns, log_ns)
+            self._waiting = 0
+        self._last_ns = log_ns
+        if self._open:
+            begin, _, first = self.spans[-1]
+            self.spans[-1] = begin, item.end, first
+        else:
+            self.spans.append((item.begin, item.end, log_ns))
+            self._open = True
+
+    def _gap(self, begin: int, end: int) -> None:
+        self._open = False
+        self._broken = True
+        if not self._begun:
+            self._preface_bytes += end - begin
+        elif self._after_data:
+            self._index_bytes += end - begin
+        elif self._lost and self._waiting and self._lost[-1].end == begin:
+            self._lost[-1] = LostStretch(self._lost[-1].begin, end, self._lost[-1].after_ns, None)
+        else:
+            self._lost.append(LostStretch(begin, end, self._last_ns if self._count else None, None))
+            self._waiting += 1
+
+    def layout(self, data: Buffer) -> Layout:
+        """Of all that was taken."""
+        spans = sorted(self.spans, key=lambda span: span[2]) if self._broken else self.spans
+        topics = {channel: names.most_common(1)[0][0] for channel, names in self._names.items()}
+        found = Layout(
+            spans=tuple((begin, end) for begin, end, _ in spans),
+            broken=self._broken and len(spans) > 1,
+            topics=topics,
+            preface=Preface(self._metadata, self._attachments),
+            finished=self._finished,
+            packed=self._compressed and not self._plain,
+            ours=self._ours,
+            count=self._count,
+            usual_ns=median_low(self._times) if self._times else 0,
+            begin_ns=self._begin_ns,
+            end_ns=self._last_ns,
+            config=self._config,
+            damage=Damage(),
+        )
+        return replace(found, **self._judged(data, found))
+
+    def _judged(self, data: Buffer, found: Layout) -> dict[str, Any]:
+        """How many messages there are, each counted once, and the damage."""
+        lost, torn = self._lost, 0
+        once_finished = found.packed or self._after_data
+        if self._tail is not None and not once_finished and lost and lost[-1].end == len(data):
+            torn, lost = lost[-1].end - lost[-1].begin, lost[:-1]
+        count, missing = (_counted(data, found, lost)) if lost else (self._count, 0)
+        total = self._statistics.message_count if self._statistics is not None else None
+        known = total is not None and total >= count
+        damage = Damage(
+            lost=tuple(lost),
+            messages=(total - count if known and total is not None else missing) if lost else 0,
+            exact=known or all(each.after_ns is not None and each.before_ns is not None for each in lost),
+            torn_bytes=torn,
+            preface_bytes=self._preface_bytes,
+            index_bytes=self._index_bytes,
+            cut=once_finished and not self._finished,
+        )
+        return {"count": count, "damage": damage}
+
+
+def _counted(data: Buffer, layout: Layout, lost: Sequence[LostStretch]) -> tuple[int, int]:
+    """How many messages there are, and how many are missing by their numbers where stretches are lost."""
+    last: dict[str, tuple[int, int]] = {}
+    count = missing = 0
+    for message in messages_of(data, layout):
+        count += 1
+        t0, number = last.get(message.topic, (message.log_time_ns, message.sequence))
+        skipped = message.sequence - number - 1
+        if skipped > 0 and any(_between(each, t0, message.log_time_ns) for each in lost):
+            missing += skipped
+        last[message.topic] = message.log_time_ns, message.sequence
+    return count, missing
+
+
+def _between(lost: LostStretch, begin_ns: int, end_ns: int) -> bool:
+    """Whether a stretch lies between two messages."""
+    return lost.after_ns is not None and begin_ns <= lost.after_ns and end_ns >= (lost.before_ns or lost.after_ns)
