@@ -179,12 +179,13 @@ class EvdevReader:
         self._skipping = self._overflowed = False
         self._touch_known = False  # whether the stream has said since if there is a contact
 
-    def restore(self, records: bytes, t: float) -> list[PadReport]:
-        """Take the device's whole state, read at `t` (s), as the records of one frame; the reports in it."""
+    def restore(self, records: bytes) -> list[PadReport]:
+        """Take the device's whole state as the records of one frame, stamped when it was read; the reports in it."""
+        seconds, microseconds, *_ = RECORD.unpack(records[-RECORD.size :])
         self._forget()
         self.wants_state = False
         frames = self.counters.frames
-        reports = self._records(records, t)
+        reports = self._records(records, seconds + microseconds * 1e-6)
         self.counters.frames = frames
         return reports
 

@@ -148,7 +148,7 @@ def test_while_a_state_is_to_be_read_nothing_older_is_reported():
     assert told == []
     assert reader.wants_state
     state = [*slot(0, 7, 512, 300), *slot(1, 8, 2001, 301), a(SLOT, 1), SYN]
-    (report,) = reader.restore(encode(state, 1.11), 1.11)
+    (report,) = reader.restore(encode(state, 1.11))
     assert (report.x_counts, report.y_counts) == (512, 300), "the first one is still down"
     assert not reader.wants_state
     (report,) = reader.feed(encode([a(ID, -1), SYN], 1.12), 1.12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from typing import Literal
 
@@ -93,7 +92,7 @@ class Evdev:
             return
         self._reader.wants_state = False
         if state := port.snapshot():
-            self._state += self._reader.restore(state, time.monotonic())
+            self._state += self._reader.restore(state)
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """Take what was read at `t` (s)."""
@@ -216,7 +215,8 @@ def inspect(config: EvdevConfig) -> InspectedPad:
     if reason := unsupported(device, config.axis):
         remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", mend=LOOK)
         return InspectedPad(config, (remark,))
-    found = PadRemark("device", "ok", f"{device.name}, {device.protocol}")
+    pressed = ", a pressure pad" if device.is_pressure_pad else ""
+    found = PadRemark("device", "ok", f"{device.name}, {device.protocol}{pressed}")
     return InspectedPad(with_reported_units(config, device), (found, *unit_remarks(config, device), note))
 
 
