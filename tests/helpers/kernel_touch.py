@@ -70,9 +70,9 @@ class FakeKernel:
         elif number in (0x20, 0x21, 0x22, 0x23):
             _set_bits(argument, ({0, 1, 2, 3}, self.keys, self.moves, self.axes)[number - 0x20])
         elif 0x40 <= number < 0x80:
-            if number - 0x40 not in self.axes:
-                raise OSError(errno.EINVAL, "no such axis")
-            value, least, most, resolution = self.axes[number - 0x40]
+            if not self.axes:
+                raise OSError(errno.EINVAL, "no axes")
+            value, least, most, resolution = self.axes.get(number - 0x40, (0, 0, 0, 0))  # so does the kernel
             struct.pack_into("<6i", argument, 0, value, least, most, 0, 0, resolution)
         return 0
 

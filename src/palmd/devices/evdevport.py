@@ -15,7 +15,7 @@ import struct
 import time
 
 from palmd.devices import evdev
-from palmd.devices.evdev import RECORD, Coordinate, Record
+from palmd.devices.evdev import RECORD, Coordinate, Protocol, Record
 from palmd.devices.port import ReopenedPort
 from palmd.devices.touchdevice import AxisRange, TouchDevice, unsupported
 
@@ -90,7 +90,8 @@ class EvdevPort(ReopenedPort):
         try:
             for _ in range(STATE_TRIES):
                 self._throw_away()
-                records = [*_slots(self._fd), *_single(self._fd), (evdev.EV_SYN, evdev.SYN_REPORT, 0)]
+                state = (*_slots(self._fd, self.device), *_single(self._fd, self.device))
+                records = [*state, (evdev.EV_SYN, evdev.SYN_REPORT, 0)]
                 if not select.select((self._fd,), (), (), 0)[0]:
                     break
         except OSError:  # unplugged meanwhile: the next read says so
@@ -151,22 +152,24 @@ def _bits(fd: int, request: int, size: int) -> frozenset[int]:
     return frozenset(i for i in range(8 * size) if buffer[i // 8] >> i % 8 & 1)
 
 
-def _single(fd: int) -> list[Record]:
-    records = [(evdev.EV_ABS, code, info[0]) for code in _AXES if (info := _abs_info(fd, code)) is not None]
-    if evdev.BTN_TOUCH in _bits(fd, _HAS_KEYS, _KEY_BYTES):
+def _single(fd: int, device: TouchDevice) -> list[Record]:
+    """Of the axes that it has: the kernel says 0 of others, and not that there are none."""
+    there = [code for code in _AXES if code in device.axes]
+    records = [(evdev.EV_ABS, code, info[0]) for code in there if (info := _abs_info(fd, code)) is not None]
+    if evdev.BTN_TOUCH in device.keys:
         records.append((evdev.EV_KEY, evdev.BTN_TOUCH, int(evdev.BTN_TOUCH in _bits(fd, _KEYS, _KEY_BYTES))))
     return records
 
 
-def _slots(fd: int) -> list[Record]:
+def _slots(fd: int, device: TouchDevice) -> list[Record]:
     info = _abs_info(fd, evdev.MT_SLOT)
-    if info is None:
+    if info is None or device.protocol is not Protocol.SLOTS:
         return []
     count = min(info[2] + 1, evdev.MANY_SLOTS)
     form = struct.Struct(f"<{count + 1}i")
     found: list[Record] = []
     values = {}
-    for code in _SLOT_AXES:
+    for code in (each for each in _SLOT_AXES if each in device.axes):
         buffer = bytearray(form.pack(code, *(0,) * count))
         with contextlib.suppress(OSError):
             fcntl.ioctl(fd, 0x80000000 | form.size << 16 | 0x450A, buffer)

@@ -370,7 +370,7 @@ class ServoHost:
     def poll(self, t: float, target: Place | None) -> Sent:
         """What to write at `t` (s, monotonic), `target` being where the palms should be, if tracking."""
         self._t_now = t
-        silent_s = t - max(self._t_pose, self._t_stood, self._t_answer)
+        silent_s = t - max(self._t_pose, self._t_stood)
         if self.state is not None and self._script is None and silent_s > LOST_S:
             self.counters.losses += 1
             self._unlink("the servos do not answer")

@@ -211,7 +211,7 @@ def test_no_bytes_whatever_make_it_raise():
         bench.go(0.005)
 
 
-@pytest.mark.parametrize("held_ms", [1, 8, 15, 16, 17, 20])
+@pytest.mark.parametrize("held_ms", [1, 8, 15, 16, 17, 20, 25, 35])
 def test_an_adapter_that_holds_answers_back_arms_and_follows(held_ms):
     bench = ServoBench(held_s=held_ms * 1e-3).go(1.0)
     assert bench.host.state is ArmState.READY
@@ -246,6 +246,17 @@ def test_a_failed_arm_turns_off_the_torque_that_it_turned_on():
     bench.go(0.5, lambda: not bench.host.busy)
     assert "start refused: servo 2 has 0 in register 64" in bench.host.refusal
     assert bench.host.state is ArmState.READY
+    assert not any(servo.torque for servo in bench.rig._servos)
+
+
+def test_an_arm_that_takes_long_is_no_loss_of_the_link():
+    bench = ServoBench(held_s=0.039).go(2.0)
+    refuses_torque(bench.rig._servos[1])
+    bench.host.want_tracking()
+    while bench.host.busy:
+        bench.go(5e-4)
+        assert bench.host.linked(bench.t)
+    assert "start refused" in bench.host.refusal
     assert not any(servo.torque for servo in bench.rig._servos)
 
 
