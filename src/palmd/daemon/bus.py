@@ -6,9 +6,9 @@ Who does not listen in time loses messages, never the loop's time. All of `Bus` 
 from __future__ import annotations
 
 import contextlib
+import grp
 import math
 import os
-import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -275,9 +275,11 @@ def _permissions(address: str, group: str | None) -> Iterator[None]:
         return
     path = Path(address.removeprefix("ipc://"))
     try:
-        shutil.chown(path, group=group)
+        number = grp.getgrnam(group).gr_gid
+        if path.stat().st_gid != number:  # where it is the right one the service need not be allowed to change it
+            os.chown(path, -1, number)
         path.chmod(0o660)
-    except LookupError:
+    except KeyError:
         raise _GroupError(f"there is no group {group}") from None
     except OSError as error:
         raise _GroupError(f"{path} cannot be given to the group {group}: {error.strerror}") from None
