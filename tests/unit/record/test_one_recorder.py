@@ -13,7 +13,7 @@ from palmd.daemon.journal import Journal
 from palmd.daemon.recorder_process import AGAIN_S, RecorderProcess
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.record.lock import RecorderLockedError, only_recorder
-from palmd.record.mcapfile import read_preface
+from palmd.record.mcapread import read_layout
 from palmd.record.recording import Recording
 from palmd.rig.world import default_config
 
@@ -78,7 +78,7 @@ def test_the_next_recording_says_whom_it_follows_and_after_which_gap(tmp_path, a
     after = recording(tmp_path, ended.append)
     after.take(said(first, 1000.0 + after_s), 1000.0 + after_s)
     after.finish()
-    metadata = read_preface(ended[0].path).metadata["palmd"]
+    metadata = read_layout(ended[0].path).preface.metadata["palmd"]
     assert metadata["continues"] == (before.name if marked else "")
     assert float(metadata["gap_s"]) == pytest.approx(after_s if marked else 0.0, abs=1e-3)
 
@@ -89,7 +89,7 @@ def test_a_recording_that_has_its_end_is_not_followed(tmp_path):
         one = recording(tmp_path, ended.append)
         one.take(said(first, 1000.0 + first), 1000.0 + first)
         one.finish()
-    assert [read_preface(each.path).metadata["palmd"]["continues"] for each in ended] == ["", ""]
+    assert [read_layout(each.path).preface.metadata["palmd"]["continues"] for each in ended] == ["", ""]
 
 
 def test_the_daemons_log_tells_of_the_gap_between_two_recorders():
