@@ -18,6 +18,7 @@ from palmd.keys import Credentials, client_credentials
 from palmd.quantities import ESTIMATE
 
 SILENT_S = 2.0
+_KEY_OPTION = "connect(key=FILE)"
 
 
 class Live:
@@ -31,7 +32,7 @@ class Live:
         """Raises PalmdError for what is no address."""
         self._publish, self._key = publish, key
         with as_palmd_error():
-            self._client = CommandClient(command, key=key, now_or_never=True)
+            self._client = CommandClient(command, key=key, now_or_never=True, key_option=_KEY_OPTION)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()
@@ -54,7 +55,7 @@ class Live:
                     heard = heard_ever = True
                     yield message
                 if not heard and (not heard_ever or now + SILENT_S <= end):
-                    raise silent(f"nothing heard from {self._publish}", self._key)
+                    raise silent(f"nothing heard from {self._publish}", self._key, _KEY_OPTION)
 
     def command(self, name: str, **arguments: Any) -> dict[str, Any]:
         """Tell the daemon what to do, and what it answers: `arm`, `start`, `hold`, `stop`, `reset`, `plan`, `jog`…
@@ -64,7 +65,8 @@ class Live:
         with as_palmd_error():
             reply = self._client.ask(name, arguments)
         if not reply["ok"]:
-            raise PalmdError(f"{name}: {reply.get('error', 'refused')}")
+            error = str(reply.get("error", "refused"))
+            raise PalmdError(error if error.startswith(name) else f"{name}: {error}")
         result: dict[str, Any] = reply.get("result") or {}
         return result
 

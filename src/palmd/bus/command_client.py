@@ -28,16 +28,24 @@ class CommandClient(Link):
     """Asks and waits for the answer (`ask`), or neither waits to be heard nor for the answer (`post`, `replies`)."""
 
     def __init__(
-        self, address: str, timeout_s: float = TIMEOUT_S, key: Credentials | None = None, *, now_or_never: bool = False
+        self,
+        address: str,
+        timeout_s: float = TIMEOUT_S,
+        key: Credentials | None = None,
+        *,
+        now_or_never: bool = False,
+        key_option: str = "--key",
     ) -> None:
         """`now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
+
+        `key_option` is what an error calls the file of a key.
 
         Raises CliError for what is no address.
         """
         super().__init__(zmq.DEALER)
         self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
         self._socket.setsockopt(zmq.IMMEDIATE, int(now_or_never))
-        self._key, self._timeout_s = key, timeout_s
+        self._key, self._timeout_s, self._key_option = key, timeout_s, key_option
         self.address = address
         self._numbers = itertools.count(1)
         self._connect([address], key)
@@ -52,7 +60,7 @@ class CommandClient(Link):
             reply = unpacked(self._socket.recv_multipart()[-1])
             if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
                 return reply
-        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key)
+        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key, self._key_option)
 
     @property
     def open(self) -> bool:

@@ -28,9 +28,12 @@ JOG_ARRIVING_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments: those of every command that the daemon knows."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--address", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
-    add_key(common)
-    common.add_argument("--json", action="store_true", help="print the answer as it came")
+    for each in (parser, common):  # before the command and behind it
+        each.add_argument("--address", default=COMMAND, help=f"the daemon's command socket (default: {COMMAND})")
+        add_key(each)
+        each.add_argument("--json", action="store_true", help="print the answer as it came")
+    for action in common._actions:
+        action.default = argparse.SUPPRESS  # what stands behind the command, if anything, replaces what stands before
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
         if not spec.by_hand:
@@ -44,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
             )
         elif name == "note":
-            chosen.add_argument("text", metavar="TEXT", help="what there is to say about this time of the run")
+            chosen.add_argument("text", nargs="+", metavar="TEXT", help="what to write about this time of the run")
         elif name == "jog":
             for joint in JOINTS:
                 chosen.add_argument(
@@ -65,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         elif arguments.command == "plan":
             reply = client.ask("plan", _plan(arguments.path))
         elif arguments.command == "note":
-            reply = client.ask("note", {"text": arguments.text})
+            reply = client.ask("note", {"text": " ".join(arguments.text)})
         else:
             reply = client.ask(arguments.command)
     if arguments.json:

@@ -136,7 +136,7 @@ def _is_done(client: CommandClient, command: str) -> bool:
         return False
     reply = client.ask(command)
     if not reply["ok"]:
-        _tell(f"{command}: {reply.get('error')}")
+        _tell(str(reply.get("error")))
     elif command == "reset":
         _tell("reset")
     return bool(reply["ok"])

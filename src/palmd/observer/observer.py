@@ -58,6 +58,10 @@ class LiveObserver(Protocol):
         """What is known for choosing motions, None unless it `foresees`."""
 
     @property
+    def invalid_because(self) -> str:
+        """Why the last estimate is not valid, with value and limit of what failed; empty when it is valid."""
+
+    @property
     def cornered(self) -> bool:
         """Whether the object has been felt to have a corner, so that no outlook is right about it."""
 

@@ -156,6 +156,34 @@ def test_how_far_an_exploration_is_and_why_it_ended_is_told():
     assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
 
 
+def test_of_what_is_not_valid_no_number_is_told():
+    estimate = {"observer": "shape", "object": 2, "valid": False, "r1_m": 0.02103, "sd": {"r1_m": 1e-5}}
+    lines = told("status", STATUS | {"estimate": estimate})
+    assert "not valid" in lines
+    assert "±0" not in lines
+    assert "21.03" not in lines
+
+
+def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
+    asked = []
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, **_: asked.append(address) or Asked())
+
+    class Asked:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def ask(self, command, args=None):
+            asked.append((command, args))
+            return {"ok": True}
+
+    assert main(["ctl", "--address", "tcp://a:1", "note", "hello", "there"]) == 0
+    assert main(["ctl", "--address", "tcp://a:1", "hold", "--address", "tcp://b:2"]) == 0
+    assert asked == ["tcp://a:1", ("note", {"text": "hello there"}), "tcp://b:2", ("hold", None)]
+
+
 def test_how_the_recorder_fares_is_told():
     recorder = {"bytes": 4_800_000, "messages": 9392, "lost": 0, "path": "runs/a.mcap", "age_s": 0.4}
     assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in told("status", STATUS | {"recorder": recorder})

@@ -69,6 +69,10 @@ class Fake(SilentObserver):
     def foresees(self):
         return self.valid
 
+    @property
+    def invalid_because(self):
+        return "" if self.valid else "NIS 3.10 (limits 0.2 to 2)"
+
 
 class Clock:
     """Time for so many events in a tick."""
