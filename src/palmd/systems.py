@@ -39,6 +39,8 @@ class LiveParts:
     """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
     comparison: str
     """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
+    shows: str
+    """What one sees in the first minute of its demo, in one sentence."""
     status: str
     """What `palmd ctl status` says of where it stands and of its object: the lines, of a status."""
     kernels: str
@@ -77,6 +79,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.world:World",
                 recording="palmd.record.run:Run",
                 comparison="palmd.harness.comparison:Comparison",
+                shows="Two palms turn an unknown object between them until its whole outline has been touched.",
                 status="palmd.cli.board:status_lines",
                 kernels="palmd.observer.kernels:needed",
                 odd="palmd.plausibility:odd_rig",
@@ -97,6 +100,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.pivot_world:PivotWorld",
                 recording="palmd.record.pivot_run:PivotRun",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
+                shows="An arm lowers a body that pivots in its gripper onto a pad and drags it over it; "
+                "the outline is estimated once both sides of the body have been touched, after about a minute.",
                 status="palmd.cli.pivot_status:status_lines",
                 kernels="palmd.model.pivot:needed",
             ),
@@ -116,6 +121,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 rig="palmd.rig.three_palms.world:ThreePalmsWorld",
                 recording="palmd.record.three_palms_run:ThreePalmsRun",
                 comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
+                shows="Three palms sway an unknown body until its motion is known, then roll it on to new surface. "
+                "Only touched surface is estimated.",
                 status="palmd.cli.three_palms_status:status_lines",
                 kernels="palmd.observer.three_palms.needed:needed",
             ),

@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import secrets
 import signal
+from pathlib import Path
 
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
@@ -18,6 +20,7 @@ from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
 from palmd.view.server import Settings, serve_page
 
 PORT = 8787
+INSTALLED = Path("/etc/palmd/palmd.yaml")
 TRIGGERS = {
     "arm": Trigger.ARMED,
     "start": Trigger.START,
@@ -27,7 +30,12 @@ TRIGGERS = {
 }
 """The page's buttons, and what each would trigger."""
 
-FORMS = {"jog": (State.TRACKING, State.HOLD), "plan": (State.READY, State.TRACKING, State.HOLD), "note": tuple(State)}
+FORMS = {
+    "jog": (State.TRACKING, State.HOLD),
+    "plan": (State.READY, State.TRACKING, State.HOLD),
+    "new_object": tuple(State),
+    "note": tuple(State),
+}
 """Its other commands, which change no state, and the states in which they apply."""
 
 
@@ -37,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--command", default=COMMAND, help="the daemon's command socket (default: %(default)s)")
     add_key(parser)
     parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"the daemon's configuration (default: {INSTALLED}, if it is there)",
+    )
+    parser.add_argument("--runs", type=Path, metavar="FOLDER", help="of the recordings (default: the configuration's)")
     parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
 
@@ -51,6 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
         token=secrets.token_urlsafe(16),
         allowed=allowed(),
         key=credentials(arguments),
+        runs=arguments.runs,
+        config=arguments.config or (INSTALLED if os.access(INSTALLED, os.R_OK) else None),
     )
     asyncio.run(_serve(settings, browser=not arguments.no_browser))
     return 0

@@ -96,6 +96,7 @@ class Core:
             plans,
             autostart=config.autostart,
             system=system,
+            forget_object=observer.forget_object,
         )
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer

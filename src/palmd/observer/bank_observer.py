@@ -113,6 +113,12 @@ class BankObserver:
         )
         self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
 
+    def forget_object(self) -> bool:
+        """Begin a new object with the next readings; nothing of the present one is remembered."""
+        self._hypotheses.reset()
+        self._session.stop()
+        return True
+
     def warm_up(self) -> None:
         """Pay the costs of first calls (page faults, the linear algebra's work space) now; ends with a `reset`.
 

@@ -169,6 +169,11 @@ class QuasistaticObserver:
         """As of the last `estimate`."""
         return self._because
 
+    def forget_object(self) -> bool:
+        """As when the object leaves the palms."""
+        self._stop()
+        return True
+
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline of the likeliest initial condition on `DIRECTIONS` normals, None before there is one."""
         found = self._found

@@ -36,15 +36,20 @@ def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload])
     return cast(bytes, msgpack.packb([frame, lost, commandable, list(messages)]))
 
 
-def hello(version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]]) -> str:
-    """The first words: who is here, whether this page may give commands, and in which state each applies."""
+def hello(
+    version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]], library: str = ""
+) -> str:
+    """The first words: who is here, whether this page may give commands, and in which state each applies.
+
+    `library` is the key by which this page may fetch runs and reports, empty for a page that may not.
+    """
     fields = {"version": version, "operator": operator, "publish": publish, "command": command, "allowed": allowed}
-    return json.dumps({"hello": fields})
+    return json.dumps({"hello": fields | {"library": library}})
 
 
-def answer(order: Order, error: str | None) -> str:
+def answer(order: Order, error: str | None, result: Mapping[str, Any] | None = None) -> str:
     """What became of an order."""
-    return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error}})
+    return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error, "result": result}})
 
 
 def token_in(text: str | bytes) -> str | None:

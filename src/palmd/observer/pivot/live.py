@@ -174,6 +174,10 @@ class PivotObserver:
         """The reason that the last estimate gave."""
         return self._invalid_because
 
+    def forget_object(self) -> bool:
+        """It cannot."""
+        return False
+
     @property
     def cornered(self) -> bool:
         """Never said: it knows smooth objects only."""

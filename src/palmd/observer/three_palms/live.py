@@ -167,6 +167,10 @@ class BodyObserver:
         """The reason that the last estimate gave."""
         return self._invalid_because
 
+    def forget_object(self) -> bool:
+        """It cannot."""
+        return False
+
     @property
     def cornered(self) -> bool:
         """Never said: it knows smooth objects only."""
