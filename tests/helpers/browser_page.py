@@ -123,6 +123,26 @@ class Page:
             """
         )
 
+    def watch_shifts(self):
+        """From now on the browser's own layout-shift entries are kept, those after an input too."""
+        self.script(
+            """
+            window.shifts = [];
+            new PerformanceObserver((list) => {
+              for (const { value, sources } of list.getEntries()) {
+                window.shifts.push([value, ...sources.map(({ node, previousRect: was, currentRect: is }) => {
+                  const one = node?.nodeType === 3 ? node.parentElement : node;
+                  return `${one?.tagName}#${one?.id}.${one?.className} ${was.x},${was.y} -> ${is.x},${is.y}`;
+                })]);
+              }
+            }).observe({ type: "layout-shift" });
+            """
+        )
+
+    def shifts(self):
+        """Those since `watch_shifts`: [how much, what moved…]."""
+        return self.script("return window.shifts")
+
     def errors(self):
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == SEVERE]
 

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.api.motion import Jog, Motion
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, silent
 from palmd.bus.subscriber import Message, Subscriber
@@ -69,6 +70,23 @@ class Live:
             raise PalmdError(error if error.startswith(name) else f"{name}: {error}")
         result: dict[str, Any] = reply.get("result") or {}
         return result
+
+    def move(self, duration_s: float = 2.0, **to: float) -> Motion:
+        """Moves to these angles (`phi1_deg=45.0, phi2_deg=90.0`) with minimum jerk, within the block of a `with`."""
+        return Motion(self, "move", {"move": to, "duration_s": duration_s})
+
+    def explore(self, coverage: float = 0.95, time_limit_s: float = 60.0) -> Motion:
+        """Explores the outline until so much of what can be reached is touched, within the block of a `with`."""
+        return Motion(self, "explore", {"explore": {"coverage": coverage, "time_limit_s": time_limit_s}})
+
+    def jog(self) -> Jog:
+        """Turns palms by small steps within the block of a `with`: `with rig.jog() as jog: jog.turn(phi1_deg=2.0)`."""
+        return Jog(self)
+
+    @property
+    def client(self) -> CommandClient:
+        """The command socket's client."""
+        return self._client
 
     def status(self) -> dict[str, Any]:
         """State, faults and plan."""

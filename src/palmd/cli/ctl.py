@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from palmd.bus.command_client import CommandClient
+from palmd.bus.jogging import jog
 from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
@@ -19,10 +18,6 @@ from palmd.system.mechanism import JOINTS
 from palmd.systems import LIVE, load_part
 
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
-
-JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
-JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
-JOG_ARRIVING_S = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(USAGE, f"ctl jog: by how much? {wanted}")
     with CommandClient(arguments.address, key=credentials(arguments)) as client:
         if arguments.command == "jog":
-            reply = _jog(client, whole_deg)
+            reply = jog(client, whole_deg)
         elif arguments.command == "plan":
             reply = client.ask("plan", _plan(arguments.path))
         elif arguments.command == "note":
@@ -163,32 +158,6 @@ def _recorded(
     """What the recorder said last."""
     text = f"{path}, {messages:.0f} messages, {bytes / 1e6:.1f} MB" + (f", {lost:.0f} lost" if lost else "")
     return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
-
-
-def _jog(client: CommandClient, whole_deg: Mapping[str, float]) -> dict[str, Any]:
-    """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
-
-    The first step tells the whole wish: one that cannot be granted to its end is not begun.
-    """
-    reply: dict[str, Any] = {}
-    whole = {f"whole_{name}": angle for name, angle in whole_deg.items()}
-    for step in jog_steps(*whole_deg.values()):
-        t_next = time.monotonic() + JOG_EVERY_S
-        reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})
-        whole = {}
-        if not reply["ok"]:
-            break
-        time.sleep(max(0.0, t_next - time.monotonic()))
-    return reply
-
-
-def jog_steps(*whole_deg: float) -> Iterator[tuple[float, ...]]:
-    """Equal steps that add up to the angles, and then empty ones for as long as the palms need to arrive."""
-    count = max(1, math.ceil(max(map(abs, whole_deg)) / JOG_STEP_DEG))
-    for _ in range(count):
-        yield tuple(angle / count for angle in whole_deg)
-    for _ in range(round(JOG_ARRIVING_S / JOG_EVERY_S)):
-        yield (0.0,) * len(whole_deg)
 
 
 def _angle(text: str) -> float:

@@ -33,7 +33,7 @@ TRIGGERS = {
 FORMS = {
     "jog": (State.TRACKING, State.HOLD),
     "plan": (State.READY, State.TRACKING, State.HOLD),
-    "new_object": tuple(State),
+    "new_object": (State.READY, State.TRACKING, State.HOLD),
     "note": tuple(State),
 }
 """Its other commands, which change no state, and the states in which they apply."""

@@ -49,7 +49,7 @@ def answer(request: Request, files: dict[str, File]) -> Response | None:
     file = files.get(path)
     if file is None:
         return _text(HTTPStatus.NOT_FOUND, "there is no such file\n")
-    if file.packed and "gzip" in _single(request.headers, "Accept-Encoding"):
+    if file.packed and "gzip" in ",".join(request.headers.get_all("Accept-Encoding")):
         return _response(HTTPStatus.OK, file.packed, file.type, {"Content-Encoding": "gzip"})
     return _response(HTTPStatus.OK, file.body, file.type)
 

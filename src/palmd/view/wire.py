@@ -49,7 +49,8 @@ def hello(
 
 def answer(order: Order, error: str | None, result: Mapping[str, Any] | None = None) -> str:
     """What became of an order."""
-    return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error, "result": result}})
+    told = {"id": order.id, "cmd": order.command, "error": error} | ({} if result is None else {"result": result})
+    return json.dumps({"answer": told})
 
 
 def token_in(text: str | bytes) -> str | None:

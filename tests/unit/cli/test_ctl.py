@@ -10,9 +10,10 @@ from contextlib import contextmanager
 import pytest
 
 from palmd.bus.command_client import CommandClient
+from palmd.bus.jogging import JOG_EVERY_S, jog_steps
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli import main
-from palmd.cli.ctl import JOG_EVERY_S, jog_steps, told
+from palmd.cli.ctl import told
 from palmd.config.any_config import BusConfig
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
