@@ -128,9 +128,10 @@ class Page:
         self.script(
             """
             window.shifts = [];
+            const begun = performance.now();
             new PerformanceObserver((list) => {
-              for (const { value, sources } of list.getEntries()) {
-                window.shifts.push([value, ...sources.map(({ node, previousRect: was, currentRect: is }) => {
+              for (const { value, startTime, sources } of list.getEntries()) {
+                window.shifts.push([value, (startTime - begun) / 1e3, ...sources.map(({ node, previousRect: was, currentRect: is }) => {
                   const one = node?.nodeType === 3 ? node.parentElement : node;
                   return `${one?.tagName}#${one?.id}.${one?.className} ${was.x},${was.y} -> ${is.x},${is.y}`;
                 })]);
@@ -140,7 +141,7 @@ class Page:
         )
 
     def shifts(self):
-        """Those since `watch_shifts`: [how much, what moved…]."""
+        """Those since `watch_shifts`: [how much, when (s), what moved…]."""
         return self.script("return window.shifts")
 
     def errors(self):
