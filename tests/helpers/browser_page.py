@@ -131,8 +131,10 @@ class Page:
             const begun = performance.now();
             new PerformanceObserver((list) => {
               for (const { value, startTime, sources } of list.getEntries()) {
-                window.shifts.push([value, (startTime - begun) / 1e3, ...sources.map(({ node, previousRect: was, currentRect: is }) => {
+                const when = (startTime - begun) / 1e3;
+                window.shifts.push([value, when, ...sources.map(({ node, previousRect, currentRect }) => {
                   const one = node?.nodeType === 3 ? node.parentElement : node;
+                  const [was, is] = [previousRect, currentRect];
                   return `${one?.tagName}#${one?.id}.${one?.className} ${was.x},${was.y} -> ${is.x},${is.y}`;
                 })]);
               }
