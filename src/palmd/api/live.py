@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.api.errors import PalmdError, as_palmd_error
-from palmd.api.motion import Jog, Motion
+from palmd.api.motion import RigJog, RigMotion
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, silent
 from palmd.bus.subscriber import Message, Subscriber
@@ -71,17 +71,17 @@ class Live:
         result: dict[str, Any] = reply.get("result") or {}
         return result
 
-    def move(self, duration_s: float = 2.0, **to: float) -> Motion:
-        """Moves to these angles (`phi1_deg=45.0, phi2_deg=90.0`) with minimum jerk, within the block of a `with`."""
-        return Motion(self, "move", {"move": to, "duration_s": duration_s})
+    def move(self, duration_s: float = 2.0, **to: float) -> RigMotion:
+        """Moves joints, each by its name with `_deg`, with minimum jerk, within the block of a `with`."""
+        return RigMotion(self, "move", {"move": to, "duration_s": duration_s})
 
-    def explore(self, coverage: float = 0.95, time_limit_s: float = 60.0) -> Motion:
+    def explore(self, coverage: float = 0.95, time_limit_s: float = 60.0) -> RigMotion:
         """Explores the outline until so much of what can be reached is touched, within the block of a `with`."""
-        return Motion(self, "explore", {"explore": {"coverage": coverage, "time_limit_s": time_limit_s}})
+        return RigMotion(self, "explore", {"explore": {"coverage": coverage, "time_limit_s": time_limit_s}})
 
-    def jog(self) -> Jog:
-        """Turns palms by small steps within the block of a `with`: `with rig.jog() as jog: jog.turn(phi1_deg=2.0)`."""
-        return Jog(self)
+    def jog(self) -> RigJog:
+        """Turns palms by small steps within the block of a `with`, by the `turn` of what it gives."""
+        return RigJog(self)
 
     @property
     def client(self) -> CommandClient:

@@ -14,6 +14,7 @@ import yaml
 from palmd.api.errors import PalmdError, as_palmd_error
 from palmd.bus.jogging import jog
 from palmd.quantities import ESTIMATE, STATE
+from palmd.system.mechanism import JOINTS
 
 if TYPE_CHECKING:
     from palmd.api.live import Live
@@ -80,7 +81,7 @@ class Armed:
                 self._rig.command("stop")
 
 
-class Motion(Armed):
+class RigMotion(Armed):
     """A plan of one segment: iterating gives the estimates while it goes on; leaving the block waits for its end.
 
     An exception inside the block, Ctrl-C too, holds the palms.
@@ -139,16 +140,16 @@ class Motion(Armed):
         return bool(self._rig.status()["over"])
 
 
-class Jog(Armed):
-    """Turns the palms by small steps: `jog.turn(phi1_deg=2.0)`."""
+class RigJog(Armed):
+    """Turns the palms by small steps."""
 
     def turn(self, **angles_deg: float) -> None:
-        """Turn joints, `phi1_deg` and so on, by so much, and wait until they have arrived; 8° a second.
+        """Turn joints, each by its name with `_deg`, by so much, and wait until they have arrived; 8° a second.
 
         Raises PalmdError where it cannot be done to its end; nothing has moved then.
         """
         if not angles_deg:
-            raise PalmdError("jog: say which joint to turn, such as turn(phi1_deg=1.0)")
+            raise PalmdError(f"jog: say which joint to turn, such as turn({JOINTS[0]}_deg=1.0)")
         with as_palmd_error():
             reply = jog(self._rig.client, angles_deg)
         if not reply["ok"]:

@@ -38,7 +38,7 @@ class LibraryError(Exception):
     """What was asked for cannot be done; the text is one line that says why."""
 
 
-class Library:
+class RunLibrary:
     """Knows where the runs and the configuration are; `key` opens its files."""
 
     def __init__(self, runs: Path | None, config: Path | None) -> None:

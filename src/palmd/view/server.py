@@ -26,7 +26,7 @@ from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed, Payload
 from palmd.view.files import page_files
 from palmd.view.library import COMMANDS as LIBRARY_COMMANDS
-from palmd.view.library import Library, LibraryError
+from palmd.view.library import LibraryError, RunLibrary
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asy
     """Serves until `stop`; `ready` is told the page's address, token included. Raises CliError when it cannot."""
     feed = Feed(settings.publish, settings.truth, settings.key)
     try:
-        commands, library = PageCommands(settings.command, settings.key), Library(settings.runs, settings.config)
+        commands, library = PageCommands(settings.command, settings.key), RunLibrary(settings.runs, settings.config)
         try:
             await _Server(settings, feed, commands, library).run(ready, stop)
         finally:
@@ -88,7 +88,7 @@ async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asy
 
 
 class _Server:
-    def __init__(self, settings: Settings, feed: Feed, commands: PageCommands, library: Library) -> None:
+    def __init__(self, settings: Settings, feed: Feed, commands: PageCommands, library: RunLibrary) -> None:
         self._settings, self._feed, self._commands, self._library = settings, feed, commands, library
         self._jobs: set[asyncio.Task[None]] = set()  # of the library, on their way
         self._files = page_files()

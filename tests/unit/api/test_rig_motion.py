@@ -3,7 +3,7 @@
 import pytest
 
 from palmd.api.errors import PalmdError
-from palmd.api.motion import Jog, Motion
+from palmd.api.motion import RigJog, RigMotion
 from palmd.bus.subscriber import Message
 
 
@@ -48,7 +48,7 @@ EXPLORE = {"explore": {"coverage": 0.5, "time_limit_s": 9.0}}
 
 def test_it_arms_runs_the_plan_to_its_end_and_stops():
     rig = Rig()
-    with Motion(rig, "explore", EXPLORE) as motion:
+    with RigMotion(rig, "explore", EXPLORE) as motion:
         seen = list(motion)
     assert rig.commands == ["arm", "plan", "start", "stop"]
     assert "coverage: 0.5" in rig.asked[1][1]["text"]
@@ -58,7 +58,7 @@ def test_it_arms_runs_the_plan_to_its_end_and_stops():
 
 def test_leaving_the_block_waits_for_the_end_and_leaves_an_armed_arm_armed():
     rig = Rig(state="tracking")
-    with Motion(rig, "move", {"move": {"phi1_deg": 40.0}, "duration_s": 1.0}) as motion:
+    with RigMotion(rig, "move", {"move": {"phi1_deg": 40.0}, "duration_s": 1.0}) as motion:
         pass
     assert motion.over
     assert rig.commands == ["plan", "start"]
@@ -67,32 +67,35 @@ def test_leaving_the_block_waits_for_the_end_and_leaves_an_armed_arm_armed():
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_what_goes_wrong_inside_holds_the_palms(error):
     rig = Rig()
-    with pytest.raises(error), Motion(rig, "explore", EXPLORE):
+    with pytest.raises(error), RigMotion(rig, "explore", EXPLORE):
         raise error
     assert rig.commands == ["arm", "plan", "start", "hold", "stop"]
 
 
 def test_a_motion_that_a_fault_stops_says_why():
     rig = Rig(becomes="fault")
-    with pytest.raises(PalmdError, match="the state is fault: pad1-silent: see to it"), Motion(rig, "explore", EXPLORE):
+    with (
+        pytest.raises(PalmdError, match="the state is fault: pad1-silent: see to it"),
+        RigMotion(rig, "explore", EXPLORE),
+    ):
         pass
     assert rig.commands[-2:] == ["hold", "stop"]
 
 
 def test_a_rig_that_cannot_be_armed_is_left_alone():
     rig = Rig(state="idle")
-    with pytest.raises(PalmdError, match="cannot move: the state is idle"), Motion(rig, "explore", EXPLORE):
+    with pytest.raises(PalmdError, match="cannot move: the state is idle"), RigMotion(rig, "explore", EXPLORE):
         pass
     assert rig.commands == []
 
 
 def test_a_jog_is_many_small_steps_and_its_refusal_an_error():
     rig = Rig()
-    with Jog(rig) as jog:
+    with RigJog(rig) as jog:
         jog.turn(phi1_deg=1.0)
     steps = [args["phi1_deg"] for name, args in rig.asked if name == "jog"]
     assert sum(steps) == pytest.approx(1.0)
     assert max(steps) <= 0.4
-    with pytest.raises(PalmdError, match="too far"), Jog(rig) as jog:
+    with pytest.raises(PalmdError, match="too far"), RigJog(rig) as jog:
         jog.turn(phi1_deg=120.0)
     assert rig.commands[-2:] == ["hold", "stop"]
