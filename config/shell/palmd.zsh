@@ -12,6 +12,7 @@ _shtab_palmd_commands() {
   local _commands=(
     bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
+    bundle:'a recorded run with versions and doctor'"'"'s findings as one zip, for a bug report'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
     check:'find what is wrong with configurations and motion plans'
     compare:'a reconstruction with a camera'"'"'s track of the same run'
@@ -87,6 +88,7 @@ _shtab_palmd_ctl_commands() {
     arm:'from ready: starts tracking and stands at the present pose'
     hold:'stops the motion along its path; tracking goes on'
     jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
+    new_object:'begins a new object: the observer forgets the one on the palms (two palms only)'
     note:'writes a note about this time into the recording'
     plan:'loads another plan, validated first; not while moving'
     reset:'clears latched faults that are gone, and a faulted controller; never an e-stop'
@@ -372,6 +374,16 @@ _shtab_palmd_build_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_build_defaults_added=0
 
+_shtab_palmd_bundle_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--config[the configuration (default\: that of the recording)]:FILE:_files"
+  {-o,--output}"[default\: RUN\'s name with .zip, here]:FILE:_files"
+  ":a recording (MCAP) or an event log:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bundle_defaults_added=0
+
 _shtab_palmd_calibrate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
 )
@@ -518,6 +530,10 @@ _shtab_palmd_completion_defaults_added=0
 
 _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as it came]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -562,13 +578,24 @@ _shtab_palmd_ctl_jog_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_ctl_jog_defaults_added=0
 
+_shtab_palmd_ctl_new_object_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as it came]"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_ctl_new_object_defaults_added=0
+
 _shtab_palmd_ctl_note_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
-  ":what there is to say about this time of the run:"
+  "(*):what to write about this time of the run:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -942,6 +969,7 @@ _shtab_palmd_view_options=(
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
   "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--truth[where an emulated rig publishes its truth]:ADDRESS:"
+  "--runs[of the recordings (default\: the configuration\'s)]:FOLDER:_files"
   "--port[of the page\; 0\: any free one (default\: 8787)]:port:"
   "--no-browser[open no browser]"
 )
@@ -980,6 +1008,7 @@ _shtab_palmd() {
       case $line[1] in
         bench) _shtab_palmd_bench ;;
         build) _arguments -C -s $_shtab_palmd_build_options ;;
+        bundle) _arguments -C -s $_shtab_palmd_bundle_options ;;
         calibrate) _shtab_palmd_calibrate ;;
         check) _arguments -C -s $_shtab_palmd_check_options ;;
         compare) _arguments -C -s $_shtab_palmd_compare_options ;;
@@ -1103,6 +1132,7 @@ _shtab_palmd_ctl() {
         arm) _arguments -C -s $_shtab_palmd_ctl_arm_options ;;
         hold) _arguments -C -s $_shtab_palmd_ctl_hold_options ;;
         jog) _arguments -C -s $_shtab_palmd_ctl_jog_options ;;
+        new_object) _arguments -C -s $_shtab_palmd_ctl_new_object_options ;;
         note) _arguments -C -s $_shtab_palmd_ctl_note_options ;;
         plan) _arguments -C -s $_shtab_palmd_ctl_plan_options ;;
         reset) _arguments -C -s $_shtab_palmd_ctl_reset_options ;;

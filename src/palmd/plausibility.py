@@ -106,6 +106,9 @@ def odd_rig(config: Config) -> Iterator[tuple[Loc, str]]:
             whole = f"a palm of {length_mm:g} mm (rig.palm{palm}_length_mm)"
             text = f"the pad would reach {pad.length_mm:g} mm along {whole}"
             yield ("pads", f"palm{palm}", "length_mm"), text
+        if abs(pad.zero_mm) > pad.length_mm:
+            beyond = f"{pad.zero_mm:g} mm from the hinge, but the pad ends at {pad.length_mm:g} mm (length_mm)"
+            yield ("pads", f"palm{palm}", "zero_mm"), f"count 0 would be {beyond}"
 
 
 def _odd_base(arm: AdeptConfig, rig: RigConfig) -> Iterator[tuple[Loc, str]]:

@@ -81,7 +81,7 @@ CHARTS = (
           (1.0, math.inf)),
     Chart("touched", "trust", "Touched, valid"),
     Chart("object", "trust", "Number of the object"),
-    Chart("force", "forces", "Normal force"),
+    Chart("force", "forces", "Normal force", 0.5, 0.0, _PALMS),
     Chart("mass", "forces", "Mass"),
     Chart("friction", "forces", "Friction"),
     Chart("pressure", "forces", "Pressure of the pads, counts"),

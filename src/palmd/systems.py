@@ -41,6 +41,8 @@ class LiveParts:
     """The report of a recording: makes a `palmd.report.sections.Report` of a `palmd.report.series.Series`."""
     comparison: str
     """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
+    shows: str
+    """What one sees in the first minute of its demo, in one sentence."""
     status: str
     """What `palmd ctl status` says of where it stands and of its object: the lines, of a status."""
     kernels: str
@@ -80,6 +82,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 recording="palmd.record.run:Run",
                 report="palmd.report.sections:report_of",
                 comparison="palmd.harness.comparison:Comparison",
+                shows="Two palms turn an unknown object between them until its whole outline has been touched.",
                 status="palmd.cli.board:status_lines",
                 kernels="palmd.observer.kernels:needed",
                 odd="palmd.plausibility:odd_rig",
@@ -101,6 +104,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 recording="palmd.record.pivot_run:PivotRun",
                 report="palmd.report.pivot_report:report_of",
                 comparison="palmd.harness.pivot_comparison:PivotComparison",
+                shows="An arm lowers a body that pivots in its gripper onto a pad and drags it over it; "
+                "the outline is estimated once both sides of the body have been touched.",
                 status="palmd.cli.pivot_status:status_lines",
                 kernels="palmd.model.pivot:needed",
             ),
@@ -121,6 +126,8 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 recording="palmd.record.three_palms_run:ThreePalmsRun",
                 report="palmd.report.three_palms_report:report_of",
                 comparison="palmd.harness.three_palms_comparison:ThreePalmsComparison",
+                shows="Three palms sway an unknown body until its motion is known, then roll it on to new surface. "
+                "Only touched surface is estimated.",
                 status="palmd.cli.three_palms_status:status_lines",
                 kernels="palmd.observer.three_palms.needed:needed",
             ),

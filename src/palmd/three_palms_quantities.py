@@ -41,7 +41,7 @@ PALM3 = Topic(
           for side, words in (("a", "along its first axis"), ("b", "along its second axis, from the apex"))),
         *(Quantity(f"h{number}_m", "number", "m", f"distance of palm {number} from the centre of mass", f"h{number}",
                    "distance", "derived", palm=number) for number in PALMS),
-        *(Quantity(f"f{number}_n", "number", "N", f"normal force of contact {number}", f"f{number}", role="derived",
+        *(Quantity(f"f{number}_n", "number", "N", f"normal force of contact {number}", f"f{number}", "force", "derived",
                    glance=True, palm=number) for number in PALMS),
         *(Quantity(f"inertia_{entry}_m2", "number", "m²", f"inertia per unit mass, body frame, {entry}",
                    role="derived") for entry in INERTIA_ENTRIES),

@@ -232,6 +232,7 @@ class Rig:
         self.supervisor = Supervisor(
             self.arm, self.motion, Exploring(), self.faults, self.journal, self.aside, Plan(fits), None,
             autostart=autostart, system=SYSTEM,
+            forget_object=lambda: True,
         )  # fmt: skip
 
     @property

@@ -123,6 +123,29 @@ class Page:
             """
         )
 
+    def watch_shifts(self):
+        """From now on the browser's own layout-shift entries are kept, those after an input too."""
+        self.script(
+            """
+            window.shifts = [];
+            const begun = performance.now();
+            new PerformanceObserver((list) => {
+              for (const { value, startTime, sources } of list.getEntries()) {
+                const when = (startTime - begun) / 1e3;
+                window.shifts.push([value, when, ...sources.map(({ node, previousRect, currentRect }) => {
+                  const one = node?.nodeType === 3 ? node.parentElement : node;
+                  const [was, is] = [previousRect, currentRect];
+                  return `${one?.tagName}#${one?.id}.${one?.className} ${was.x},${was.y} -> ${is.x},${is.y}`;
+                })]);
+              }
+            }).observe({ type: "layout-shift" });
+            """
+        )
+
+    def shifts(self):
+        """Those since `watch_shifts`: [how much, when (s), what moved…]."""
+        return self.script("return window.shifts")
+
     def errors(self):
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == SEVERE]
 

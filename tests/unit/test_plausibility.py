@@ -55,6 +55,11 @@ def test_a_slip_of_unit_is_told_with_what_may_be_meant(key: str, tmp_path: Path)
     assert key.rpartition(".")[2] in path.read_text().splitlines()[line - 1]
 
 
+def test_a_pads_zero_lies_on_the_pad(tmp_path: Path) -> None:
+    (error,) = check_files([config_file(tmp_path, pad="zero_mm: 280")])
+    assert "pads.palm1.zero_mm: count 0 would be 280 mm from the hinge, but the pad ends at 55.5 mm" in error
+
+
 def test_counts_an_inch_are_found_too(tmp_path: Path) -> None:
     (error,) = check_files([config_file(tmp_path, pad="counts_per_mm: 200")])
     assert error.endswith("is 7.874 counts/mm meant?")

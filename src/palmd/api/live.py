@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from palmd.api.errors import PalmdError, as_palmd_error
+from palmd.api.motion import RigJog, RigMotion
 from palmd.bus.addresses import command_address, publish_address
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import silent
@@ -19,6 +20,7 @@ from palmd.keys import Credentials, client_credentials
 from palmd.quantities import ESTIMATE
 
 SILENT_S = 2.0
+_KEY_OPTION = "connect(key=FILE)"
 
 
 class Live:
@@ -35,6 +37,7 @@ class Live:
         self._publish, self._key = publish, key
         with as_palmd_error():
             self._client = CommandClient(command, key=key, now_or_never=True, client=client, lease_s=lease_s)
+            self._client = CommandClient(command, key=key, now_or_never=True, key_option=_KEY_OPTION)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()
@@ -57,7 +60,7 @@ class Live:
                     heard = heard_ever = True
                     yield message
                 if not heard and (not heard_ever or now + SILENT_S <= end):
-                    raise silent(f"nothing heard from {self._publish}", self._key)
+                    raise silent(f"nothing heard from {self._publish}", self._key, _KEY_OPTION)
 
     def command(self, name: str, **arguments: Any) -> dict[str, Any]:
         """Tell the daemon what to do, and what it answers: `arm`, `start`, `hold`, `stop`, `reset`, `plan`, `jog`…
@@ -68,9 +71,27 @@ class Live:
         with as_palmd_error():
             reply = self._client.ask(name, arguments)
         if not reply["ok"]:
-            raise PalmdError(f"{name}: {reply.get('error', 'refused')}")
+            error = str(reply.get("error", "refused"))
+            raise PalmdError(error if error.startswith(name) else f"{name}: {error}")
         result: dict[str, Any] = reply.get("result") or {}
         return result
+
+    def move(self, duration_s: float = 2.0, **to: float) -> RigMotion:
+        """Moves joints, each by its name with `_deg`, with minimum jerk, within the block of a `with`."""
+        return RigMotion(self, "move", {"move": to, "duration_s": duration_s})
+
+    def explore(self, coverage: float = 0.95, time_limit_s: float = 60.0) -> RigMotion:
+        """Explores the outline until so much of what can be reached is touched, within the block of a `with`."""
+        return RigMotion(self, "explore", {"explore": {"coverage": coverage, "time_limit_s": time_limit_s}})
+
+    def jog(self) -> RigJog:
+        """Turns palms by small steps within the block of a `with`, by the `turn` of what it gives."""
+        return RigJog(self)
+
+    @property
+    def client(self) -> CommandClient:
+        """The command socket's client."""
+        return self._client
 
     def status(self) -> dict[str, Any]:
         """State, faults and plan."""

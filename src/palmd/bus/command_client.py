@@ -36,18 +36,21 @@ class CommandClient(Link):
         now_or_never: bool = False,
         client: str = "",
         lease_s: float | None = None,
+        key_option: str = "--key",
     ) -> None:
         """`client` is who the daemon takes us for, by default this user at this terminal. `lease_s` declares how long
         (s) our control lasts after each request; without it the daemon's usual lease holds.
 
         `now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
 
+        `key_option` is what an error calls the file of a key.
+
         Raises CliError for what is no address.
         """
         super().__init__(zmq.DEALER)
         self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
         self._socket.setsockopt(zmq.IMMEDIATE, int(now_or_never))
-        self._key, self._timeout_s = key, timeout_s
+        self._key, self._timeout_s, self._key_option = key, timeout_s, key_option
         self._lease_s = lease_s
         self.client = client or own_client()
         self.address = address
@@ -64,7 +67,7 @@ class CommandClient(Link):
             reply = unpacked(self._socket.recv_multipart()[-1])
             if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
                 return reply
-        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key)
+        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key, self._key_option)
 
     @property
     def open(self) -> bool:

@@ -45,9 +45,9 @@ def credentials(arguments: argparse.Namespace) -> Credentials | None:
         raise CliError(BAD_INPUT, str(error)) from None
 
 
-def silent(what: str, key: Credentials | None) -> CliError:
-    """Nobody answers: what may be wrong."""
-    why = "does it have keys (then give --key)?" if key is None else "does it allow this key?"
+def silent(what: str, key: Credentials | None, key_option: str = "--key") -> CliError:
+    """Nobody answers: what may be wrong. `key_option`: how the user would name the file of a key."""
+    why = f"does it have keys (then give {key_option})?" if key is None else "does it allow this key?"
     if "ipc://" in what:
         why = f"may this user open its socket (its group, mostly palmd), {why}"
     return CliError(RIG_FAILED, f"{what}: is a palmd running there, and {why}")

@@ -170,14 +170,13 @@ def status_lines(result: Mapping[str, Any]) -> list[str]:
 
 def _values(e: Mapping[str, Any]) -> Iterator[str]:
     """What of an estimate is shown at a glance, with its one-sigma, in rows of equal cells."""
-    cells = [
-        f"{_SHORT.get(quantity.source, quantity.source):4}{_shown(e, quantity):>7}"
-        f" ±{_shown(e.get('sd') or {}, quantity)} {quantity.shown.unit}"
+    told, sds = (e, e.get("sd") or {}) if e.get("valid") else ({}, {})  # what is not valid has no numbers
+    yield from _in_columns(22, [
+        f"{_SHORT.get(quantity.source, quantity.source):4}{_shown(told, quantity):>7}"
+        f" ±{_shown(sds, quantity)} {quantity.shown.unit}"
         for quantity in ESTIMATE.quantities
         if quantity.glance
-    ]
-    for first in range(0, len(cells), _CELLS):
-        yield "".join(f"{cell:24}" for cell in cells[first : first + _CELLS]).rstrip()
+    ])  # fmt: skip
 
 
 def _contact(c: Mapping[str, Any]) -> Iterator[BoardRow]:
@@ -238,12 +237,19 @@ def ago(seconds: float) -> str:
 
 def _channels(board: Board, t: float) -> Iterator[BoardRow]:
     """How often each topic comes, and how long ago it came last."""
-    cells = [
-        f"{name.removeprefix('palm/'):10}{_number(rate, 1.0, 0):>3}/s{_age(age):>7}"
-        for name, rate, age in board.channels(t)
-    ]
-    for first in range(0, len(cells), _CELLS):
-        yield BoardRow("".join(f"{cell:23}" for cell in cells[first : first + _CELLS]).rstrip(), "faint")
+    channels = [(name.removeprefix("palm/"), rate, age) for name, rate, age in board.channels(t)]
+    widest = max((len(name) for name, _, _ in channels), default=0)
+    cells = [f"{name:{widest}}{_number(rate, 1.0, 0):>4}/s{_age(age):>7}" for name, rate, age in channels]
+    for row in _in_columns(21, cells):
+        yield BoardRow(row, "faint")
+
+
+def _in_columns(least: int, cells: Sequence[str]) -> Iterator[str]:
+    """Rows of `_CELLS` cells, two spaces apart, each as wide as the widest of its column and `least`."""
+    rows = [cells[first : first + _CELLS] for first in range(0, len(cells), _CELLS)]
+    widths = [max(least, *map(len, cells[column::_CELLS])) for column in range(min(_CELLS, len(cells)))]
+    for row in rows:
+        yield "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=False)).rstrip()
 
 
 def _age(seconds: float) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from palmd.bus.addresses import add_config, command_address
 from palmd.bus.command_client import CommandClient
+from palmd.bus.jogging import jog
 from palmd.bus.link import COMMAND, add_key, credentials
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, USAGE, CliError
 from palmd.daemon.commands import COMMANDS, REQUEST_BYTES_MAX
@@ -25,18 +25,17 @@ PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 KEPT_S = 3.0
 """The lease that `--keep` declares, and renews six times in it."""
 
-JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
-JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
-JOG_ARRIVING_S = 0.5
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments: those of every command that the daemon knows."""
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
-    add_config(common)
-    add_key(common)
-    common.add_argument("--json", action="store_true", help="print the answer as it came")
+    for each in (parser, common):  # before the command and behind it
+        each.add_argument("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
+        add_config(each)
+        add_key(each)
+        each.add_argument("--json", action="store_true", help="print the answer as it came")
+    for action in common._actions:
+        action.default = argparse.SUPPRESS  # what stands behind the command, if anything, replaces what stands before
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
         if not spec.by_hand:
@@ -57,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
             )
         elif name == "note":
-            chosen.add_argument("text", metavar="TEXT", help="what there is to say about this time of the run")
+            chosen.add_argument("text", nargs="+", metavar="TEXT", help="what to write about this time of the run")
         elif name == "jog":
             for joint in JOINTS:
                 chosen.add_argument(
@@ -77,11 +76,11 @@ def run(arguments: argparse.Namespace) -> int:
     take = {"take": True} if getattr(arguments, "take", False) else {}
     with CommandClient(address, key=credentials(arguments), lease_s=KEPT_S if keeps else None) as client:
         if arguments.command == "jog":
-            reply = _jog(client, whole_deg, take)
+            reply = jog(client, whole_deg, take)
         elif arguments.command == "plan":
             reply = client.ask("plan", _plan(arguments.path) | take)
         elif arguments.command == "note":
-            reply = client.ask("note", {"text": arguments.text})
+            reply = client.ask("note", {"text": " ".join(arguments.text)})
         else:
             reply = client.ask(arguments.command, take)
         _print(arguments, reply)
@@ -197,32 +196,6 @@ def _recorded(
     """What the recorder said last."""
     text = f"{path}, {messages:.0f} messages, {bytes / 1e6:.1f} MB" + (f", {lost:.0f} lost" if lost else "")
     return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
-
-
-def _jog(client: CommandClient, whole_deg: Mapping[str, float], take: Mapping[str, bool]) -> dict[str, Any]:
-    """Turns the palms by small steps, as a hand on the dead-man's handle would; letting go of it stops them.
-
-    The first step tells the whole wish: one that cannot be granted to its end is not begun.
-    """
-    reply: dict[str, Any] = {}
-    whole: dict[str, float | bool] = {f"whole_{name}": angle for name, angle in whole_deg.items()} | dict(take)
-    for step in jog_steps(*whole_deg.values()):
-        t_next = time.monotonic() + JOG_EVERY_S
-        reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})
-        whole = {}
-        if not reply["ok"]:
-            break
-        time.sleep(max(0.0, t_next - time.monotonic()))
-    return reply
-
-
-def jog_steps(*whole_deg: float) -> Iterator[tuple[float, ...]]:
-    """Equal steps that add up to the angles, and then empty ones for as long as the palms need to arrive."""
-    count = max(1, math.ceil(max(map(abs, whole_deg)) / JOG_STEP_DEG))
-    for _ in range(count):
-        yield tuple(angle / count for angle in whole_deg)
-    for _ in range(round(JOG_ARRIVING_S / JOG_EVERY_S)):
-        yield (0.0,) * len(whole_deg)
 
 
 def _angle(text: str) -> float:

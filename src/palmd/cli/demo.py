@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         page = stack.page if stack.start_page() else None
         if page is None and not stop.made:
             _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")
-        _introduce(stack.told["seed"], stack.bus, page)
+        _introduce(stack.told["seed"], config.system, stack.bus, page)
         if page and not arguments.no_browser:
             open_page(page)
         _operate(stack, comparison, stop, arguments.seconds)
@@ -95,10 +95,11 @@ def _comparison(config: AnyConfig, seed: int) -> AnyComparison:
     return comparison
 
 
-def _introduce(seed: int, bus: BusConfig, page: str | None) -> None:
+def _introduce(seed: int, system: str, bus: BusConfig, page: str | None) -> None:
     at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
     to = "" if bus.command == COMMAND else f" --address {bus.command}"
-    _tell(f"an object that palmd does not know (seed {seed}); look at it with:")
+    _tell(LIVE[system].shows)
+    _tell(f"Seed {seed}; the object is unknown to the daemon. Look at it with:")
     if page:
         _tell(f"  {page}")
     _tell(f"  palmd top{at}")
@@ -137,7 +138,7 @@ def _is_done(client: CommandClient, command: str) -> bool:
         return False
     reply = client.ask(command)
     if not reply["ok"]:
-        _tell(f"{command}: {reply.get('error')}")
+        _tell(str(reply.get("error")))
     elif command == "reset":
         _tell("reset")
     return bool(reply["ok"])

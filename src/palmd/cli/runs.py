@@ -129,7 +129,9 @@ def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
 
 def _row(run: IndexedRun) -> tuple[str, ...]:
     told = run.summary
-    last = [*told.faults, *(f'"{note}"' for note in told.notes), *([told.problem] if told.problem else [])]
+    lost = [f"lost {told.lost}×"] if told.lost else []
+    lost += ["not valid at the end"] if told.lost and not told.valid else []
+    last = [*lost, *told.faults, *(f'"{note}"' for note in told.notes), *([told.problem] if told.problem else [])]
     if told.damage:
         last.append(told.damage)
     elif not told.complete and not told.problem:

@@ -36,6 +36,7 @@ COMMANDS = (
     Command("jog", "cli.jog", "turn the palms by the arrow keys, for as long as one is held"),
     Command("explore", "cli.explore", "have a running daemon find the whole outline of what lies on the palms"),
     Command("replay", "cli.replay", "publish a recorded run again, or check that the observer still says the same"),
+    Command("bundle", "cli.bundle", "a recorded run with versions and doctor's findings as one zip, for a bug report"),
     Command("why", "cli.why", "what made a recorded run hold or stop, in plain words with the evidence"),
     Command("export", "cli.export", "a recorded run as event log, CSV, MCAP with JSON, or for rerun"),
     Command("keys", "cli.keys", "who may listen to a daemon and command it: new, allow, revoke, list"),

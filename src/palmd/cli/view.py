@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import secrets
 import signal
+from pathlib import Path
 
-from palmd.bus.addresses import add_config, command_address, publish_address
+from palmd.bus.addresses import INSTALLED, add_config, command_address, publish_address
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.cli.browser import open_page
 from palmd.daemon.lifecycle import TRANSITIONS, State, Trigger
@@ -31,8 +33,9 @@ TRIGGERS = {
 FORMS = {
     "jog": (State.TRACKING, State.HOLD),
     "plan": (State.READY, State.TRACKING, State.HOLD),
-    "note": tuple(State),
     "alive": tuple(State),
+    "new_object": (State.READY, State.TRACKING, State.HOLD),
+    "note": tuple(State),
 }
 """Its other commands, which change no state, and the states in which they apply."""
 
@@ -44,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_key(parser)
     parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
+    parser.add_argument("--runs", type=Path, metavar="FOLDER", help="of the recordings (default: the configuration's)")
     parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
 
@@ -58,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         token=secrets.token_urlsafe(16),
         allowed=allowed(),
         key=credentials(arguments),
+        runs=arguments.runs,
+        config=arguments.config or (INSTALLED if os.access(INSTALLED, os.R_OK) else None),
     )
     asyncio.run(_serve(settings, browser=not arguments.no_browser))
     return 0

@@ -98,6 +98,7 @@ COMMANDS: dict[str, CommandSpec] = {
         "writes a note about this time into the recording",
         (Argument("text", "text", "what there is to say; 1000 characters at most", required=True, longest=1000),),
     ),
+    "new_object": CommandSpec("begins a new object: the observer forgets the one on the palms (two palms only)"),
     "recorder": CommandSpec(
         "tells the daemon how its recorder fares; the recorder does it each second",
         (

@@ -106,6 +106,7 @@ class Core:
             plans,
             autostart=config.autostart,
             system=system,
+            forget_object=observer.forget_object,
         )
         self._smoother = smoother
         self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
@@ -289,7 +290,7 @@ class Core:
             self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
         )
         untouched = [number for number, felt in enumerate(self._felt, 1) if not felt]
-        self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, self._estimate.nis, t)
+        self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, t, self._invalid_because)
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
         """What to publish at `t` (s)."""
@@ -455,6 +456,9 @@ class Core:
             present.add("estimate-lost")
         return present.difference(self._system.excused(self.exploring))
 
+    def _invalid_because(self) -> str:
+        return self._observer.invalid_because
+
     def _evidence(self, code: str, t: float) -> str:
         """What speaks for a fault that has come up at `t` (s), in words; empty where there is no more to say."""
         end, _, condition = code.partition("-")
@@ -466,9 +470,8 @@ class Core:
             case "tick-error":
                 return self._failure
             case "estimate-not-finite" | "estimate-lost":
-                return (
-                    f"at this tick its NIS is {self._estimate.nis:.2f}, its object number {self._estimate.object_count}"
-                )
+                because = self._observer.invalid_because
+                return f"object {self._estimate.object_count}" + (f": {because}" if because else "")
             case "limits-violated":
                 return self._angles_told()
             case "loop-overrun" | "loop-overruns" | "samples-too-late":

@@ -94,8 +94,13 @@ class ObjectNotes:
         self._known = False
         self._t_valid = self._t_known = -math.inf
 
-    def look(self, number: int, valid: bool, untouched: Sequence[int], nis: float, t: float) -> None:
-        """At `t` (s): the object's number, whether its estimate is valid, the pads that feel nothing."""
+    def look(
+        self, number: int, valid: bool, untouched: Sequence[int], t: float, because: Callable[[], str] = str
+    ) -> None:
+        """At `t` (s): the object's number, whether its estimate is valid, the pads without contact.
+
+        `because` says which limit the estimate failed.
+        """
         add = self._journal.add
         if number != self._number:
             self._lose(f"object {number} was begun", t)
@@ -109,8 +114,8 @@ class ObjectNotes:
             self._t_valid = t
         elif self._known and t - self._t_valid > LOST_S:
             pads = " and ".join(map(str, untouched))
-            why = f"nothing touches pad {pads}" if untouched else f"nothing explains it but the readings, NIS {nis:.2f}"
-            self._lose(f"no valid estimate for {LOST_S:g} s, and {why}", t)
+            why = f"no contact on pad {pads}" if untouched else because() or "the observer gives no reason"
+            self._lose(f"no valid estimate for {LOST_S:g} s: {why}", t)
 
     def _lose(self, why: str, t: float) -> None:
         if self._known:

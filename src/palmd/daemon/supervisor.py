@@ -93,8 +93,13 @@ class Supervisor:
         *,
         autostart: bool,
         system: AnySystem,
+        forget_object: Callable[[], bool],
     ) -> None:
-        """`aside` does slow work beside the loop; plans without their text come from the `plans`."""
+        """`aside` does slow work beside the loop; plans without their text come from the `plans`.
+
+        `forget_object` has the observer begin a new object; False where it cannot.
+        """
+        self._forget_object = forget_object
         self.state = State.IDLE
         self.plan = plan
         self.plan_refused = False
@@ -136,6 +141,7 @@ class Supervisor:
             "plan": self._load_plan,
             "jog": self._jog,
             "note": self._note,
+            "new_object": self._begin_anew,
             "recorder": self._hear_recorder,
             "alive": self._alive,
         }
@@ -391,6 +397,11 @@ class Supervisor:
         """What was noted since the last call, and when (s)."""
         notes, self._notes = self._notes, []
         return notes
+
+    def _begin_anew(self, _request: Request, _t: float) -> dict[str, Any]:
+        if not self._forget_object():
+            raise RefusedError("this system's observer cannot forget its object: take it off and put it back")
+        return self._told()
 
     def _note(self, request: Request, t: float) -> dict[str, Any]:
         self._notes.append((t, request.args["text"]))

@@ -12,6 +12,7 @@ import numpy as np
 
 from palmd.bus.subscriber import Message
 from palmd.harness.scorer import COMPARED, Scorer
+from palmd.harness.standing import Standing
 from palmd.score import OutlineScore
 from palmd.system.mechanism import RADII
 
@@ -82,6 +83,7 @@ class Comparison(AnyComparison):
         self._stalled: list[float] = []  # how long each standstill of the emulated rig lasted (s), since the last word
         self._stalls, self._stalled_s = 0, 0.0
         self._ticks = 0
+        self._standing = Standing()
 
     @property
     def settled(self) -> bool:
@@ -113,6 +115,7 @@ class Comparison(AnyComparison):
         t = _seconds(fields)
         self._ticks += 1
         self._punctuality.tick(t)
+        self._standing.take(t, fields["valid"], fields.get("object", 0))
         if self._scorer.take(t, fields):
             self._waiting.append((t, *(fields[name] for name in COMPARED)))
 
@@ -134,9 +137,10 @@ class Comparison(AnyComparison):
             parts.append(f"rho {e['rho_m'] * 1e3:.2f} mm  mu {e['mu']:z.2f}  mass {e['mass_kg'] * 1e3:.0f} g")
             score = self._score()
             if score is not None:
-                parts.append(f"outline within {score.e_h * 1e6:.0f} µm on {score.touched:.0%}")
+                parts.append(f"outline ± {self._band() * 1e6:.0f} µm (1σ) on {score.touched:.0%}")
+                parts.append(f"[truth: {score.e_h * 1e6:.0f} µm RMS off]")
         else:
-            parts.append("lost, looking again" if self.settled else "no valid estimate yet")
+            parts.append("lost, searching again" if self.settled else "no valid estimate yet")
         faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
         grave = [fault for fault, severity in faults if severity != "note"]
         if self._stalled:
@@ -146,11 +150,10 @@ class Comparison(AnyComparison):
 
     def summary(self) -> str:
         """The closing line."""
-        parts = [f"seed {self._seed}", self._settling()]
+        parts = [f"seed {self._seed}", *filter(None, (self._settling(), self._standing.words()))]
         score, everywhere = self._score(), self._score(all_normals=True)
         if score is not None and everywhere is not None and self._scorer.shape is not None:
-            sd, touched = (np.array(self._scorer.shape[name]) for name in ("h_sd_m", "touched"))
-            band = math.sqrt(np.mean(sd[touched > 0] ** 2))
+            sd, band = np.array(self._scorer.shape["h_sd_m"]), self._band()
             parts += [
                 f"outline {score.e_h * 1e6:.0f} µm RMS ({score.relative:.2%}) on {score.touched:.0%} touched normals"
                 f" (sd {band * 1e6:.0f} µm)",
@@ -172,6 +175,12 @@ class Comparison(AnyComparison):
         if self._stalls:
             parts.append(f"which {self._stalls} times got no processor, for {self._stalled_s:.2f} s in all")
         return "palmd demo: " + ", ".join(parts)
+
+    def _band(self) -> float:
+        """RMS of the last valid outline's 1σ where it was touched (m)."""
+        shape = self._scorer.shape or {}
+        sd, touched = (np.array(shape[name]) for name in ("h_sd_m", "touched"))
+        return math.sqrt(np.mean(sd[touched > 0] ** 2))
 
     def _settling(self) -> str:
         name = self._scorer.estimate.get("observer", "")

@@ -30,13 +30,15 @@ HELD_S = 30.0  # that a hold may last: until then somebody may put the object ba
 class Operator:
     """Brings the palms to move and keeps them moving, as somebody who looks at the bus would. Pure.
 
-    When somebody else holds or stops them it takes its hands off until they are started again.
+    When somebody else holds or stops them it takes its hands off until they are started again; when somebody else
+    loads another plan, for good.
     """
 
     def __init__(self) -> None:
         self.state: Status = {}
         self.motion: Status = {}
         self._hands_off = False
+        self._plan, self._taken_over = "", False  # somebody else has loaded another plan
         self._t_told = -AGAIN_S
         self._wanted: str | None = None
         self._t_wanted = 0.0
@@ -50,6 +52,9 @@ class Operator:
         """Every palm/state and palm/motion."""
         if topic in MOTIONS:
             self.motion = fields
+            plan = fields.get("plan", "")
+            self._plan = self._plan or plan
+            self._taken_over |= plan not in ("", self._plan)
         elif topic == "palm/state":
             self._hands_off |= fields["wish"] not in ("", self.state.get("wish"))
             self.state = fields
@@ -65,7 +70,7 @@ class Operator:
         """
         if self.moves:
             self._hands_off = False
-        wanted = None if self._hands_off else self._wish()
+        wanted = None if self._hands_off or self._taken_over else self._wish()
         if wanted != self._wanted:
             self._wanted, self._t_wanted = wanted, t
         patience = 0.0 if wanted == "arm" else CALM_S

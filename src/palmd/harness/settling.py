@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from palmd.harness.comparison import AnyComparison
+from palmd.harness.standing import Standing
 
 NEAR_S = 6e-3  # between an estimate and the truth that it is held against
 
@@ -27,6 +28,7 @@ class SettlingComparison(AnyComparison):
         self._shape: Mapping[str, Any] | None = None
         self._mu = (math.nan, math.nan)  # the last one told, with its band
         self._ticks = self._valid = 0
+        self._standing = Standing()
 
     @property
     def settled(self) -> bool:
@@ -36,6 +38,7 @@ class SettlingComparison(AnyComparison):
     def _take_estimate(self, fields: Mapping[str, Any]) -> None:
         self._ticks += 1
         self._estimate = fields
+        self._standing.take(fields["mono_ns"] * 1e-9, fields["valid"], fields.get("object", 0))
         if math.isfinite(fields["mu"]):
             self._mu = fields["mu"], fields["sd"]["mu"]
         if not fields["valid"] or self.t_started is None:
@@ -72,7 +75,8 @@ class SettlingComparison(AnyComparison):
             settled = f"never settled: {self._estimate.get('reason', 'nothing is heard')}"
         else:
             settled = f"settled after {self._t_settled - self.t_started:.1f} s"
-        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *self._outline(), *self._errors()]
+        standing = filter(None, [self._standing.words()])
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *standing, *self._outline(), *self._errors()]
         if self._body is not None and math.isfinite(self._mu[0]):
             parts.append(f"mu {self._mu[0]:.3f} ± {self._mu[1]:.3f} (true {self._body['mu']:.3f})")
         parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]

@@ -165,7 +165,8 @@ class Stack:
 
     def start_page(self) -> bool:
         """Whether there is a live page, at `page`; why not is what its process said."""
-        where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"])
+        where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"],
+                 "--config", str(self.path))  # fmt: skip
         for _ in range(ATTEMPTS):  # somebody else may take the port in between
             port = str(_free_page_port())
             child = self.children["page"] = self.begin("page", "view", "--no-browser", *where, "--port", port)

@@ -170,7 +170,7 @@ class Stand:
                 with contextlib.suppress(ProcessLookupError):  # the daemon may have ended it
                     os.kill(number, signal.SIGCONT)
             case Kill():
-                self._stack.children[act.process].send(signal.SIGKILL)
+                os.kill(self._number(act.process), signal.SIGKILL)
                 if act.process == "daemon":
                     self._listen(watch, WATCHED_LEAST_S)
                     self._restart_daemon(watch)

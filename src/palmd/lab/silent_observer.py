@@ -17,9 +17,14 @@ class SilentObserver:
     name, backend = "silent", "none"
     object_count = late_dropped = improvements = 0
     foresees = cornered = False
+    invalid_because = ""
 
     def warm_up(self) -> None:
         """Nothing to warm."""
+
+    def forget_object(self) -> bool:
+        """It knows none."""
+        return False
 
     def feed(self, event: Event) -> None:
         """Take one event."""

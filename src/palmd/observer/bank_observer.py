@@ -8,6 +8,8 @@ It begins blind from a circle when both palms feel the object (`session`), or fr
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -36,7 +38,7 @@ from palmd.observer.session import ObjectSession
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
-from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled
+from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled, unmet
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
@@ -48,6 +50,21 @@ RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that 
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
 _AGREED = [0.0] * len(NAMED)
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
+
+
+def _no_contact() -> str:
+    return "no object is in contact with both pads"
+
+
+def _why_invalid(evidence: Evidence, nis: float, radius_sd_m: float, safe: bool) -> str:
+    """`radius_sd_m` includes what the innovation test added; `safe`: all but the object's identity is decided."""
+    failed = unmet(evidence, SETTLED, nis)
+    if not failed and safe:
+        failed = ["which stored object it is, is not decided"]
+    if not failed and radius_sd_m >= SETTLED.radius_sd_m:
+        limit = f"limit {SETTLED.radius_sd_m * 1e3:.2f} mm"
+        failed = [f"innovation test failed: with it 1σ of a radius is {radius_sd_m * 1e3:.2f} mm ({limit})"]
+    return "; ".join(failed) or "the outline is not convex"
 
 
 def _largest(values: list[float]) -> float:
@@ -90,10 +107,17 @@ class BankObserver:
         if self._link is not None:
             self._link.reset()
         self._contacts = Contacts()
+        self._because: Callable[[], str] = _no_contact  # in words only when asked: a tick has no time for them
         self._session = ObjectSession(
             self._rig, self._seed, self._fusion, self._contacts, self._hypotheses, self._observability
         )
         self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
+
+    def forget_object(self) -> bool:
+        """Begin a new object with the next readings; nothing of the present one is remembered."""
+        self._hypotheses.reset()
+        self._session.stop()
+        return True
 
     def warm_up(self) -> None:
         """Pay the costs of first calls (page faults, the linear algebra's work space) now; ends with a `reset`.
@@ -194,6 +218,7 @@ class BankObserver:
         if session.track is not None and (gone or fusion.bank.is_lost(best)):
             session.stop()
         track = session.track
+        self._because = _no_contact if track is None else str
         if track is None:
             palms = fusion.palms.motion(t) if fusion.palms_known(t) else None
             return no_answer(t, self.name, session.object_count, palms)
@@ -209,6 +234,8 @@ class BankObserver:
             and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
         )
         valid = session.judge(t, safe)
+        if not valid:
+            self._because = partial(_why_invalid, evidence, nis, _largest(told_sd[_RADII]), safe)
         best = fusion.bank.best()  # another bank may have taken over
         track = session.track or track  # another object may have been begun
         if valid:
@@ -239,6 +266,11 @@ class BankObserver:
     def foresees(self) -> bool:
         """Whether the last estimate was good enough to choose motions by, though perhaps not valid yet."""
         return self._session.track is not None and self._session.track.predictable
+
+    @property
+    def invalid_because(self) -> str:
+        """As of the last `estimate`."""
+        return self._because()
 
     @property
     def cornered(self) -> bool:

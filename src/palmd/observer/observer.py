@@ -38,6 +38,9 @@ class LiveObserver(Protocol):
     def warm_up(self) -> None:
         """Pay the costs of first calls now; ends as if nothing had been fed."""
 
+    def forget_object(self) -> bool:
+        """Begin a new object with the next readings, whatever is known of this one; False where that cannot be done."""
+
     def feed(self, event: Event) -> None:
         """Take one event, at its own time; one too late for that is counted and dropped."""
 
@@ -56,6 +59,10 @@ class LiveObserver(Protocol):
 
     def outlook(self, t: float) -> object:
         """What is known for choosing motions, None unless it `foresees`."""
+
+    @property
+    def invalid_because(self) -> str:
+        """Why the last estimate is not valid, with value and limit of what failed; empty when it is valid."""
 
     @property
     def cornered(self) -> bool:

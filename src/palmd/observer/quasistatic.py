@@ -31,7 +31,7 @@ from palmd.observer.multi_start import BLOCKS, MOST_RADIUS_M, MultiStart, Spread
 from palmd.observer.palms import STILL
 from palmd.observer.prior import RADIUS_SD
 from palmd.observer.quasistatic_answer import Leading, named, read_off
-from palmd.observer.validity import Evidence, Thresholds, settled
+from palmd.observer.validity import Evidence, Thresholds, settled, unmet
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
@@ -83,6 +83,7 @@ class QuasistaticObserver:
         self.object_count = 0
         self.late_dropped = 0
         self._contacts = Contacts()
+        self._because = "no initial condition explains the contacts yet"
         self._palms = RecentReadings(4 * HALF_WIDTH_S)
         self._pads = {pad: RecentReadings(4 * HALF_WIDTH_S) for pad in PALMS}
         self._stop()
@@ -121,6 +122,7 @@ class QuasistaticObserver:
             self._stop()
         self._advance(t)
         found, present = self._found, self._felt(t)
+        self._because = "no initial condition explains the contacts yet"
         if found is None or present is None:
             return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
@@ -143,6 +145,7 @@ class QuasistaticObserver:
             explained=True,
         )
         valid = settled(evidence, SETTLED)
+        self._because = "" if valid else "; ".join(unmet(evidence, SETTLED, 1.0))
         for pad, f in zip(PALMS, resting_forces(self._rig.gravity, np.array(now.joints)), strict=True):
             self._mass.weigh(self._contacts.last(pad), f)
         if valid:
@@ -160,6 +163,16 @@ class QuasistaticObserver:
             self._marks.fraction,
         )
         return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
+
+    @property
+    def invalid_because(self) -> str:
+        """As of the last `estimate`."""
+        return self._because
+
+    def forget_object(self) -> bool:
+        """As when the object leaves the palms."""
+        self._stop()
+        return True
 
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline of the likeliest initial condition on `DIRECTIONS` normals, None before there is one."""

@@ -64,6 +64,30 @@ def settled(evidence: Evidence, least: Thresholds) -> bool:
     return bool(believable and felt and sharp and evidence.age_s > least.age_s)
 
 
+def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:
+    """Each condition of `settled` that fails, in words with its value and limit; `nis` is the running mean."""
+    (low, high), resumed_s = NIS_RANGE, evidence.resumed_for_s
+    checks = (
+        (evidence.touching, "not both pads report a contact"),
+        (evidence.palms_known, "no recent report of the palm angles"),
+        (resumed_s > RESUMED_FOR_S, f"contact resumed {resumed_s:.2f} s ago (limit {RESUMED_FOR_S:.2f} s)"),
+        (evidence.finite, "a value is not finite"),
+        (consistent(nis), f"NIS {nis:.2f} (limits {low:g} to {high:g})"),
+        (evidence.consistent or not consistent(nis), "the contacts lie outside the pads"),
+        (evidence.rig_known, "the rig's constants are not estimated yet"),
+        (evidence.explained, "the smoother rejects a smooth outline: a flat side, a corner or a second object?"),
+        (evidence.radius_sd_m < least.radius_sd_m, _over("1σ of a radius", evidence.radius_sd_m, least.radius_sd_m)),
+        (evidence.disagreement_m < least.disagreement_m,
+         _over("disagreement between hypotheses", evidence.disagreement_m, least.disagreement_m)),
+        (evidence.age_s > least.age_s, f"object observed for {evidence.age_s:.1f} s (limit {least.age_s:.1f} s)"),
+    )  # fmt: skip
+    return [text for holds, text in checks if not holds]
+
+
+def _over(what: str, value_m: float, limit_m: float) -> str:
+    return f"{what} {value_m * 1e3:.2f} mm (limit {limit_m * 1e3:.2f} mm)"
+
+
 def consistent(nis: float) -> bool:
     """Whether a filter's running mean of the normalised innovation squared is that of a right model."""
     return bool(NIS_RANGE[0] < nis < NIS_RANGE[1])

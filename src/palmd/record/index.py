@@ -25,9 +25,10 @@ LIVE_S = 3.0
 class RunSummary:
     """A recording in a few words; NaN and empty for what it does not tell.
 
-    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, in the
-    end. sd_m, worst_sd_m: of the outline in the end, median and largest. faults: codes of those that held or stopped.
-    damage: what of it cannot be read. problem: why it cannot be used.
+    state: the daemon's last one. valid: whether the last estimate was. lost: how often a known object was lost.
+    object: the stored outline it was recognised as, `NONE_OF_THESE`, or empty. touched: share of the normals, of
+    the last valid outline. sd_m, worst_sd_m: of that outline, median and largest.
+    faults: codes of those that held or stopped. damage: what of it cannot be read. problem: why it cannot be used.
     """
 
     started: str = ""
@@ -40,6 +41,9 @@ class RunSummary:
     sd_m: float = math.nan
     worst_sd_m: float = math.nan
     mass_kg: float = math.nan
+    state: str = ""
+    valid: bool = False
+    lost: int = 0
     faults: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     damage: str = ""

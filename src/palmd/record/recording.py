@@ -144,8 +144,10 @@ class Recording:
         file.path.unlink(missing_ok=True)
         self._last = self._before
         self._begin(self._t_begun)
-        for message in kept if self._file is not None else ():
-            self._file.write(message)
+        begun: RunFile | None = self._file  # none where the disk is full
+        if begun is not None:
+            for message in kept:
+                begun.write(message)
 
     def flush(self, t: float) -> None:
         """Hand over what has been taken, and end a run that has fallen silent by `t`."""

@@ -50,14 +50,20 @@ class _Seen:
         self._notes: dict[str, None] = {}
         self._last: dict[str, Any] = {}
         self._valid: Fields = {}
+        self._is_valid = False
+        self._state = ""
+        self._losses: set[int] = set()  # numbers of the log's entries, which come again and again
 
     def take(self, topic: str, t_ns: int, number: int, message: Any) -> None:
         """One message; only what is needed is unpacked."""
         self._begin_ns, self._end_ns = self._begin_ns or t_ns, t_ns
+        if topic == self._topics.shape.name and self._valid and not self._is_valid:
+            return  # of an object that is not known: what counts is the last that was
         if topic in (self._topics.shape.name, OBJECT.name):
             self._last[topic] = message
         elif topic == STATE.name:
             fields = message.fields
+            self._state = fields.get("state", "")
             grave = zip(fields.get("faults", ()), fields.get("severities", ()), strict=False)
             self._faults |= {code: None for code, severity in grave if severity in _GRAVE}
         elif topic == LOG:
@@ -67,12 +73,17 @@ class _Seen:
             self._plans |= {plan: None} if plan else {}
         elif number % _EVERY == 0 and topic == self._topics.estimate.name:
             fields = message.fields
-            self._valid = fields if fields.get("valid") else self._valid
+            self._is_valid = bool(fields.get("valid"))
+            self._valid = fields if self._is_valid else self._valid
 
     def _hear(self, log: Mapping[str, Any]) -> None:
-        for kind, name, text in zip(*(log.get(each, ()) for each in ("kind", "name", "text")), strict=False):
+        kinds, names = log.get("kind", ()), log.get("name", ())
+        for kind, name, text in zip(kinds, names, log.get("text", ()), strict=False):
             if NOTE in (kind, name):
                 self._notes[text] = None
+        for number, kind, name in zip(log.get("number", ()), kinds, names, strict=False):
+            if (kind, name) == ("object", "lost"):
+                self._losses.add(int(number))
 
     def summary(self, started: str, *, complete: bool) -> RunSummary:
         """Of all that was read."""
@@ -91,6 +102,9 @@ class _Seen:
             sd_m=float(np.median(sds)) if len(sds) else math.nan,
             worst_sd_m=float(sds.max()) if len(sds) else math.nan,
             mass_kg=float(self._valid.get("mass_kg", math.nan)),
+            state=self._state,
+            valid=self._is_valid,
+            lost=len(self._losses),
             faults=tuple(self._faults),
             notes=tuple(self._notes),
         )

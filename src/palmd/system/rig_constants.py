@@ -27,6 +27,7 @@ class RigConstant:
     """One constant: its published name and unit, and how people are told of it.
 
     They read "`what` seems VALUE ± SD `shown` `off`: `mend`"; `factor` are so many shown units in one published.
+    Where there is an `off_below`, VALUE has no sign, and a negative one reads `off_below` in place of `off`.
     """
 
     name: str
@@ -37,6 +38,7 @@ class RigConstant:
     factor: float
     off: str
     mend: str
+    off_below: str = ""
 
 
 def _of_each_pad(row: RigConstant) -> Iterator[RigConstant]:
@@ -50,18 +52,21 @@ RIG_TABLE: tuple[RigConstant, ...] = (
     *_of_each_pad(RigConstant("pad{}_scale", "", "by which share pad {} reads too much",
                               "pad {}'s scale", " %", 1e2, "off", "palmd calibrate pads measures its counts_per_mm")),
     *_of_each_pad(RigConstant("pad{}_sagitta_m", "m", "by how much pad {}'s middle is higher than its ends",
-                              "pad {}'s middle", " mm", 1e3, "higher than its ends", "see that it lies flat")),
+                              "pad {}'s middle", " mm", 1e3, "higher than its ends", "see that it lies flat",
+                              "lower than its ends")),
     *_of_each_pad(RigConstant("pad{}_lag_s", "s", "by how much pad {}'s readings are older than their time",
-                              "pad {}'s time", " ms", 1e3, "late", "see to its adapter's latency timer")),
+                              "pad {}'s time", " ms", 1e3, "late", "see to its adapter's latency timer", "early")),
     *_of_each_pad(RigConstant("pad{}_standoff_m", "m", "how high pad {}'s surface is above the hinge line",
-                              "pad {}'s surface", " mm", 1e3, "above the hinge line", "see how it is mounted")),
+                              "pad {}'s surface", " mm", 1e3, "above the hinge line", "see how it is mounted",
+                              "below the hinge line")),
     RigConstant("phi1_rad", "rad", "by how much palm 1 is steeper against gravity than reported",
                 "palm 1's angle to gravity", "°", math.degrees(1), "off", "palmd calibrate self finds the arm's yaw"),
     RigConstant("phi2_rad", "rad", "by how much the opening of the palms is larger than reported",
                 "the palms' opening", "°", math.degrees(1), "off",
                 "palmd calibrate arm, and see that the pads lie along the palms"),
     RigConstant("friction_asymmetry", "", "(μ1 − μ2)/(μ1 + μ2) of the palms' friction",
-                "palm 1's friction", " %", 1e2, "above the mean of both palms'", "clean both if they should be alike"),
+                "palm 1's friction", " %", 1e2, "above the mean of both palms'", "clean both if they should be alike",
+                "below the mean of both palms'"),
     *_of_each_pad(RigConstant("pad{}_force_m_per_n", "m/N", "by how much a reading of pad {} moves with its force",
                               "pad {}'s reading", " mm/N", 1e3, "off with the contact's force",
                               "see that nothing gives under it")),
@@ -98,7 +103,9 @@ def said_off(values: FloatArray, sds: FloatArray, priors: FloatArray, contradict
     for i in np.flatnonzero(sure | (contradicted != 0.0)):
         constant, found = RIG_TABLE[i], shown(RIG_TABLE[i], float(values[i]), float(sds[i]))
         seems = "seems" if abs(values[i]) > OTHERS * sds[i] else "may be what is off, and seems"
-        said.append(f"{constant.what} {seems} {found} {constant.off}: {constant.mend}")
+        off, found = constant.off, found if not constant.off_below else found.lstrip("+-")
+        off = constant.off_below if constant.off_below and values[i] < 0.0 else off
+        said.append(f"{constant.what} {seems} {found} {off}: {constant.mend}")
     return said
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from palmd.view.page_quantities import page_quantities
 
@@ -19,18 +21,24 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """What goes out for a path."""
+    """What goes out for a path; `packed` is the body as gzip makes it, empty where that is not worth its time."""
 
     body: bytes
     type: str
+    packed: bytes = b""
+
+    @classmethod
+    def of_page(cls, body: bytes, type: str) -> Self:
+        """One that is sent often."""
+        return cls(body, type, gzip.compress(body, mtime=0))
 
 
 def page_files() -> dict[str, File]:
     """Every file of the page by its path in an address; `/` is the page itself, one more is made from the table."""
     files = {
-        f"/{path.relative_to(STATIC).as_posix()}": File(path.read_bytes(), _TYPES[path.suffix])
+        f"/{path.relative_to(STATIC).as_posix()}": File.of_page(path.read_bytes(), _TYPES[path.suffix])
         for path in sorted(STATIC.rglob("*"))
         if path.suffix in _TYPES
     }
-    table = File(json.dumps(page_quantities(), ensure_ascii=False).encode(), "application/json; charset=utf-8")
+    table = File.of_page(json.dumps(page_quantities(), ensure_ascii=False).encode(), "application/json; charset=utf-8")
     return files | {"/": files["/index.html"], "/quantities.json": table}

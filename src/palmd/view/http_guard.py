@@ -7,7 +7,9 @@ else's DNS points at this machine is refused as well.
 from __future__ import annotations
 
 import hmac
+from collections.abc import Mapping
 from http import HTTPStatus
+from types import MappingProxyType
 from urllib.parse import urlsplit
 
 from websockets.datastructures import Headers
@@ -27,6 +29,13 @@ _GUARDS = {
 }
 
 
+REPORT_GUARDS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data:; font-src data:; frame-ancestors 'none'; sandbox allow-scripts allow-modals allow-downloads"
+}
+"""For a report, which brings its own script: it runs apart from this page and reaches nothing of it."""
+
+
 def answer(request: Request, files: dict[str, File]) -> Response | None:
     """The response to an HTTP request, None where it may go on to be a WebSocket."""
     host = _single(request.headers, "Host")
@@ -40,7 +49,14 @@ def answer(request: Request, files: dict[str, File]) -> Response | None:
     file = files.get(path)
     if file is None:
         return _text(HTTPStatus.NOT_FOUND, "there is no such file\n")
+    if file.packed and "gzip" in ",".join(request.headers.get_all("Accept-Encoding")):
+        return _response(HTTPStatus.OK, file.packed, file.type, {"Content-Encoding": "gzip"})
     return _response(HTTPStatus.OK, file.body, file.type)
+
+
+def library_file(file: File) -> Response:
+    """A report or a run."""
+    return _response(HTTPStatus.OK, file.body, file.type, REPORT_GUARDS)
 
 
 def may_operate(shown: object, token: str) -> bool:
@@ -66,6 +82,6 @@ def _text(status: HTTPStatus, text: str) -> Response:
     return _response(status, text.encode(), "text/plain; charset=utf-8")
 
 
-def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
+def _response(status: HTTPStatus, body: bytes, kind: str, more: Mapping[str, str] = MappingProxyType({})) -> Response:
     length = {"Content-Length": str(len(body)), "Content-Type": kind, "Connection": "close"}
-    return Response(status.value, status.phrase, Headers(length | _GUARDS), body)
+    return Response(status.value, status.phrase, Headers(length | _GUARDS | dict(more)), body)

@@ -6,11 +6,29 @@ import math
 from dataclasses import asdict, fields
 from typing import Any
 
-from palmd.quantities import CHARTS, CONTACT, ESTIMATE, LOOP, MOTION, REPLAY, Chart, Quantity, Topic, drawn
+from palmd.quantities import (
+    CHARTS,
+    CONTACT,
+    ESTIMATE,
+    LOOP,
+    MOTION,
+    REPLAY,
+    Chart,
+    Quantity,
+    Shown,
+    Topic,
+    drawn,
+)
 from palmd.system.mechanism import JOINTS, PALMS, SIDES
-from palmd.systems import TWO_PALMS
+from palmd.systems import LIVE, TWO_PALMS
 from palmd.three_palms_quantities import PALM3, PALM3_CONTACT
 from palmd.topics import RIG_TOPICS, SYSTEM_TOPICS, TOPICS, truth_of
+
+FOLLOWING = "following_error_rad"
+"""A list in a motion message, one for each joint; its limits are `following_limit_rad`. Old daemons have neither."""
+_FOLLOWING_SHOWN = Shown("°", math.degrees(1.0), 2)
+_JOINTS_MOST = 3
+_FORCE_LIMIT = {"topic": "palm/info", "name": "force_limit_n"}
 
 ESTIMATES = (ESTIMATE, PALM3)
 """Those that have quantities of their own; a pivoting grasp's are among two palms'."""
@@ -29,6 +47,7 @@ def page_quantities() -> dict[str, Any]:
     of all systems. `strips` are charts with the names of their quantities and a colour for each; `told` are the
     quantities to be told as numbers alone; `ages` are those of what has been heard last; `usual` is what there is
     before anything has been heard; `system` is what `palm/info` says of the palms, for runs that are older than it.
+    `listed` are the quantities that are taken from lists; `shows` is what a demo of each system shows, in a sentence.
     """
     strips = [_strip(topic, chart) for topic in ESTIMATES for chart in CHARTS if chart.span is not None]
     in_strips = {chart.name for chart in CHARTS if chart.span is not None}
@@ -38,13 +57,19 @@ def page_quantities() -> dict[str, Any]:
     ages = {quantity.name: quantity for topic in (CONTACT, PALM3_CONTACT) for quantity in drawn(topic, chart="age")}
     return {
         "as": _AS,
+        "listed": [
+            {"name": name, "topic": MOTION.name, "list": FOLLOWING, "index": index}
+            for index, name in enumerate(_following()["names"])
+        ],
+        "shows": {"" if name == TWO_PALMS else name: live.shows for name, live in LIVE.items()},
         "stale_ms": {topic.name: topic.stale_s * 1e3 for topic in rated},
         "shown": {
-            ESTIMATE.name: _shown(PALM3) | _shown(ESTIMATE),
+            ESTIMATE.name: _shown(PALM3) | _shown(ESTIMATE) | _listed(),
             CONTACT.name: _shown(PALM3_CONTACT) | _shown(CONTACT),
             **{topic.name: _shown(topic) for topic in (MOTION, LOOP)},
         },
-        "strips": [strip for i, strip in enumerate(strips) if strip["names"] and strip not in strips[:i]],
+        "strips": [strip for i, strip in enumerate(strips) if strip["names"] and strip not in strips[:i]]
+        + [_following()],
         "told": [
             {
                 "name": quantity.name,
@@ -85,7 +110,30 @@ def _strip(topic: Topic, chart: Chart) -> dict[str, Any]:
     told |= {"names": [each.name for each in quantities], "colours": _colours(quantities)}
     good: list[float | None] | None = chart.good and [end if math.isfinite(end) else None for end in chart.good]
     shown = quantities[0].shown if quantities else None
-    return told | {"good": good} | ({} if shown is None else asdict(shown))
+    limit = {"limit": _FORCE_LIMIT} if chart.name == "force" else {}
+    return told | {"good": good} | limit | ({} if shown is None else asdict(shown))
+
+
+def _following() -> dict[str, Any]:
+    """The strip of the following errors, which are a list in a message."""
+    names = [f"{FOLLOWING} {joint}" for joint in range(1, 1 + _JOINTS_MOST)]
+    limit = {"topic": MOTION.name, "name": "following_limit_rad", "listed": FOLLOWING}
+    title = "Following error, with its limit"
+    strip = {"title": title, "group": "Palms", "span": 1.0, "low": None, "good": None, "limit": limit}
+    return (
+        strip
+        | {"names": names, "colours": [f"palm{joint}" for joint in range(1, 1 + _JOINTS_MOST)]}
+        | asdict(_FOLLOWING_SHOWN)
+    )
+
+
+def _listed() -> dict[str, Any]:
+    return {
+        name: {"symbol": f"e{chr(ord('₀') + joint)}", "meaning": f"following error of joint {joint}"}
+        | asdict(_FOLLOWING_SHOWN)
+        | {"uncertain": False, "truth": None}
+        for joint, name in enumerate(_following()["names"], start=1)
+    }
 
 
 def _colours(quantities: list[Quantity]) -> list[str]:

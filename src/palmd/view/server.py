@@ -10,6 +10,8 @@ import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from http import HTTPStatus
+from pathlib import Path
 from typing import Any, cast
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -25,6 +27,8 @@ from palmd.view.client import PageClient
 from palmd.view.command_client import PageCommands
 from palmd.view.feed import Feed, Payload
 from palmd.view.files import page_files
+from palmd.view.library import COMMANDS as LIBRARY_COMMANDS
+from palmd.view.library import LibraryError, RunLibrary
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +62,8 @@ class Settings:
     """Where the daemon is, where the page is served, and what its commands are.
 
     `truth` is an emulated rig's publisher, empty for none. `allowed` names the states in which each command applies.
-    With a `key` the page may do what the daemon lets the key's owner do.
+    With a `key` the page may do what the daemon lets the key's owner do. `runs` is the folder of recordings, None for
+    the one that `config` names; without either the page shows none.
     """
 
     publish: str
@@ -68,24 +73,28 @@ class Settings:
     token: str
     allowed: Mapping[str, Sequence[str]]
     key: Credentials | None = None
+    runs: Path | None = None
+    config: Path | None = None
 
 
 async def serve_page(settings: Settings, ready: Callable[[str], None], stop: asyncio.Event) -> None:
     """Serves until `stop`; `ready` is told the page's address, token included. Raises CliError when it cannot."""
     feed = Feed(settings.publish, settings.truth, settings.key)
     try:
-        commands = PageCommands(settings.command, settings.key)
+        commands, library = PageCommands(settings.command, settings.key), RunLibrary(settings.runs, settings.config)
         try:
-            await _Server(settings, feed, commands).run(ready, stop)
+            await _Server(settings, feed, commands, library).run(ready, stop)
         finally:
             commands.close()
+            library.close()
     finally:
         feed.close()
 
 
 class _Server:
-    def __init__(self, settings: Settings, feed: Feed, commands: PageCommands) -> None:
-        self._settings, self._feed, self._commands = settings, feed, commands
+    def __init__(self, settings: Settings, feed: Feed, commands: PageCommands, library: RunLibrary) -> None:
+        self._settings, self._feed, self._commands, self._library = settings, feed, commands, library
+        self._jobs: set[asyncio.Task[None]] = set()  # of the library, on their way
         self._files = page_files()
         self._frame = 0
         self._clients: dict[PageClient, None] = {}  # in the order in which they came
@@ -125,12 +134,19 @@ class _Server:
                 await asyncio.wait((frames, stopped), return_when=asyncio.FIRST_COMPLETED)
                 stopped.cancel()
                 names.cancel()
+                for job in self._jobs:
+                    job.cancel()
                 if frames.done():
                     frames.result()
                 frames.cancel()
 
-    def _answer(self, _connection: ServerConnection, request: Request) -> Response | None:
-        return http_guard.answer(request, self._files)
+    async def _answer(self, _connection: ServerConnection, request: Request) -> Response | None:
+        response = http_guard.answer(request, self._files)
+        if response is not None and response.status_code == HTTPStatus.NOT_FOUND:
+            read = self._library.find(request.path)
+            if read is not None:
+                return http_guard.library_file(await asyncio.to_thread(read))
+        return response
 
     # -- to the pages -------------------------------------------------------------------------------------
 
@@ -200,7 +216,8 @@ class _Server:
         self._strangers.pop(connection, None)
         client = PageClient(connection, operator, f"page {mark or next(self._numbers)} of {own_client()}")
         addresses = settings.publish, settings.command
-        client.tell(wire.hello(__version__, operator, *addresses, settings.allowed, client.name))
+        key = self._library.key if operator else ""
+        client.tell(wire.hello(__version__, operator, *addresses, settings.allowed, client.name, key))
         self._offer([client], [])
         self._clients[client] = None
         sending = asyncio.create_task(client.serve())
@@ -231,6 +248,8 @@ class _Server:
             return
         if not client.operator:
             client.tell(wire.answer(order, "this page only watches: it was opened without the token"))
+        elif order.command in LIBRARY_COMMANDS:
+            self._look_up(client, order)
         elif order.command not in self._settings.allowed:
             client.tell(wire.answer(order, "the page has no such command"))
         elif len(client.waiting) >= ORDERS_MOST and (order.command not in ENDING or order.command in client.waiting):
@@ -242,6 +261,21 @@ class _Server:
             else:
                 self._orders[number] = (client, order)
                 client.waiting.append(order.command)
+
+    def _look_up(self, client: PageClient, order: wire.Order) -> None:
+        """Has the library do what a page asks for; it takes its time beside the frames."""
+        if len(self._jobs) >= ORDERS_MOST:
+            client.tell(wire.answer(order, f"too many at once: {len(self._jobs)} wait for their answers"))
+            return
+        job = asyncio.create_task(self._tell_result(client, order))
+        self._jobs.add(job)
+        job.add_done_callback(self._jobs.discard)
+
+    async def _tell_result(self, client: PageClient, order: wire.Order) -> None:
+        try:
+            client.tell(wire.answer(order, None, await self._library.obey(order.command, order.args)))
+        except LibraryError as error:
+            client.tell(wire.answer(order, str(error)))
 
 
 class _Connection(ServerConnection):

@@ -40,17 +40,26 @@ def batch(frame: int, lost: int, commandable: bool, messages: Iterable[Payload])
 
 
 def hello(
-    version: str, operator: bool, publish: str, command: str, allowed: Mapping[str, Sequence[str]], client: str
+    version: str,
+    operator: bool,
+    publish: str,
+    command: str,
+    allowed: Mapping[str, Sequence[str]],
+    client: str,
+    library: str = "",
 ) -> str:
-    """The first words: who is here, whether this page may give commands, in which state each applies, and its name."""
+    """The first words: who is here, whether this page may give commands, in which state each applies, and its name.
+
+    `library` is the key by which this page may fetch runs and reports, empty for a page that may not.
+    """
     fields = {"version": version, "operator": operator, "publish": publish, "command": command, "allowed": allowed}
-    fields["client"] = client
-    return json.dumps({"hello": fields})
+    return json.dumps({"hello": fields | {"client": client, "library": library}})
 
 
-def answer(order: Order, error: str | None) -> str:
+def answer(order: Order, error: str | None, result: Mapping[str, Any] | None = None) -> str:
     """What became of an order."""
-    return json.dumps({"answer": {"id": order.id, "cmd": order.command, "error": error}})
+    told = {"id": order.id, "cmd": order.command, "error": error} | ({} if result is None else {"result": result})
+    return json.dumps({"answer": told})
 
 
 def token_in(text: str | bytes) -> tuple[str, str] | None:

@@ -10,9 +10,10 @@ from contextlib import contextmanager
 import pytest
 
 from palmd.bus.command_client import CommandClient
+from palmd.bus.jogging import JOG_EVERY_S, jog_steps
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli import main
-from palmd.cli.ctl import JOG_EVERY_S, jog_steps, told
+from palmd.cli.ctl import told
 from palmd.config.any_config import BusConfig
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
@@ -154,6 +155,34 @@ def test_how_far_an_exploration_is_and_why_it_ended_is_told():
     )
     nothing = {"coverage": None, "reachable": None, "reason": "it has just begun"}
     assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
+
+
+def test_of_what_is_not_valid_no_number_is_told():
+    estimate = {"observer": "shape", "object": 2, "valid": False, "r1_m": 0.02103, "sd": {"r1_m": 1e-5}}
+    lines = told("status", STATUS | {"estimate": estimate})
+    assert "not valid" in lines
+    assert "±0" not in lines
+    assert "21.03" not in lines
+
+
+def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
+    asked = []
+    monkeypatch.setattr("palmd.cli.ctl.CommandClient", lambda address, **_: asked.append(address) or Asked())
+
+    class Asked:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def ask(self, command, args=None):
+            asked.append((command, args))
+            return {"ok": True}
+
+    assert main(["ctl", "--address", "tcp://a:1", "note", "hello", "there"]) == 0
+    assert main(["ctl", "--address", "tcp://a:1", "hold", "--address", "tcp://b:2"]) == 0
+    assert asked == ["tcp://a:1", ("note", {"text": "hello there"}), "tcp://b:2", ("hold", None)]
 
 
 def test_how_the_recorder_fares_is_told():

@@ -66,9 +66,17 @@ class Fake(SilentObserver):
         sd = dict.fromkeys(NAMED_STATE, 1e-3)
         return Estimate(t=t, valid=self.valid, observer="fake", object_count=1, sd=sd, **values)
 
+    def forget_object(self):
+        self.forgotten = True
+        return True
+
     @property
     def foresees(self):
         return self.valid
+
+    @property
+    def invalid_because(self):
+        return "" if self.valid else "NIS 3.10 (limits 0.2 to 2)"
 
 
 class Clock:
@@ -589,6 +597,12 @@ def test_a_note_is_published_with_its_time():
     assert [fields for topic, fields in bench.go(0.1).messages if topic.name == "palm/note"] == [
         {"t_s": pytest.approx(0.2, abs=0.011), "text": "put back by hand"}
     ]
+
+
+def test_a_new_object_is_begun_when_somebody_says_so():
+    bench = Bench().go(0.2)
+    bench.do("new_object")
+    assert bench.observer.forgotten
 
 
 # ---- pads lost

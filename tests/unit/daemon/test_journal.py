@@ -71,7 +71,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     def live(seconds, number, valid, untouched=()):
         for _ in range(round(seconds / 0.01)):
             journal.t += 0.01
-            notes.look(number, valid, untouched, 1.0, journal.t)
+            notes.look(number, valid, untouched, journal.t, lambda: "NIS 3.1 (limits 0.2 to 2)")
 
     live(0.5, 0, False)
     live(1.0, 1, False)
@@ -80,6 +80,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     live(1.0, 1, True)
     live(2.0, 1, False, (2,))
     live(1.0, 1, True)
+    live(2.0, 1, False)
     live(0.1, 2, False)
     assert [(entry.name, entry.text.split(":")[0]) for entry in journal.entries] == [
         ("begun", "object 1 is begun"),
@@ -89,7 +90,8 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
         ("lost", "object 1 is lost"),
         ("begun", "object 2 is begun"),
     ]
-    assert "nothing touches pad 2" in journal.entries[2].text
+    assert "no contact on pad 2" in journal.entries[2].text
+    assert "NIS 3.1 (limits 0.2 to 2)" in journal.entries[4].text
 
 
 def test_a_contradicted_constant_is_told_by_name_and_once(journal):

@@ -196,7 +196,10 @@ def test_the_summary_compares_with_the_truth():
     tell(comparison, "palm/loop", work_p99_ms=1.25)
     assert comparison.settled
     told = comparison.summary()
-    assert told.startswith("palmd demo: seed 7, shape observer settled after 2.1 s, outline 0 µm RMS (0.00%) on 16% t")
+    assert told.startswith(
+        "palmd demo: seed 7, shape observer settled after 2.1 s, object 0 valid at the end, lost never, "
+    )
+    assert "outline 0 µm RMS (0.00%) on 16% t" in told
     assert "touched normals (sd 40 µm), whole" in told
     assert "whole outline within 0.300 mm (largest sd 0.080 mm)" in told
     assert "r 0.071 mm, omega0 0.100 rad/s" in told  # 0.1 mm in one of two
@@ -230,7 +233,7 @@ def test_progress_names_state_and_grave_faults():
     tell(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
     told = comparison.progress(103.2)
     assert told.startswith("    3 s  hold")
-    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline within 0 µm on 16%" in told
+    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline ± 40 µm (1σ) on 16%  [truth: 0 µm RMS off]" in told
     assert told.endswith("  a")
 
 

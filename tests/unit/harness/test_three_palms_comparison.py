@@ -41,7 +41,8 @@ def test_errors_are_those_of_valid_estimates_beside_a_truth_of_the_same_moment(c
     estimate(compared, 3.02, spin=9.0)  # the truth is from long before
     assert compared.settled
     said = compared.summary()
-    assert said.startswith("palmd demo: seed 7, rig imperfect, settled after 1.0 s, omega 0.100 rad/s, centre 200 µm")
+    assert said.startswith("palmd demo: seed 7, rig imperfect, settled after 1.0 s, object 1 valid at the end, ")
+    assert "omega 0.100 rad/s, centre 200 µm" in said
     assert "(error/sd)² 2.50, mu 0.200 ± 0.010 (true 0.210), ticks 3, valid 2, " in said
 
 

@@ -72,8 +72,23 @@ def test_a_run_is_told_in_a_few_words(tmp_path: Path) -> None:
         sd_m=2e-5,
         worst_sd_m=9e-5,
         mass_kg=0.2,
+        state="ready",
+        valid=True,
         faults=("pad1-silent",),
     )
+
+
+def test_what_was_lost_is_counted_once_and_the_last_valid_outline_counts(tmp_path: Path) -> None:
+    lost = {
+        "number": [3, 4],
+        "kind": ["object"] * 2,
+        "name": ["lost", "begun"],
+        "text": ["object 1 is lost", "object 2"],
+    }
+    begun_anew = SHAPED | {"touched": [0] * len(SHAPED["touched"])}
+    after = [(ESTIMATE.name, {"valid": False, "object": 3}), (SHAPE.name, begun_anew), *[("palm/log", lost)] * 2]
+    found = summary_of(recording(tmp_path, *told("cup"), *after))
+    assert (found.lost, found.valid, found.touched) == (1, False, pytest.approx(2 / 3))
 
 
 def test_a_note_in_the_log_is_told(tmp_path: Path) -> None:

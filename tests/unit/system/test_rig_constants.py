@@ -34,7 +34,8 @@ def test_only_what_readings_have_told_to_be_off_is_said(constant):
     assert off(constant.name, 3.9, 0.1) == off(constant.name, 50.0, 0.65) == []
     (said,) = off(constant.name, -4.1, 0.55)
     assert said.startswith(constant.what)
-    assert said.endswith(f"{constant.off}: {constant.mend}")
+    assert said.endswith(f"{constant.off_below or constant.off}: {constant.mend}")
+    assert ("seems -" in said) == (not constant.off_below)
 
 
 def test_a_constant_that_the_configuration_knows_is_never_told():
@@ -54,6 +55,6 @@ def test_it_is_said_with_as_many_digits_as_are_known():
     assert off("pad2_zero_m", 10.3, 0.31) == [
         "pad 2's zero seems +0.32 ± 0.03 mm off: palmd calibrate self finds its zero_mm"
     ]
-    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems -2.8 ± 0.4 ms late: see to its adapter's latency timer"]
+    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: see to its adapter's latency timer"]
     (said,) = off("friction_asymmetry", 30.0, 0.04)
-    assert said.startswith("palm 1's friction seems +36 ± 1 % above the mean of both palms'")
+    assert said.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")

@@ -105,5 +105,5 @@ def test_no_more_are_let_in_at_once_than_leave_time_for_the_frames(monkeypatch):
     settings = SimpleNamespace(port=0, publish="", command="")
     monkeypatch.setattr(module, "page_files", dict)
     with pytest.raises(OSError, match="enough"):
-        asyncio.run(module._Server(settings, None, None).run(print, asyncio.Event()))
+        asyncio.run(module._Server(settings, None, None, None).run(print, asyncio.Event()))
     assert asked["backlog"] == module.ACCEPTED_AT_ONCE

@@ -73,6 +73,7 @@ class PivotObserver:
         self._t_newest = -math.inf
         self._answer: PivotAnswer | None = None
         self._reason = "nothing is known of the outline yet"
+        self._invalid_because = self._reason
         self._body: ClaimedOutline | None = None
         self._gripper: Gripper | None = None
         self._felt: deque[PadSample] = deque()
@@ -169,6 +170,15 @@ class PivotObserver:
         return self._gripper is not None
 
     @property
+    def invalid_because(self) -> str:
+        """The reason that the last estimate gave."""
+        return self._invalid_because
+
+    def forget_object(self) -> bool:
+        """It cannot."""
+        return False
+
+    @property
     def cornered(self) -> bool:
         """Never said: it knows smooth objects only."""
         return False
@@ -223,6 +233,7 @@ class PivotObserver:
         self, t: float, values: Mapping[str, Any], sd: dict[str, float], reason: str, *, valid: bool
     ) -> PivotEstimate:
         count = self.object_count
+        self._invalid_because = reason
         return PivotEstimate(t=t, valid=valid, observer=NAME, object_count=count, reason=reason, sd=sd, **values)
 
     def _doubt(self) -> str:

@@ -74,6 +74,7 @@ class BodyObserver:
         self._frame, self._frame_of, self._turn = 0, -math.inf, np.eye(3)
         self._shape_of: BodyAnswer | None = None
         self._foresees = False
+        self._invalid_because = ""
         self._seen: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / SEEN_S))  # normals in the body
 
     @property
@@ -140,6 +141,7 @@ class BodyObserver:
                 self._see(now, t)
             else:
                 reason, self._filter = "the filter has lost it", None
+        self._invalid_because = reason
         return BodyEstimate(
             t=t, valid=not reason, observer=NAME, object_count=self.object_count,
             nis=1.0 if filtered is None else filtered.nis, sd=sd, values=values, quaternion=turn,
@@ -159,6 +161,15 @@ class BodyObserver:
     def foresees(self) -> bool:
         """Whether what is believed, claimed or not, still tells about what the readings are."""
         return self._foresees
+
+    @property
+    def invalid_because(self) -> str:
+        """The reason that the last estimate gave."""
+        return self._invalid_because
+
+    def forget_object(self) -> bool:
+        """It cannot."""
+        return False
 
     @property
     def cornered(self) -> bool:

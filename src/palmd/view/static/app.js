@@ -2,15 +2,20 @@
 
 import { ByHand } from "./byhand.js";
 import { Commands } from "./commands.js";
+import { Configuration } from "./configuration.js";
 import { Connection } from "./connection.js";
+import { Console } from "./console.js";
 import { showEvents } from "./events.js";
 import { showHero, summary } from "./hero.js";
 import { describe, layOut, showReadouts } from "./readouts.js";
+import { Runs } from "./runs.js";
 import { Scene } from "./scene.js";
 import { seconds, Store } from "./store.js";
 import { Strips } from "./strips.js";
+import { Tabs } from "./tabs.js";
 import { element, set } from "./text.js";
-import { onColours } from "./theme.js";
+import { chooseTheme, onColours } from "./theme.js";
+import { Timeline } from "./timeline.js";
 
 const READOUT_MS = 100;
 const DESCRIBE_MS = 3000;
@@ -19,7 +24,9 @@ const CALM_MS = 100; // between pictures for those who want less motion
 layOut();
 const store = new Store();
 const scene = new Scene(document.getElementById("scene"));
-const strips = new Strips(document.getElementById("strips"));
+const byName = (...names) => Object.fromEntries(names.map((name) => [name, document.getElementById(`window-${name}`)]));
+const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "says"), (share) => strips.point(share));
+const strips = new Strips(document.getElementById("strips"), timeline);
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let connected = false;
 let ended = false; // by whoever served the page
@@ -31,10 +38,15 @@ const connection = new Connection({
   hello(said) {
     [connected, ended, hello] = [true, false, said];
     commands.greet(said);
+    runs.greet(said);
+    opened(view);
   },
   messages(came) {
     const now = performance.now();
-    for (const [topic, fields] of came) store.take(topic, fields, now);
+    for (const [topic, fields] of came) {
+      store.take(topic, fields, now);
+      if (topic === "palm/log") log.take(fields, Date.now() / 1000 - seconds(fields));
+    }
   },
   batch({ commandable }) {
     commands.reach(commandable);
@@ -51,9 +63,23 @@ const connection = new Connection({
 });
 const commands = new Commands(document.getElementById("commands"), connection);
 const byHand = new ByHand(document.getElementById("by-hand"), commands);
+const library = (command, args, told, ms) => commands.give(command, args, told, ms);
+const [runs, configuration, log] = [new Runs(library), new Configuration(library), new Console()];
+let view = "live";
+const tabs = new Tabs(document.getElementById("tabs"), opened);
+
+/** A view has been opened: it shows what is so now. */
+function opened(name) {
+  view = name;
+  log.look(name === "log");
+  if (name === "runs") runs.list();
+  if (name === "configuration") configuration.show();
+  scene.outdated = true;
+}
 
 function draw(now) {
   requestAnimationFrame(draw);
+  if (view !== "live") return;
   if (calm.matches && now - drawnAt < CALM_MS) return;
   if (!scene.outdated && drawnAt > store.palmAt && store.stale(performance.now())) return; // nothing new
   frames.push(now);
@@ -114,6 +140,8 @@ onColours(() => {
   scene.outdated = true;
   strips.recolour();
 });
+document.getElementById("all-events").addEventListener("click", () => tabs.open("log"));
+chooseTheme(document.getElementById("theme"));
 setInterval(tell, READOUT_MS);
 setInterval(() => {
   document.getElementById("scene").setAttribute("aria-label", describe(store));

@@ -1,25 +1,34 @@
-// What an operator does besides the buttons: jogs under a dead man's switch, chooses a plan, writes notes.
+// What an operator does besides the buttons: explores, begins a new object, jogs while a button is held, loads plans, writes notes.
 
+import { onSecondPress } from "./guard.js";
 import { underWay } from "./knowledge.js";
+import { Plans } from "./plans.js";
 import { palmsOf } from "./quantities.js";
 import { element, number, set } from "./text.js";
 
 const STEP_DEG = 0.4; // 8 degrees a second, as `palmd jog`
 const EVERY_MS = 50; // the daemon brakes when the next step is 200 ms late
+const EXPLORE = "explore.yaml";
+const EXPLORATION = "{name: explore, segments: [{explore: {coverage: 0.95, time_limit_s: 90}}]}"; // where no plan of that name is
 const UNANSWERED_MOST = 3; // a line that is held up may not move the palms later
 
 export class ByHand {
   #commands;
   #section;
   #pads = document.getElementById("jog");
-  #plans = document.getElementById("plans");
-  #told = ""; // the palms and plans that are laid out
+  #plans;
+  #explore = document.getElementById("explore");
+  #anew = document.getElementById("new-object");
+  #laidOut = ""; // the palms
+  #store = null;
   #timer = 0;
   #unanswered = 0;
 
   constructor(section, commands) {
     [this.#section, this.#commands] = [section, commands];
-    document.getElementById("load").addEventListener("click", () => commands.give("plan", { path: this.#plans.value }));
+    this.#plans = new Plans(document.getElementById("plans"), (path) => commands.give("plan", { path }));
+    onSecondPress(this.#explore, () => this.#beginExploring());
+    onSecondPress(this.#anew, () => commands.give("new_object"));
     document.getElementById("annotate").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#annotate(document.getElementById("note"));
@@ -34,6 +43,7 @@ export class ByHand {
     const info = store.get("palm/info");
     const motion = store.get("palm/motion");
     const { state } = store.get("palm/state");
+    this.#store = store;
     this.#section.hidden = !this.#commands.operator;
     this.#layOut(info);
     // only two palms are jogged, and they are the system that has no name
@@ -43,9 +53,26 @@ export class ByHand {
     for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
     if (!jogs) this.#letGo();
     set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
-    document.getElementById("load").disabled = !this.#plans.value || moving || !this.#commands.applies("plan", state, stale);
+    const loads = !moving && this.#commands.applies("plan", state, stale);
+    this.#plans.offer(store, loads);
+    this.#explore.disabled = !loads;
+    this.#anew.disabled = Boolean(info.system) || !this.#commands.applies("new_object", state, stale);
     document.getElementById("send-note").disabled = !this.#commands.applies("note", state, stale);
     for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
+  }
+
+  /** Arms if need be, loads the exploration and starts it, each once the one before is done. */
+  #beginExploring() {
+    const { plans = [] } = this.#store.get("palm/info");
+    const plan = plans.includes(EXPLORE) ? { path: EXPLORE } : { path: EXPLORE, text: EXPLORATION };
+    const armed = this.#store.get("palm/state").state !== "ready";
+    const steps = [...(armed ? [] : [["arm", {}]]), ["plan", plan], ["start", {}]];
+    const next = (error) => {
+      if (error) this.#commands.tell(error, true);
+      else if (steps.length) this.#commands.give(...steps.shift(), next);
+      else this.#commands.tell("explore: done");
+    };
+    next(null);
   }
 
   #annotate(note) {
@@ -55,12 +82,10 @@ export class ByHand {
   }
 
   #layOut(info) {
-    const { plans = [] } = info;
     const palms = palmsOf(info);
-    const told = JSON.stringify([plans, palms.map(({ joint }) => joint)]);
-    if (told === this.#told) return;
-    this.#told = told;
-    this.#plans.replaceChildren(...plans.map((name) => new Option(name)));
+    const laidOut = JSON.stringify(palms.map(({ joint }) => joint));
+    if (laidOut === this.#laidOut) return;
+    this.#laidOut = laidOut;
     this.#pads.replaceChildren(...palms.flatMap(({ number: palm, joint }) => [
       element("span", "jogged", `palm ${palm}`),
       this.#handle(joint, -1, `Turn palm ${palm} back while held`, "−"),

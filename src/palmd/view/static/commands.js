@@ -107,27 +107,33 @@ export class Commands {
     take.hidden = !(this.operator && this.#commandable && (this.#othersControl || (unattended && !ours)));
   }
 
-  /** Gives a command with its arguments; `told`, if any, gets the error or null instead of the page's line. */
-  give(command, args = {}, told = null) {
+  /** Gives a command; `told`, if any, gets the error or null, and the result, instead of the page's line, within `ms`. */
+  give(command, args = {}, told = null, ms = ANSWER_MS) {
     const id = this.#next++;
     if (!this.#connection.order(id, command, args)) {
-      this.#say(`${command}: not sent, there is no connection`, true);
+      if (told) told("not sent, there is no connection");
+      else this.#say(`${command}: not sent, there is no connection`, true);
       return false;
     }
     if (!told) this.#say(`${command}…`, false);
     const silence = { id, cmd: command, error: "no answer from palmd view" };
-    this.#waiting.set(id, { told, timer: setTimeout(() => this.answer(silence), ANSWER_MS) });
+    this.#waiting.set(id, { told, timer: setTimeout(() => this.answer(silence), ms) });
     return true;
   }
 
   /** What became of a command. */
-  answer({ id, cmd, error }) {
+  answer({ id, cmd, error, result }) {
     const { told, timer } = this.#waiting.get(id) ?? {};
     clearTimeout(timer);
     this.#waiting.delete(id);
     if (cmd === "arm") this.#arming = false;
-    if (told) told(error);
-    else this.#say(error === null ? `${cmd}: done` : `${cmd}: ${error}`, error !== null);
+    if (told) told(error, result);
+    else this.tell(error === null ? `${cmd}: done` : error.startsWith(cmd) ? error : `${cmd}: ${error}`, error !== null);
+  }
+
+  /** Shows what became of something, on the page's line. */
+  tell(text, bad = false) {
+    this.#say(text, bad);
   }
 
   #press(command) {
@@ -151,7 +157,7 @@ export class Commands {
 
   #key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-    if (event.key !== "Escape" && event.target.matches("input, select, textarea")) return; // somebody writes
+    if (event.key !== "Escape" && event.target.matches("input:not([type=range]), select, textarea")) return; // somebody writes
     const command = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     const sure = command === "stop" && this.operator; // what the page thinks of the state may be wrong
     if (!command || (this.#buttons.get(command).disabled && !sure)) return;

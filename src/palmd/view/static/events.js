@@ -1,8 +1,9 @@
-// What has happened lately, by the daemon's log: the newest first, each with how long ago it was and why.
+// The daemon's log: its entries, and the latest of them beside the picture, each with how long ago it was and why.
 
+import { fillText, showInSlots } from "./slots.js";
 import { element } from "./text.js";
 
-const SHOWN = 12;
+const SHOWN = 6;
 
 const HEADS = { // what stands before the words of an entry; else its kind does
   state: () => "",
@@ -10,26 +11,36 @@ const HEADS = { // what stands before the words of an entry; else its kind does
   command: ({ name, who }) => `${name}, by ${who}: `,
 };
 
-/** The last entries of `palm/log` as rows {ago, severity, text}, the newest first; `t` (s) is now by the daemon's clock. Pure. */
-export function lately({ t_s: times = [], kind = [], name = [], severity = [], who = [], text = [] }, t) {
-  return times.map((at, i) => {
-    const head = HEADS[kind[i]]?.({ name: name[i], who: who[i] }) ?? `${kind[i]}: `;
-    return { ago: `${Math.max(t - at, 0).toFixed(0)} s ago`, severity: severity[i] ?? "", text: head + text[i] };
-  }).slice(-SHOWN).reverse();
+/** The entries of `palm/log`, the oldest first: [{number, t, kind, name, severity, who, text}]. Pure. */
+export function entriesOf({ number = [], t_s: t = [], kind = [], name = [], severity = [], who = [], text = [] }) {
+  return t.map((at, i) => ({
+    number: number[i], t: at, kind: kind[i], name: name[i], severity: severity[i] ?? "", who: who[i], text: text[i],
+  }));
 }
 
-/** Shows them in `section`, which is hidden while there are none. */
+/** An entry's words with what stands before them. Pure. */
+export function headed(entry) {
+  return (HEADS[entry.kind]?.(entry) ?? `${entry.kind}: `) + entry.text;
+}
+
+/** The last entries of `palm/log` as rows {ago, severity, text}, the newest first; `t` (s) is now by the daemon's clock. Pure. */
+export function lately(log, t) {
+  return entriesOf(log).slice(-SHOWN).reverse().map((entry) =>
+    ({ ago: `${Math.max(t - entry.t, 0).toFixed(0)} s ago`, severity: entry.severity, text: headed(entry) }));
+}
+
+/** Shows them in `section`. */
 export function showEvents(section, log, t) {
-  const rows = lately(log, t);
-  section.hidden = rows.length === 0;
-  const list = section.querySelector("ol");
-  const told = JSON.stringify(rows);
-  if (list.dataset.told === told) return;
-  list.dataset.told = told;
-  list.replaceChildren(...rows.map(({ ago, severity, text }) => {
-    const row = element("li", "");
+  showInSlots(section.querySelector("ol"), lately(log, t), make, (row, { ago, severity, text }) => {
     row.dataset.severity = severity;
-    row.append(element("span", "ago", ago), element("span", "", text));
-    return row;
-  }));
+    const [when, what] = row.children;
+    if (when.textContent !== ago) when.textContent = ago;
+    fillText(what, text);
+  });
+}
+
+function make() {
+  const row = element("li", "event");
+  row.append(element("span", "ago"), element("span", "what"));
+  return row;
 }

@@ -1,18 +1,23 @@
 // The figures that matter, large: how much of the outline is known, how well, the mass, and what is going on.
 
-import { accuracy, activity, error, percent, small } from "./knowledge.js";
+import { accuracy, activity, error, percent, small, underWay } from "./knowledge.js";
 import { ESTIMATE } from "./quantities.js";
+import { Settling } from "./settling.js";
 import { number, set } from "./text.js";
 
+const settling = new Settling();
 const STARVED_MS = 10000; // for so long it is told
 
 /** Shows what `store` knows at `now` (ms). */
 export function showHero(store, now) {
   const estimate = store.get("palm/estimate");
   const { coverage, reachable } = store.get("palm/state");
-  const { words, reason, kind } = activity(store);
+  if (underWay(store)) settling.reset();
+  settling.take(accuracy(store).typical, now / 1000);
+  const { words, reason, kind } = activity(store, settling);
   set("words", words);
   set("reason", [starved(store, now), reason].filter(Boolean).join(" "));
+  for (const id of ["words", "reason"]) titled(document.getElementById(id));
   document.getElementById("going-on").dataset.kind = kind;
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
   document.getElementById("known-bar").value = estimate.touched || 0;
@@ -20,6 +25,11 @@ export function showHero(store, now) {
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
+}
+
+/** What may be cut off can be read as a title. */
+function titled(place) {
+  if (place.title !== place.textContent) place.title = place.textContent;
 }
 
 /** What an emulated rig has lately said of itself: it stood still, which no pad and no arm is to blame for. */
@@ -51,7 +61,7 @@ function showMass({ valid, mass_kg: mass, sd }, truth) {
 /** What has come of it, once nothing more will: [[what, how much]]. */
 export function summary(store, now) {
   const estimate = store.get("palm/estimate");
-  const { words } = activity(store);
+  const { words } = activity(store, settling);
   const well = accuracy(store);
   const off = error(store, now);
   const { factor, digits, unit } = ESTIMATE.mass_kg;

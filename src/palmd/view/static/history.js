@@ -7,13 +7,28 @@ export class History {
   #gap;
 
   /** `names` of the columns beside the time; `capacity` rows are kept at least; `gap` s without a row begin anew. */
-  constructor(names, capacity, gap) {
+  constructor(names, capacity, gap, Values = Float64Array) {
     this.names = names;
     this.start = 0;
     this.end = 0;
     this.#capacity = capacity;
     this.#gap = gap;
-    this.#columns = Array.from({ length: names.length + 1 }, () => new Float64Array(2 * capacity));
+    this.#columns = [new Float64Array(2 * capacity), ...names.map(() => new Values(2 * capacity))];
+  }
+
+  /** Forgets all. */
+  clear() {
+    this.start = this.end = 0;
+  }
+
+  /** Forgets the newest row. */
+  drop() {
+    this.end -= 1;
+  }
+
+  /** The time of the oldest row (s), NaN without one. */
+  get oldest() {
+    return this.end > this.start ? this.#columns[0][this.start] : NaN;
   }
 
   /** The time of the newest row (s), NaN without one. */
@@ -78,6 +93,28 @@ export class History {
   between(name, [row, share]) {
     const column = this.#columns[this.names.indexOf(name) + 1];
     return column[row] + share * (column[row + 1] - column[row]);
+  }
+
+  /** The rows from `from` to `to` (s): [first, behind the last]. */
+  rows(from, to) {
+    return [this.#search(from), this.#search(to)];
+  }
+
+  /** A column of rows, times `scale`; of the times where `name` is null; null for no value. */
+  slice(name, first, last, scale = 1) {
+    const column = this.#columns[name === null ? 0 : this.names.indexOf(name) + 1];
+    return Array.from(column.subarray(first, last), (value) => (Number.isNaN(value) ? null : value * scale));
+  }
+
+  /** The first row that is not before `t` (s). */
+  #search(t) {
+    let [low, high] = [this.start, this.end];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.#columns[0][middle] < t) low = middle + 1;
+      else high = middle;
+    }
+    return low;
   }
 
   #first(since, stride) {

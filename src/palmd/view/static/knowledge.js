@@ -55,21 +55,21 @@ export function underWay(store) {
   return state === "tracking" && (running ?? store.get("palm/motion").segment >= 0);
 }
 
-/** What is going on and why: {words, reason, kind}; `kind` is good, wait, warn or bad. */
-export function activity(store) {
+/** What is going on and why: {words, reason, kind}; `kind` is good, wait, warn or bad. `settling`: how the accuracy comes to rest. */
+export function activity(store, settling) {
   const said = store.get("palm/state");
   const motion = store.get("palm/motion");
   switch (said.state) {
     case "idle":
       return { words: "Waiting for the rig", reason: standing(said).join("; ") || said.cause, kind: "wait" };
     case "ready":
-      return { words: "At rest: the arm is not commanded", reason: said.cause && `since: ${said.cause}`, kind: "wait" };
+      return { words: "Disarmed: the arm is not commanded", reason: said.cause && `since: ${said.cause}`, kind: "wait" };
     case "hold":
       return { words: `Held: ${why(said)}`, reason: advice(said, "start goes on"), kind: "warn" };
     case "fault":
       return { words: `Stopped: ${why(said)}`, reason: advice(said, "reset when the cause is gone"), kind: "bad" };
     case "tracking":
-      return underWay(store) ? moving(said, motion) : standingStill(said, motion, store);
+      return underWay(store) ? moving(said, motion) : standingStill(said, motion, store, settling);
     default:
       return { words: "Nothing is known yet", reason: "", kind: "wait" };
   }
@@ -84,14 +84,17 @@ function moving(said, { plan, segment, progress }) {
   return { words: `Exploring, ${said.explored_s.toFixed(0)} s${far}`, reason: said.reason, kind: "good" };
 }
 
-function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store) {
+function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store, settling) {
   if (!Number.isFinite(seconds) || exploring) {
     return { words: "The arm follows, no plan is running", reason: plan && `start runs ${plan}`, kind: "wait" };
   }
   const took = `${percent(coverage)} in ${seconds.toFixed(0)} s`;
   if (!(coverage >= goal)) return { words: `Ended at ${took}`, reason, kind: "warn" };
-  const [value, unit] = small(accuracy(store).typical);
-  return { words: `Done: ${took}, ±\u00a0${value}\u00a0${unit}`, reason, kind: "good" };
+  const [value, unit] = small(settling.value);
+  const reached = `${took}, ±\u00a0${value}\u00a0${unit}`;
+  if (!store.get("palm/estimate").valid) return { words: `Explored ${took}, but the object is lost`, reason, kind: "warn" };
+  return settling.steady ? { words: `Done: ${reached}`, reason, kind: "good" }
+    : { words: `Refining: ${reached}`, reason: `${reason && `${reason}; `}the estimate still improves while the palms stand`, kind: "wait" };
 }
 
 /** What has brought the state about; runs that are older than that field have their faults. */

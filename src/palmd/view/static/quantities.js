@@ -6,6 +6,8 @@ export const STRIPS = table.strips; // charts of the estimate: {title, group, na
 export const TOLD = table.told; // what of the estimate is told as a number: {name, title, compared}
 export const AGES = table.ages; // of what was heard last, in palm/contact: {name, title, palm}
 export const ESTIMATE = table.shown["palm/estimate"];
+export const LISTED = table.listed; // drawn from a list in a message, one by one: {name, topic, list, index}
+export const SHOWS = table.shows; // what a demo of each system shows, in a sentence; "" is that of two palms
 
 /** How old (ms) a topic's last message may be. */
 export function staleMs(topic) {

@@ -2,9 +2,10 @@
 
 import { chords } from "./geometry.js";
 import { underWay } from "./knowledge.js";
-import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, TOLD, told } from "./quantities.js";
+import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, SHOWS, TOLD, told } from "./quantities.js";
 import { inSpace } from "./surface.js";
 import { SYSTEMS } from "./systems.js";
+import { showNotices } from "./notices.js";
 import { element, number, row, set } from "./text.js";
 
 const STATES = {
@@ -15,15 +16,13 @@ const STATES = {
   fault: "stopped by a fault",
 };
 
-const GRAVE = new Set(["hold", "stop"]);
 const TIMES = { lateness: "how late a tick begins", work: "work a tick" };
 const PARTS = ["p50", "p99", "max"];
 
 /** Shows what `store` knows at `now` (ms); `fps` is how often the scene was drawn in the last second. */
 export function showReadouts(store, now, fps) {
   showState(store);
-  showFaults(store.get("palm/state"));
-  showRig(store.get("palm/rig"));
+  showNotices(store.get("palm/state"), store.get("palm/rig"));
   showObject(store, now);
   showHealth(store, now, fps);
 }
@@ -54,7 +53,7 @@ function showState(store) {
   const { object: named, said } = store.get("view/looks_like");
   set("looks-like", said && estimate.valid && named === estimate.object ? `looks like: ${said}` : "");
   set("straight", estimate.valid ? straight(store.get("palm/shape")) : "");
-  set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "not settled yet");
+  set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "estimate not valid");
   document.getElementById("validity").dataset.valid = String(Boolean(estimate.valid));
 }
 
@@ -63,31 +62,6 @@ function straight({ theta_rad: theta, h_m: h, touched }) {
   const found = theta && h ? chords(theta, h, touched) : [];
   const lengths = found.map(([a, b]) => number(Math.hypot(b[0] - a[0], b[1] - a[1]) * 1e3, 1));
   return lengths.length ? `straight over ${lengths.join(", ")} mm: flat side, or dent bridged` : "";
-}
-
-function showFaults({ faults = [], severities = [], hints = [] }) {
-  showRows("faults", faults.map((code, i) => [severities[i], element("strong", "", code), element("span", "hint", hints[i])]));
-  document.getElementById("no-faults").hidden = faults.length > 0;
-  set("grave", faults.filter((_, i) => GRAVE.has(severities[i])).join(", "));
-}
-
-/** What readings have told of the rig to be off. */
-function showRig({ off = [] }) {
-  showRows("rig-off", off.map((said) => ["rig", element("span", "", said)]));
-}
-
-/** Rows of a kind and what stands behind it; the list is only touched where it changes. */
-function showRows(id, rows) {
-  const list = document.getElementById(id);
-  const told = JSON.stringify(rows.map(([kind, ...parts]) => [kind, ...parts.map((part) => part.textContent)]));
-  if (list.dataset.told === told) return;
-  list.dataset.told = told;
-  list.replaceChildren(...rows.map(([kind, ...parts]) => {
-    const entry = element("li", "fault");
-    entry.dataset.severity = kind;
-    entry.append(element("span", "severity", kind), ...parts);
-    return entry;
-  }));
 }
 
 function showObject(store, now) {
@@ -103,6 +77,7 @@ function showObject(store, now) {
   }
   const motion = store.get("palm/motion");
   const running = underWay(store) && motion.segment >= 0;
+  set("shows", SHOWS[store.get("palm/info").system ?? ""] ?? "");
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
   document.getElementById("progress").value = running ? motion.progress : 0;
 }

@@ -1,15 +1,17 @@
 // What has come: the last message of each topic, when it came, and the histories that strips are drawn from.
 
 import { History } from "./history.js";
-import { ESTIMATE, keptAs, staleMs, STRIPS } from "./quantities.js";
+import { Pyramid } from "./pyramid.js";
+import { ESTIMATE, keptAs, LISTED, staleMs, STRIPS } from "./quantities.js";
 import { fieldsOf } from "./systems.js";
 
-export const WINDOW_S = 10;
+const KEPT_S = 12; // of every tick: what is older is kept as least and largest values
 const GAP_S = 2;
 
 const DRAWN = STRIPS.flatMap(({ names }) => names);
 const STATE = DRAWN.filter((name) => ESTIMATE[name].uncertain);
-const HEALTH = DRAWN.filter((name) => !ESTIMATE[name].uncertain);
+const IN_LISTS = new Set(LISTED.map(({ name }) => name));
+const HEALTH = DRAWN.filter((name) => !ESTIMATE[name].uncertain && !IN_LISTS.has(name));
 const TRUTH = Object.keys(ESTIMATE).filter((name) => ESTIMATE[name].truth === "rig/truth");
 export const TURN = ["x", "y", "z", "w"].map((part) => `quat ${part}`); // of a body in space
 export const SD = "sd ";
@@ -19,8 +21,10 @@ export class Store {
   #cameAt = new Map();
 
   constructor() {
-    const rows = WINDOW_S * 100 + 100;
-    this.estimates = new History([...STATE, ...HEALTH, ...STATE.map((name) => SD + name)], rows, GAP_S);
+    const rows = KEPT_S * 100;
+    const columns = [...STATE, ...HEALTH, ...LISTED.map(({ name }) => name), ...STATE.map((name) => SD + name)];
+    this.estimates = new History(columns, rows, GAP_S);
+    this.run = new Pyramid(columns);
     this.truths = new History([...TRUTH, ...TURN], rows, GAP_S);
     this.palmAt = -Infinity; // when palmd was heard last, performance.now()
   }
@@ -46,6 +50,23 @@ export class Store {
     return this.#latest.has(topic);
   }
 
+  /** A number in a list of a message, NaN where there is none. */
+  listed({ topic, list, index }) {
+    return this.get(topic)[list]?.[index] ?? NaN;
+  }
+
+  /** What a picture from `from` to `to` (s) shows: {times, values(name, scale), whole}; `whole`: every tick is at hand. */
+  cut(from, to, stride) {
+    if (!(this.estimates.oldest <= Math.max(from, this.run.oldest) + 0.5)) return this.run.cut(from, to);
+    const [first, last] = this.estimates.rows(from, to);
+    const every = (column) => column.filter((_, i) => (first + i) % stride === 0); // the same rows each time
+    return {
+      times: every(this.estimates.slice(null, first, last)),
+      values: (name, scale) => every(this.estimates.slice(name, first, last, scale)),
+      whole: true,
+    };
+  }
+
   /** How long ago (ms) a topic was heard last. */
   age(topic, now) {
     return now - (this.#cameAt.get(topic) ?? -Infinity);
@@ -69,8 +90,10 @@ export class Store {
   #takeEstimate(fields) {
     const known = fields.valid ? (name) => fields[name] ?? NaN : () => NaN;
     const sd = fields.valid ? (name) => fields.sd?.[name] ?? NaN : () => NaN;
-    this.estimates.add(seconds(fields), [...STATE.map(known), ...HEALTH.map((name) => fields[name] ?? NaN),
-      ...STATE.map(sd)]);
+    const row = [...STATE.map(known), ...HEALTH.map((name) => fields[name] ?? NaN),
+      ...LISTED.map((each) => this.listed(each)), ...STATE.map(sd)];
+    this.estimates.add(seconds(fields), row);
+    this.run.add(seconds(fields), row);
   }
 }
 

@@ -1,33 +1,38 @@
-// Strips: the last seconds of a quantity or two with ± one sigma, and below them by how much they differ from the truth.
+// Strips: a piece of the run of a quantity or two with ± one sigma, their limits, and by how much they differ from the truth.
 
-import { ESTIMATE, STRIPS, told } from "./quantities.js";
+import { ESTIMATE, LISTED, STRIPS, told } from "./quantities.js";
 import { element, number } from "./text.js";
-import { SD, WINDOW_S } from "./store.js";
+import { SD } from "./store.js";
 import { colours } from "./theme.js";
 
 const STRIDE = 3; // 33 samples a second are as many as there are pixels
 const LANE = 0.36; // of a strip's height, for the difference from the truth
 const STEPS = [1, 2, 5, 10];
+const SELECTED_PX = 8; // a narrower selection is a click
+const CURSORS = "strips"; // what the plots share their cursor by
 
 export class Strips {
   #groups = [];
   #strips;
   #turn = 0;
+  #timeline;
 
-  constructor(container) {
+  constructor(container, timeline) {
+    this.#timeline = timeline;
     this.#strips = [...Map.groupBy(STRIPS, ({ group }) => group)].flatMap(([title, strips]) => {
       const group = element("section", "group");
       group.setAttribute("aria-label", title);
       this.#groups.push(group);
       group.append(element("h2", "", title));
       container.append(group);
-      return strips.map((strip) => new Strip(group, strip));
+      return strips.map((strip) => new Strip(group, strip, timeline));
     });
     new ResizeObserver(() => this.#strips.forEach((strip) => strip.resize())).observe(container);
   }
 
   /** Draws the next strip or two of the round: all at once would take a whole frame. */
   draw(store, count) {
+    this.#timeline.reach(Math.min(store.estimates.oldest, store.run.oldest), store.estimates.newest);
     const shown = this.#strips.filter((strip) => !strip.hidden);
     for (let i = 0; i < Math.min(count, shown.length); i++) {
       this.#turn = (this.#turn + 1) % shown.length;
@@ -40,8 +45,8 @@ export class Strips {
   }
 
   /** Shows the strips of the system whose estimate is at hand. */
-  #choose(estimate) {
-    for (const strip of this.#strips) strip.choose(estimate);
+  #choose(estimate, store) {
+    for (const strip of this.#strips) strip.choose(estimate, store);
     for (const group of this.#groups) {
       const count = group.querySelectorAll(".strip:not([hidden])").length;
       group.hidden = count === 0;
@@ -51,8 +56,14 @@ export class Strips {
 
   /** The numbers above the strips; whether there is a truth to differ from. */
   tell(store, truthful) {
-    this.#choose(store.get("palm/estimate"));
-    for (const strip of this.#strips) strip.tell(store.get("palm/estimate"), truthful);
+    this.#choose(store.get("palm/estimate"), store);
+    for (const strip of this.#strips) strip.tell(store, truthful);
+    this.#timeline.tell(this.#strips.find((strip) => !strip.hidden)?.cursor ?? NaN);
+  }
+
+  /** Puts the cursor of all plots at so much of their width, 0…1. */
+  point(share) {
+    this.#strips.find((strip) => !strip.hidden)?.point(share);
   }
 
   recolour() {
@@ -70,11 +81,12 @@ class Strip {
   #range = [0, 1];
   #lane = null; // half the height of the lane in shown units; null without a truth
   #truthful = false;
-  #newest = 0;
   #columns = []; // what was drawn last
+  #timeline;
+  #limits = []; // in shown units
 
-  constructor(container, spec) {
-    this.#spec = spec;
+  constructor(container, spec, timeline) {
+    [this.#spec, this.#timeline] = [spec, timeline];
     this.#figure = element("figure", "strip");
     const caption = element("figcaption", "");
     caption.append(element("span", "title", spec.title));
@@ -87,7 +99,7 @@ class Strip {
       this.#values.push(value);
     });
     if (spec.unit) caption.append(element("span", "unit", spec.unit));
-    if (spec.good) caption.append(this.#verdict = element("span", "verdict"));
+    if (spec.good || spec.limit) caption.append(this.#verdict = element("span", "verdict"));
     this.#frame = element("div", "plot");
     this.#figure.append(caption, this.#frame);
     container.append(this.#figure);
@@ -98,53 +110,99 @@ class Strip {
     return this.#figure.hidden;
   }
 
-  choose(estimate) {
-    const hidden = !told(this.#spec.names, estimate);
+  choose(estimate, store) {
+    const { names, limit } = this.#spec;
+    const hidden = limit?.listed ? !store.get(limit.topic)[limit.listed]?.length : !told(names, estimate);
     if (hidden === this.hidden) return;
     this.#figure.hidden = hidden;
     if (!hidden) this.resize();
   }
 
   /** The last value of each curve with its sigma. */
-  tell(estimate, truthful) {
+  tell(store, truthful) {
+    const estimate = store.get("palm/estimate");
     const { names, factor, digits } = this.#spec;
+    this.#limits = this.#limitsIn(store);
+    const at = this.#plot.cursor.left >= 0 ? this.#plot.cursor.idx : null;
     names.forEach((name, i) => {
-      const [value, sd] = [estimate[name] * factor, estimate.sd?.[name] * factor];
-      const shown = estimate.valid || !ESTIMATE[name].uncertain;
-      this.#values[i].textContent = !shown || !Number.isFinite(value) ? "–"
-        : number(value, digits) + (Number.isFinite(sd) ? ` ± ${number(sd, digits + 1)}` : "");
+      const [value, sd] = at !== null ? this.#at(i, at)
+        : estimate.valid || !ESTIMATE[name].uncertain ? [this.#now(name, store) * factor, estimate.sd?.[name] * factor] : [NaN, NaN];
+      const text = !Number.isFinite(value) ? "–" : number(value, digits) + (Number.isFinite(sd) ? ` ± ${number(sd, digits + 1)}` : "");
+      if (this.#values[i].textContent !== text) this.#values[i].textContent = text;
     });
-    if (this.#verdict) this.#judge(estimate[names[0]] * factor);
+    if (this.#verdict) this.#judge(names.map((name) => this.#now(name, store) * factor));
     if (truthful !== this.#truthful) {
       this.#truthful = truthful;
       if (names.some((name) => ESTIMATE[name].truth)) this.rebuild();
     }
   }
 
-  #judge(value) {
-    const { good: [low, high], digits } = this.#spec;
-    const zone = high === null ? `good from ${number(low, digits)} on` : `good from ${number(low, digits)} to ${number(high, digits)}`;
-    const outside = value < low || (high !== null && value > high);
-    this.#verdict.textContent = Number.isFinite(value) ? `${outside ? "outside" : "inside"}: ${zone}` : zone;
+  /** Where the cursor stands (s), NaN for nowhere. */
+  get cursor() {
+    return this.#plot.cursor.left >= 0 ? this.#plot.posToVal(this.#plot.cursor.left, "x") : NaN;
+  }
+
+  /** Puts the cursor at so much of the width, 0…1. */
+  point(share) {
+    this.#plot.setCursor({ left: share * this.#plot.over.clientWidth, top: 0 }, true, true);
+  }
+
+  #now(name, store) {
+    const listed = LISTED.find((each) => each.name === name);
+    return listed ? store.listed(listed) : store.get("palm/estimate")[name];
+  }
+
+  /** Value and one-sigma of the i-th quantity in the picture, at row `at`; in shown units. */
+  #at(i, at) {
+    const { names } = this.#spec;
+    const column = 1 + names.slice(0, i).reduce((sum, name) => sum + (ESTIMATE[name].uncertain ? 3 : 1), 0);
+    const value = this.#columns[column]?.[at] ?? NaN;
+    const above = ESTIMATE[names[i]].uncertain ? this.#columns[column + 1]?.[at] ?? NaN : NaN;
+    return [value, above - value];
+  }
+
+  /** The limits of the quantities, in shown units. */
+  #limitsIn(store) {
+    const { limit, good, factor } = this.#spec;
+    if (good) return good.filter((end) => end !== null);
+    const found = limit ? [store.get(limit.topic)[limit.name] ?? []].flat() : [];
+    return [...new Set(found.filter(Number.isFinite))].map((each) => each * factor);
+  }
+
+  #judge(values) {
+    const { good, digits, low } = this.#spec;
+    const known = values.filter(Number.isFinite);
+    let [text, outside] = ["", false];
+    if (good) {
+      const [least, most] = good;
+      outside = known.some((value) => value < least || (most !== null && value > most));
+      text = most === null ? `limit: at least ${number(least, digits)}` : `limits ${number(least, digits)} to ${number(most, digits)}`;
+    } else if (this.#limits.length) {
+      const most = Math.min(...this.#limits);
+      outside = known.some((value) => Math.abs(value) > most);
+      text = `limit ${low === null ? "±\u00a0" : ""}${number(most, digits)}`;
+    } else {
+      text = "limit not published";
+    }
+    const words = known.length && this.#limits.length ? `${outside ? "outside" : "inside"}: ${text}` : text;
+    if (this.#verdict.textContent !== words) this.#verdict.textContent = words;
     this.#verdict.dataset.outside = String(outside);
   }
 
   draw(store) {
     const { names, factor } = this.#spec;
-    const { estimates } = store;
-    if (Number.isNaN(estimates.newest)) return;
-    this.#newest = estimates.newest;
-    const since = estimates.newest - WINDOW_S;
-    const x = estimates.times(since, STRIDE);
+    if (Number.isNaN(store.estimates.newest)) return;
+    const { times: x, values, whole } = store.cut(...this.#timeline.window, this.#timeline.live ? STRIDE : 1);
     const [curves, lanes] = [[], []];
     for (const name of names) {
-      const value = estimates.values(name, since, STRIDE, factor);
+      const value = values(name, factor);
       curves.push(value);
       if (!ESTIMATE[name].uncertain) continue;
-      const sd = estimates.values(SD + name, since, STRIDE, factor);
+      const sd = values(SD + name, factor);
       curves.push(combined(value, sd, 1), combined(value, sd, -1));
       if (!this.#compared(name)) continue;
-      lanes.push(combined(value, truthOn(x, name, store, factor), -1), sd, sd.map((v) => (v === null ? null : -v)));
+      const truth = whole ? truthOn(x, name, store, factor) : x.map(() => null);
+      lanes.push(combined(value, truth, -1), sd, sd.map((v) => (v === null ? null : -v)));
     }
     this.#range = this.#extent(curves);
     if (this.#lane !== null) this.#lane = tidy(lanes, this.#spec.digits);
@@ -169,9 +227,12 @@ class Strip {
   /** The axis: all there is to see with some air, no less than the least span, and where the good zone begins. */
   #extent(columns) {
     const { span, low, good } = this.#spec;
+    const limits = good ? [] : this.#limits;
     let [least, most] = extremes(columns);
     if (least > most) [least, most] = low === null ? [-span / 2, span / 2] : [low, low + span];
     if (good) most = Math.max(most, 1.4 * good[0]); // so that one sees where it would be good
+    if (limits.length) most = Math.max(most, 1.15 * Math.min(...limits));
+    if (limits.length && low === null) least = Math.min(least, -1.15 * Math.min(...limits));
     const air = Math.max((most - least) * 0.08, (span - (most - least)) / 2);
     return [low ?? least - air, most + air];
   }
@@ -196,8 +257,7 @@ class Strip {
     const axis = { stroke: () => colours.ink, font: "11px system-ui, sans-serif", ticks: { show: false } };
     const grid = { stroke: () => colours.faint, width: 1 };
     const axes = [
-      { ...axis, grid, size: 18, gap: 2, splits: () => [-8, -6, -4, -2].map((s) => this.#newest + s),
-        values: () => ["−8", "−6", "−4", "−2 s"] },
+      { ...axis, grid, size: 18, gap: 2, splits: () => this.#timeline.ticks().marks, values: () => this.#timeline.ticks().labels },
       { ...axis, grid, size: 46, gap: 4, space: 22, filter: (_, ticks) => ticks.map((t) => (t < this.#range[0] ? null : t)),
         values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : minus(tick))) },
     ];
@@ -208,17 +268,21 @@ class Strip {
     return new uPlot({
       ...this.#size(),
       padding: [6, 6, 0, 0],
-      cursor: { show: false },
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: CURSORS } },
       legend: { show: false },
       scales: {
-        x: { time: false, range: () => [this.#newest - WINDOW_S, this.#newest] },
+        x: { time: false, range: () => this.#timeline.window },
         y: { range: () => this.#above() },
         off: { range: () => this.#below() },
       },
       axes,
       series,
       bands,
-      hooks: { drawClear: [(plot) => this.#drawZone(plot)] },
+      hooks: {
+        drawClear: [(plot) => this.#drawZone(plot)],
+        draw: [(plot) => this.#drawLimits(plot)],
+        setSelect: [(plot) => this.#select(plot)],
+      },
     }, [[], ...series.slice(1).map(() => [])], this.#frame);
   }
 
@@ -244,6 +308,32 @@ class Strip {
     if (!(lower > upper)) return;
     plot.ctx.fillStyle = colours["good-fill"];
     plot.ctx.fillRect(plot.bbox.left, upper, plot.bbox.width, lower - upper);
+  }
+
+  /** The limits as dashed lines. */
+  #drawLimits(plot) {
+    const { left, top, width, height } = plot.bbox;
+    const both = !this.#spec.good && this.#spec.low === null;
+    plot.ctx.save();
+    plot.ctx.beginPath();
+    for (const limit of this.#limits.flatMap((each) => (both ? [each, -each] : [each]))) {
+      const y = plot.valToPos(limit, "y", true);
+      if (y < top || y > top + height) continue;
+      plot.ctx.moveTo(left, y);
+      plot.ctx.lineTo(left + width, y);
+    }
+    plot.ctx.strokeStyle = this.#spec.good ? colours.good : colours.bad;
+    plot.ctx.setLineDash([6, 4]);
+    plot.ctx.stroke();
+    plot.ctx.restore();
+  }
+
+  /** What is dragged over is shown alone, in all plots. */
+  #select(plot) {
+    const { left, width } = plot.select;
+    if (width < SELECTED_PX) return;
+    this.#timeline.zoom(plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
+    plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
   }
 
   #size() {

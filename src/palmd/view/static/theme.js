@@ -1,8 +1,13 @@
-// The page's colours, for what is drawn on canvases; they are defined in page.css alone.
+// The page's colours, for what is drawn on canvases, and the choice of light or dark; colours are defined in page.css alone.
 
-const NAMES = ["ink", "faint", "line", "panel", "estimate-fill", "truth", "band", "single", "good-fill", "good"];
+const NAMES = ["ink", "faint", "line", "panel", "estimate-fill", "truth", "band", "single", "good-fill", "good", "bad"];
+const STORED = "palmd-theme";
+const CHOICES = ["system", "light", "dark"];
 
 export const colours = {};
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const listeners = [];
+let choice = localStorage.getItem(STORED) ?? "system";
 
 function read() {
   const style = getComputedStyle(document.documentElement);
@@ -13,17 +18,36 @@ function read() {
   }
 }
 
+function apply() {
+  document.documentElement.dataset.theme = choice === "system" ? (dark.matches ? "dark" : "light") : choice;
+  read();
+  for (const changed of listeners) changed();
+}
+
 read();
+dark.addEventListener("change", apply);
 
 /** The colour of what belongs to a palm. */
 export function ofPalm(number) {
   return colours[`palm${number}`] ?? colours.single;
 }
 
-/** Calls back when the colours have changed with the system's light or dark. */
+/** Calls back when the colours have changed. */
 export function onColours(changed) {
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    read();
-    changed();
+  listeners.push(changed);
+}
+
+/** Makes `button` choose between the system's colours, light and dark. */
+export function chooseTheme(button) {
+  const show = () => button.setAttribute("aria-label", `Colours: ${choice}`);
+  button.addEventListener("click", () => {
+    choice = CHOICES[(CHOICES.indexOf(choice) + 1) % CHOICES.length];
+    if (choice === "system") localStorage.removeItem(STORED);
+    else localStorage.setItem(STORED, choice);
+    button.title = `Colours: ${choice}`;
+    show();
+    apply();
   });
+  button.title = `Colours: ${choice}`;
+  show();
 }

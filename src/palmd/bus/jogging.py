@@ -1,0 +1,43 @@
+"""Turning the palms by small steps, as a hand on a dead-man's handle would."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from palmd.bus.command_client import CommandClient
+
+JOG_EVERY_S = 0.05  # well within the daemon's dead-man time
+JOG_STEP_DEG = 0.4  # 8°/s: the palms keep up
+JOG_ARRIVING_S = 0.5
+
+
+def jog(
+    client: CommandClient, whole_deg: Mapping[str, float], first: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Turns each joint, named as the jog command's argument, by so many degrees; the last reply.
+
+    The first step tells the whole of it: what cannot be done to its end is not begun. Letting go stops the palms.
+    `first`: arguments that the first step has besides.
+    """
+    reply: dict[str, Any] = {}
+    whole: dict[str, Any] = {f"whole_{name}": angle for name, angle in whole_deg.items()} | dict(first or {})
+    for step in jog_steps(*whole_deg.values()):
+        t_next = time.monotonic() + JOG_EVERY_S
+        reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})
+        whole = {}
+        if not reply["ok"]:
+            break
+        time.sleep(max(0.0, t_next - time.monotonic()))
+    return reply
+
+
+def jog_steps(*whole_deg: float) -> Iterator[tuple[float, ...]]:
+    """Equal steps that add up to the angles, and then empty ones for as long as the palms need to arrive."""
+    count = max(1, math.ceil(max(map(abs, whole_deg)) / JOG_STEP_DEG))
+    for _ in range(count):
+        yield tuple(angle / count for angle in whole_deg)
+    for _ in range(round(JOG_ARRIVING_S / JOG_EVERY_S)):
+        yield (0.0,) * len(whole_deg)

@@ -1,0 +1,36 @@
+// The daemon's configuration as its file has it, with what `palmd check` finds in it.
+
+import { element, set } from "./text.js";
+
+const CHECKING_MS = 30000;
+
+export class Configuration {
+  #library;
+
+  /** `library` as of `Runs`. */
+  constructor(library) {
+    this.#library = library;
+    document.getElementById("check-again").addEventListener("click", () => this.show());
+  }
+
+  /** Reads and checks it anew. */
+  show() {
+    set("config-says", "checking…");
+    this.#library("configuration", {}, (error, result) => {
+      if (error) {
+        set("config-says", error);
+        return;
+      }
+      const { path, text, findings } = result;
+      set("config-says", findings.length ? `${path}: ${findings.length} found by palmd check` : `${path}: palmd check finds nothing wrong`);
+      const list = document.getElementById("findings");
+      list.replaceChildren(...findings.map(({ file, line, column, text: what }) =>
+        element("li", "fault", `${line === null ? file : `${file}:${line}:${column}`}: ${what}`)));
+      const marked = new Set(findings.filter(({ file }) => file === path).map(({ line }) => line));
+      document.getElementById("config-text").replaceChildren(...text.replace(/\n$/, "").split("\n").map((content, i) => {
+        const row = element("li", marked.has(i + 1) ? "marked" : "", content);
+        return row;
+      }));
+    }, CHECKING_MS);
+  }
+}

@@ -1,0 +1,47 @@
+// The plans of the rig: which one is loaded and runs, and a button for each that loads it.
+
+import { underWay } from "./knowledge.js";
+import { element } from "./text.js";
+
+const named = (file) => file.replace(/\.ya?ml$/, "");
+
+export class Plans {
+  #list;
+  #load;
+  #laidOut = "";
+
+  /** `load(file)` is called for the plan that is asked for. */
+  constructor(list, load) {
+    [this.#list, this.#load] = [list, load];
+  }
+
+  /** Shows the plans of `palm/info`, and which of them `palm/motion` names; `applies`: whether one can be loaded. */
+  offer(store, applies) {
+    const { plans = [] } = store.get("palm/info");
+    const { plan } = store.get("palm/motion");
+    this.#layOut(plans);
+    for (const row of this.#list.children) {
+      const current = named(row.dataset.file) === plan;
+      const words = !current ? "" : underWay(store) ? "running" : "loaded";
+      const [, state, button] = row.children;
+      if (state.textContent !== words) state.textContent = words;
+      row.dataset.current = words;
+      button.disabled = !applies;
+    }
+  }
+
+  #layOut(plans) {
+    const laidOut = JSON.stringify(plans);
+    if (laidOut === this.#laidOut) return;
+    this.#laidOut = laidOut;
+    this.#list.replaceChildren(...plans.map((file) => {
+      const row = element("li", "plan");
+      row.dataset.file = file;
+      const button = Object.assign(element("button", "small", "Load"), { type: "button", disabled: true });
+      button.setAttribute("aria-label", `Load ${file}`);
+      button.addEventListener("click", () => this.#load(file));
+      row.append(element("span", "file", file), element("span", "running"), button);
+      return row;
+    }));
+  }
+}

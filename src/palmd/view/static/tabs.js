@@ -1,0 +1,34 @@
+// The page's views, one at a time: a tab list by the pattern of the ARIA authoring practices.
+
+const STEPS = { ArrowLeft: -1, ArrowRight: 1 };
+
+export class Tabs {
+  #tabs;
+  #shown;
+
+  /** `shown(name)` hears which view is opened; the tabs name their panels by `aria-controls`. */
+  constructor(list, shown) {
+    this.#tabs = [...list.querySelectorAll("[role=tab]")];
+    this.#shown = shown;
+    for (const tab of this.#tabs) tab.addEventListener("click", () => this.open(tab.dataset.view));
+    list.addEventListener("keydown", (event) => {
+      const at = this.#tabs.indexOf(document.activeElement);
+      if (!(event.key in STEPS) || at < 0) return;
+      event.preventDefault();
+      const next = this.#tabs[(at + STEPS[event.key] + this.#tabs.length) % this.#tabs.length];
+      next.focus();
+      this.open(next.dataset.view);
+    });
+  }
+
+  /** Opens the view of that name. */
+  open(name) {
+    for (const tab of this.#tabs) {
+      const chosen = tab.dataset.view === name;
+      tab.setAttribute("aria-selected", String(chosen));
+      tab.tabIndex = chosen ? 0 : -1;
+      document.getElementById(tab.getAttribute("aria-controls")).hidden = !chosen;
+    }
+    this.#shown(name);
+  }
+}
