@@ -9,7 +9,6 @@ from pathlib import Path
 from boot import Machine, wait
 
 from palmd.bus.command_client import CommandClient
-from palmd.bus.link import COMMAND, PUBLISH
 from palmd.bus.subscriber import Subscriber
 from palmd.harness.operator import Operator
 from palmd.model.compiled import cache_directory
@@ -36,9 +35,9 @@ class Services:
         )
         try:
             self.installed = self._install()
-            with self.machine.network():
-                self._subscriber = Subscriber(PUBLISH, topics=("palm/",))
-                self._client = CommandClient(COMMAND, GENEROUS_S)
+            publish, command = (f"ipc://{self.machine.path(f'/run/palmd/{name}')}" for name in ("publish", "command"))
+            self._subscriber = Subscriber(publish, topics=("palm/",))
+            self._client = CommandClient(command, GENEROUS_S)
         except BaseException:
             self.machine.close()
             raise
