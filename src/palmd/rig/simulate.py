@@ -41,10 +41,12 @@ from palmd.rig.plant import (
     random_surface,
     stable_poses,
 )
+from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.system.arcs import FLAT
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.vibration import AVERAGED, Vibration, vibration_line
 
 Line = dict[str, Any]
 
@@ -63,6 +65,7 @@ _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_AN
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
+_SMOOTHED_S = 0.02  # over which readings of force are means: five periods of 250 Hz
 
 
 Span = tuple[float, float]
@@ -87,11 +90,11 @@ class Rock:
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
-        w, dw, ddw = _eased(t)
+        w, dw, ddw = eased(t)
         for begin, end in self.rests:
             if not begin < t < end + 1.0:
                 continue  # v = 1, and it does not change
-            out, back = _eased(t - begin), _eased(t - end)
+            out, back = eased(t - begin), eased(t - end)
             v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
             v += 1.0
             w, dw, ddw = w * v, dw * v + w * dv, ddw * v + 2.0 * dw * dv + w * ddv
@@ -105,7 +108,7 @@ class Rock:
         )
 
 
-def _eased(t: float) -> tuple[float, float, float]:
+def eased(t: float) -> tuple[float, float, float]:
     """The smooth step from 0 at t = 0 to 1 at t = 1 s, its rate and its acceleration."""
     if t >= 1.0:
         return 1.0, 0.0, 0.0
@@ -134,7 +137,10 @@ class Rocking:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
-    """Everything one run is made of, drawn at random from a seed."""
+    """Everything one run is made of, drawn at random from a seed.
+
+    vibration: as the log describes it; shaking: as it is, where a plant resolves it.
+    """
 
     kind: Kind
     body: Body
@@ -143,6 +149,8 @@ class SimulatedRun:
     rocking: Rocking
     imperfections: Imperfections
     curvatures: PadPair = FLAT
+    vibration: Vibration = AVERAGED
+    shaking: Shaking | None = None
 
     def plant(self, options: PlantOptions) -> Plant:
         """The emulated body on its palms, not placed yet; raises ValueError for palms too concave for it."""
@@ -269,6 +277,21 @@ def run_of(
     return np.array(rows)
 
 
+def smoothed(history: FloatArray, window_s: float = _SMOOTHED_S) -> FloatArray:
+    """A run's rows with ω0 and both forces as means over the vibration: weighted by a Hann window about each row.
+
+    That is what a slow force sensor reads, and what the body's slow motion is. Rows without a body (NaN) stay so, and so
+    does what lies within half a window of them.
+    """
+    half = round(0.5 * window_s / STEP_S)
+    weights = np.hanning(2 * half + 3)[1:-1]
+    slow = history.copy()
+    share = np.convolve(np.ones(len(history)), weights, "same")
+    for column in map(_COLUMNS.index, ("omega0_rad_s", "f1_n", "f2_n")):
+        slow[:, column] = np.convolve(history[:, column], weights, "same") / share
+    return slow
+
+
 def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
     """In the first stable pose, by growing ψ from where it was taken away, that is turned far enough."""
     turned = sorted((psi - plant.state.psi) % math.tau for psi in stable_poses(body, palms))
@@ -286,6 +309,7 @@ def log_lines(
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
     rig["calibration_sd"] = {key: calibration_sd[name] for name, key in CALIBRATION_KEYS.items()}
+    rig["vibration"] = vibration_line(scene.vibration)
     rig |= _curvature_keys(scene.curvatures)
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])

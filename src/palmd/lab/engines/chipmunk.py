@@ -1,0 +1,124 @@
+"""Scenes in Chipmunk (pymunk): impulses with friction between a body of arcs and two conveyor palms.
+
+The body's outline is made of arcs. Each palm touches a disc of its own, which takes the radius and the centre of the arc
+that the palm's normal points at; where arcs join, both discs have the same contact point. A palm is a kinematic segment
+through the hinge; its vibration is Chipmunk's surface velocity, which is exactly what a flat palm's motion along itself
+does to friction. The steps are short against the vibration: friction reverses within one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pymunk
+
+from palmd.lab.engines.scene import Scene, Simulated
+from palmd.rig.shapes import Body, SupportFunction
+from palmd.rig.sharp_shapes import ArcSupport
+from palmd.rig.simulate import STEP_S
+
+STEPS = 12
+"""Of the engine in each row of a run: 42 µs."""
+_ARCS = 240
+_ITERATIONS = 60
+_BIAS = 1e-200  # of a penetration, this share is left after a second
+_PALM_M = (-0.1, 0.2)
+_EVERYTHING = 0xFFFFFFFF
+
+
+def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
+    """The outline made of `count` arcs, each as wide in normals; within 2 µm of a smooth one for 240.
+
+    Each has the outline's mean radius of curvature over its normals, but for what closes the outline.
+    """
+    theta = np.arange(count) * (math.tau / count)
+    fine = 64
+    inner = (np.arange(count * fine) + 0.5) * (math.tau / count / fine)
+    curvature_radius = support.sample(inner) + support.sample(inner, 2)
+    v = curvature_radius.reshape(count, fine).mean(axis=1)
+    # an outline of arcs closes where Σ v_j (u(θ_{j+1}) − u(θ_j)) = 0
+    step = np.exp(1j * (theta + math.tau / count)) - np.exp(1j * theta)
+    basis = np.array([step.real, step.imag])
+    v -= basis.T @ np.linalg.solve(basis @ basis.T, basis @ v)
+    h0, slope0 = float(support.sample(theta[:1])[0]), float(support.sample(theta[:1], 1)[0])
+    centres, h, slope = [], h0, slope0
+    for angle, radius in zip(theta.tolist(), v.tolist(), strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = (h - radius) * c - slope * s, (h - radius) * s + slope * c
+        centres.append((x, y))
+        after = angle + math.tau / count
+        c, s = math.cos(after), math.sin(after)
+        h, slope = x * c + y * s + radius, y * c - x * s
+    return ArcSupport(tuple(theta.tolist()), tuple(v.tolist()), tuple(centres))
+
+
+def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
+    """Runs the scene; see `palmd.lab.engines.scene.Engine`."""
+    run, q = scene.run, scene.start
+    outline = arcs_of(run.body.support)
+    body = Body(run.body.shape, outline, run.body.rho, run.body.mass)
+    space = pymunk.Space()
+    space.gravity, space.iterations = (0.0, -9.81), _ITERATIONS
+    space.collision_slop, space.collision_bias = 0.0, _BIAS
+    moving = pymunk.Body(body.mass, body.mass * body.rho**2)
+    moving.position = q.x, q.y
+    discs = [pymunk.Circle(moving, radius) for radius in (outline.radii[0], outline.radii[0])]
+    palms = [pymunk.Body(body_type=pymunk.Body.KINEMATIC) for _ in discs]
+    levels = scene.heights[0], -scene.heights[1]
+    surfaces = [
+        pymunk.Segment(palm, (_PALM_M[0], level), (_PALM_M[1], level), 0.0)
+        for palm, level in zip(palms, levels, strict=True)
+    ]
+    for number, (disc, surface, mu) in enumerate(zip(discs, surfaces, scene.frictions, strict=True)):
+        disc.friction, surface.friction = 1.0, mu  # the engine multiplies both
+        disc.filter = pymunk.ShapeFilter(categories=1 << number, mask=4 << number)
+        surface.filter = pymunk.ShapeFilter(categories=4 << number, mask=1 << number)
+        surface.collision_type = number + 1
+    space.add(moving, *discs, *palms, *surfaces)
+    impulses, deepest = np.zeros(2), 0.0
+
+    def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        nonlocal deepest
+        number = max(shape.collision_type for shape in arbiter.shapes) - 1
+        normal = normals[number]
+        impulse = arbiter.total_impulse
+        impulses[number] += abs(impulse.x * normal[0] + impulse.y * normal[1])
+        deepest = max(deepest, -arbiter.contact_point_set.points[0].distance)
+
+    space.on_collision(1, 0, post_solve=pressed)
+    space.on_collision(2, 0, post_solve=pressed)
+    dt, count = STEP_S / steps, round(duration_s / STEP_S)
+    rows = np.empty((count + 1, 6))
+    rows[0] = q.x, q.y, q.psi, q.omega0, math.nan, math.nan
+    in_use, normals = [-1, -1], [(0.0, 0.0), (0.0, 0.0)]
+    width = math.tau / len(outline.radii)
+    for k in range(count):
+        impulses[:] = 0.0
+        motion = scene.palms_at(k * STEP_S)  # in between, accelerations are taken for constant
+        turns = (
+            (motion.angles[0], motion.rates[0], motion.accelerations[0], 1.0),
+            (sum(motion.angles), sum(motion.rates), sum(motion.accelerations), -1.0),
+        )
+        for j in range(steps):
+            late = j * dt
+            speeds = scene.outward_speeds(k * STEP_S + late + 0.5 * dt)
+            for number, (angle, turning, acceleration, side) in enumerate(turns):
+                phi, rate = angle + late * (turning + 0.5 * late * acceleration), turning + late * acceleration
+                c, s = math.cos(phi), math.sin(phi)
+                normals[number] = -side * s, side * c
+                palms[number].angle, palms[number].angular_velocity = phi, rate + 0.5 * dt * acceleration
+                surfaces[number].surface_velocity = (c * speeds[number], s * speeds[number])
+                arc = int(((phi - side * 0.5 * math.pi - moving.angle) % math.tau) / width)
+                if arc != in_use[number]:
+                    in_use[number] = arc
+                    discs[number].unsafe_set_radius(outline.radii[arc])
+                    discs[number].unsafe_set_offset(outline.centres[arc])
+            space.step(dt)
+        rows[k + 1] = *moving.position, moving.angle, moving.angular_velocity, *(impulses / STEP_S)
+        if (impulses == 0.0).all():
+            rows = rows[: k + 2]
+            break
+    rows[0, 4:] = rows[1, 4:]
+    return Simulated(body, *rows.T, deepest)

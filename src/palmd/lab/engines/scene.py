@@ -1,0 +1,207 @@
+"""What an engine simulates: a body on two flat palms that rock and vibrate, drawn by a seed; and logs of what came out.
+
+Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms that vibrate), `slick` (no friction), `dry`
+(friction on palms that do not vibrate, whose plan has a dither of 0.1° at 10 Hz). SI units.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, Protocol, get_args
+
+import numpy as np
+
+from palmd.config.two_palms import Drawn
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.imperfections import drawn
+from palmd.rig.plant import PAD_LENGTH, BodyState, FrictionSurface, Hinge, Plant, palm_frame, stable_poses
+from palmd.rig.shaker import drawn_shaking
+from palmd.rig.shapes import Body, Support, ellipse, uniform_body_of, with_slug
+from palmd.rig.simulate import (
+    CALIBRATION,
+    STEP_S,
+    Line,
+    Rocking,
+    SimulatedRun,
+    eased,
+    log_lines,
+    rock,
+    smoothed,
+    truth_of,
+)
+from palmd.system.description import RigDescription
+from palmd.system.vibration import Relation, Vibration
+
+EngineKind = Literal["vibrating", "in_phase", "antiphase", "slick", "dry"]
+ENGINE_KINDS: tuple[EngineKind, ...] = get_args(EngineKind)
+_RELATIONS: Mapping[EngineKind, Relation] = {
+    "vibrating": "independent", "in_phase": "in_phase", "antiphase": "antiphase", "slick": "independent", "dry": "none",
+}  # fmt: skip
+_MU = (0.05, 0.3)
+_DITHER_RAD, _DITHER_HZ = math.radians(0.1), 10.0
+_RELEASE_RAD = (0.12, 0.5)
+_MEAN_RADIUS_M, _RATIO = (16e-3, 24e-3), (0.75, 0.92)
+_MASS_KG = (0.06, 0.25)
+_STREAM = 0x656E67  # of seeds, so that no draw is shared with `rig.simulate`
+_MARGIN_M, _LEAST_N = 3e-3, 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """Half axes (m), centre as seen from the COM (m), and direction of the first axis (rad), in the body's frame."""
+
+    half_axes: tuple[float, float]
+    centre: tuple[float, float]
+    tilt: float
+
+
+@dataclass(frozen=True, slots=True)
+class DitheredRocking(Rocking):
+    """Both palms' motion with a plan's dither on top, of both angles, growing in over the first second."""
+
+    def at(self, t: float) -> PalmMotion:
+        """Angles, rates, accelerations of both palms at t (s)."""
+        palms, (w, dw, ddw), k = Rocking.at(self, t), eased(t), math.tau * _DITHER_HZ
+        s, c = _DITHER_RAD * math.sin(k * t), _DITHER_RAD * math.cos(k * t)
+        more = (w * s, dw * s + w * k * c, ddw * s + 2.0 * dw * k * c - w * k * k * s)
+        return PalmMotion(*(tuple(each + m for each in mine) for mine, m in zip(
+            (palms.angles, palms.rates, palms.accelerations), more, strict=True)))  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A run to simulate, which begins at rest at `start`; `ellipse` is the body's outline as an engine's primitive."""
+
+    kind: EngineKind
+    run: SimulatedRun
+    ellipse: Ellipse
+    start: BodyState
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """Where the palms really are at t (s)."""
+        return self.run.palms_at(t)
+
+    def outward_speeds(self, t: float) -> Sequence[float]:
+        """Of both palms along themselves (m/s) at t (s)."""
+        return [each.outward_speed(t) for each in self.run.shaking.palms] if self.run.shaking else (0.0, 0.0)
+
+    @property
+    def frictions(self) -> tuple[float, float]:
+        """Of both palms."""
+        asymmetry, mu = self.run.imperfections.friction, self.run.surface.mu
+        return mu * (1.0 + asymmetry), mu * (1.0 - asymmetry)
+
+    @property
+    def heights(self) -> tuple[float, ...]:
+        """Of both palms over the hinge (m)."""
+        return tuple(pad.standoff for pad in self.run.imperfections.pads)
+
+
+class Simulated(NamedTuple):
+    """Columns of a run each `STEP_S`, beginning at t = 0, the body as the engine has it, and its worst penetration (m).
+
+    x, y, psi, omega0: of the body; f1, f2: normal forces (N), means over the step before.
+    """
+
+    body: Body
+    x: FloatArray
+    y: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+    f1: FloatArray
+    f2: FloatArray
+    penetration: float
+
+
+class Engine(Protocol):
+    """Runs a scene; what comes out may end before its time where a contact is lost."""
+
+    def __call__(self, scene: Scene, duration_s: float) -> Simulated:
+        """Simulates it for that long."""
+
+
+def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> Scene:
+    """A scene by its seed: ellipses whose centre of mass is off-centre, real vibration as sines.
+
+    known: `none` for a rig exactly as described, `calibrated` for one with drawn imperfections.
+    """
+    rng = np.random.default_rng([_STREAM, ENGINE_KINDS.index(kind), seed])
+    off = drawn(RigDescription().known_to(CALIBRATION[known]), _STREAM, seed)
+    off = replace(off, pads=tuple(replace(pad, sagitta=0.0) for pad in off.pads))  # engines' palms are planes
+    mean, ratio = float(rng.uniform(*_MEAN_RADIUS_M)), float(rng.uniform(*_RATIO))
+    half_axes = 2.0 * mean / (1.0 + ratio), 2.0 * mean * ratio / (1.0 + ratio)
+    body = with_slug(uniform_body_of("ellipse", ellipse(*half_axes), float(rng.uniform(*_MASS_KG))), rng)
+    motion = DitheredRocking if kind == "dry" else Rocking
+    rocking = motion(
+        rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), ()), rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), ())
+    )
+    surface = FrictionSurface(mu=0.0 if kind == "slick" else float(rng.uniform(*_MU)))
+    vibration = Vibration(_RELATIONS[kind])
+    shaking = drawn_shaking(vibration, rng, pure=True)
+    palms = off.true_palms(rocking.at(0.0))
+    poses = stable_poses(body, palms)
+    psi = poses[int(rng.integers(len(poses)))]
+    if kind == "slick":
+        psi += float(rng.choice((-1.0, 1.0)) * rng.uniform(*_RELEASE_RAD))
+    body = body.turned(psi)
+    hinge = Hinge("fixed", base=(0.0, 0.0))
+    run = SimulatedRun("friction", body, hinge, surface, rocking, off, vibration=vibration, shaking=shaking)
+    plant = Plant(body, hinge, FrictionSurface(), imperfections=off)
+    plant.place(palms, psi=0.0)
+    support = body.support
+    assert isinstance(support, Support)
+    first, second = support.coefficients[1:3]
+    shape = Ellipse(half_axes, (first.real, -first.imag), -0.5 * cmath.phase(second))
+    return Scene(kind, run, shape, plant.state)
+
+
+def history_of(scene: Scene, simulated: Simulated) -> FloatArray | None:
+    """Rows of `rig.simulate`'s runs, means over the vibration where they must be; None where a contact was lost."""
+    t = np.arange(len(simulated.x)) * STEP_S
+    motions = [scene.palms_at(float(each)) for each in t]
+    frames = [palm_frame(scene.run.hinge, palms) for palms in motions]
+    c1, s1, c12, s12, out1, out2 = np.array([frame[:6] for frame in frames]).T
+    ox, oy = np.array([(frame.ox, frame.oy) for frame in frames]).T
+    rx, ry, support = simulated.x - ox, simulated.y - oy, simulated.body.support
+    theta1, theta2 = out1 - simulated.psi, out2 - simulated.psi
+    r1, r2 = support.sample(theta1), support.sample(theta2)
+    contact1 = c1 * rx + s1 * ry + support.sample(theta1, 1)
+    contact2 = c12 * rx + s12 * ry - support.sample(theta2, 1)
+    angles = np.array([palms.angles for palms in motions]).T
+    rows = np.array([
+        t, simulated.psi, simulated.omega0, r1, r2, contact1, contact2, *angles, simulated.f1, simulated.f2
+    ]).T  # fmt: skip
+    slow = smoothed(rows)
+    inside = (slow[:, 5:7] > _MARGIN_M) & (slow[:, 5:7] < PAD_LENGTH - _MARGIN_M)
+    return slow if inside.all() and (slow[:, 9:11] > _LEAST_N).all() else None
+
+
+def engine_log(
+    engine: Engine, kind: EngineKind, seed: int, duration_s: float, known: Drawn = "none"
+) -> tuple[list[Line], Line]:
+    """A run of an engine as event-log lines, and its truth, which has the engine's penetration and the vibration too.
+
+    Scenes in which a contact is lost are drawn again.
+    """
+    for attempt in range(1000):
+        scene = draw_scene(kind, seed + 100_000 * attempt, known)
+        simulated = engine(scene, duration_s)
+        history = history_of(scene, simulated) if len(simulated.x) == round(duration_s / STEP_S) + 1 else None
+        if history is None:
+            continue
+        told = replace(scene.run, body=simulated.body)
+        rng = np.random.default_rng([_STREAM, seed, attempt])
+        lines = list(log_lines(told, history, CALIBRATION[known], rng))
+        shakers = scene.run.shaking.palms if scene.run.shaking else ()
+        truth = truth_of(told, history) | {
+            "engine_kind": kind,
+            "engine_penetration_m": simulated.penetration,
+            "vibration_hz": [each.frequency for each in shakers],
+            "vibration_m_s": [each.speed for each in shakers],
+            "vibration_phase_rad": [each.phase for each in shakers],
+        }
+        return lines, truth
+    raise ValueError(f"no {kind} scene of seed {seed} keeps both contacts")
