@@ -98,7 +98,7 @@ class CurvedPlant(Plant):
 
         And for friction without dither, which is written for flat palms alone.
         """
-        if options.friction_law != "dither":
+        if options.friction_law == "coulomb":
             raise ValueError("friction without dither is emulated on flat palms only")
         worst = max(curvatures) * widest(body)
         if worst >= _TOUCHING_TWICE:

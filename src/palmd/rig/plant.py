@@ -29,7 +29,7 @@ from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
 
 PadPair = tuple[float, ...]
-FrictionLaw = Literal["dither", "coulomb"]
+FrictionLaw = Literal["dither", "coulomb", "sign_pairs", "vibrating"]
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
