@@ -1,4 +1,4 @@
-"""How the emulated palms really vibrate along themselves: frequencies, speeds, phases, waveform, mounts. Pure. SI units.
+"""How the emulated palms really vibrate along themselves: frequency, speed, phase, waveform, mount. Pure. SI units.
 
 Palm i moves outwards, away from the hinge, with the speed w_i(t). t1 points outwards, t2 inwards: the body's slip along
 t_i is u_1 − w_1 on palm 1 and u_2 + w_2 on palm 2, where u_i is its slip on palms that do not vibrate.
@@ -19,7 +19,7 @@ from palmd.system.vibration import Relation, Vibration
 INWARDS = (-1.0, 1.0)
 """Of each palm: the sign with which its outward speed adds to the slip along t_i."""
 _RELATIONS: Sequence[Relation] = tuple(each for each in get_args(Relation) if each not in ("unknown", "none"))
-_FREQUENCY_HZ, _SPEED_M_S = (200.0, 280.0), (0.010, 0.020)
+_FREQUENCY_HZ = (200.0, 280.0)
 _APART_HZ = (8.0, 25.0)  # of independent vibrations, which must differ by 5 Hz at least
 _SPEED_SHARE = 0.1  # one sigma of what a shaker's speed is known by where nobody says
 _TRANSMISSION_SD = 0.15
@@ -66,33 +66,32 @@ class Shaking:
 
 
 def drawn_shaking(
-    known: Vibration, rng: np.random.Generator, *, pure: bool = False, body_mass: float = 0.1
-) -> Shaking | None:
-    """Vibrations as `known` describes them, the rest as shakers have it; None where palms do not vibrate.
+    known: Vibration, rng: np.random.Generator, *, speed: float, pure: bool = False, body_mass: float = 0.1
+) -> Shaking:
+    """Vibrations as `known` describes them, the rest as shakers have it.
 
-    pure: sines on rigid mounts. body_mass (kg): of what rests on the palms, to which a transmission refers.
+    speed: V (m/s) where nothing is known of it. pure: sines on rigid mounts. body_mass (kg): of what rests on the
+    palms, to which a transmission refers.
     """
-    if not known.vibrates:
-        return None
     relation = known.relation if known.relation != "unknown" else _RELATIONS[int(rng.integers(len(_RELATIONS)))]
     frequency = float(rng.uniform(*_FREQUENCY_HZ))
     if known.frequency is not None:
         frequency = known.frequency + (known.frequency_sd or 0.0) * float(rng.standard_normal())
-    speeds = [float(rng.uniform(*_SPEED_M_S))] * len(PALMS)
     if known.speed is not None:
         sd = _SPEED_SHARE * known.speed if known.speed_sd is None else known.speed_sd
-        speeds = [max(known.speed + sd * float(rng.standard_normal()), 0.1 * known.speed)] * len(PALMS)
+        speed = max(known.speed + sd * float(rng.standard_normal()), 0.1 * known.speed)
     apart = float(rng.uniform(*_APART_HZ)) if relation == "independent" else 0.0
     phase = float(rng.uniform(0.0, math.tau))
     between = {"independent": float(rng.uniform(0.0, math.tau)), "in_phase": 0.0, "antiphase": math.pi}[relation]
     shakers = (
-        Shaker(frequency - 0.5 * apart, speeds[0], phase),
-        Shaker(frequency + 0.5 * apart, speeds[1], phase + between),
+        Shaker(frequency - 0.5 * apart, speed, phase),
+        Shaker(frequency + 0.5 * apart, speed, phase + between),
     )
     if pure:
         return Shaking(relation, shakers)
+    mount = _mount(known, frequency, body_mass, rng)
     distorted = (
-        replace(each, second=_SECOND * float(a), third=_THIRD * float(b), mount=_mount(known, frequency, body_mass, rng))
+        replace(each, second=_SECOND * float(a), third=_THIRD * float(b), mount=mount)
         for each, (a, b) in zip(shakers, rng.standard_normal((len(PALMS), 2)), strict=True)
     )
     return Shaking(relation, tuple(distorted))

@@ -1,11 +1,11 @@
 """The emulated object on palms that really vibrate along themselves, under dry Coulomb friction, resolved in time.
 
-Friction alternates with the vibration, and the normal forces with it: each contact slips forwards, backwards, or sticks.
+Friction alternates with the vibration, and the normal forces with it: a contact slips forwards, backwards, or sticks.
 Slip reversals are located to 1e-10 s within Runge–Kutta steps of at most an eightieth of a period; a contact at zero
 slip takes the first mode that Coulomb's law allows: slip that friction opposes, or stick with no more friction than μN.
 A palm's mount may give way across the palm: its mass, stiffness and damping decide how far normal forces follow the
-friction's alternation (λ of THEORY_DITHER §3). The table's bow and standoff are as in `rig.curved_plant`, whose geometry
-this is, with curvature 0 for flat palms.
+friction's alternation (λ of THEORY_DITHER §3). The geometry is that of `rig.curved_plant`, with curvature 0 for flat
+palms.
 
 Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
 """
@@ -94,7 +94,7 @@ class _Palms(ctypes.Structure):
 
 
 class VibratingPlant(CurvedPlant):
-    """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` says; needs compiled C and a smooth body."""
+    """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` says, for smooth bodies, in C."""
 
     def __init__(
         self,
@@ -125,9 +125,7 @@ class VibratingPlant(CurvedPlant):
         """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
         super().place(palms, psi, omega0)
         q = self.state
-        self._memory = _Body(
-            x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta)
-        )
+        self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
         self._scene.place(self._memory, palms)
         self._take_over()
 
@@ -223,9 +221,7 @@ class _CompiledScene:
         library = _library()
         assert library is not None, "`resolves` was asked"
         self._library, self._table = library, np.array(support.table)
-        self._scene = _Scene(
-            table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
-        )
+        self._scene = _Scene(table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers)
         self._at = ctypes.byref(self._scene)
 
     def place(self, body: _Body, palms: PalmMotion) -> None:

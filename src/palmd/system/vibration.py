@@ -42,7 +42,11 @@ AVERAGED = Vibration(law="averaged")
 """Palms whose friction follows the averaged law, as simulated before the law of sign pairs was known."""
 
 VIBRATION_KEYS = {"frequency": "frequency_hz", "speed": "speed_m_s", "transmission": "transmission"}
-VIBRATION_SD_KEYS = {"frequency_sd": "frequency_sd_hz", "speed_sd": "speed_sd_m_s", "transmission_sd": "transmission_sd"}
+VIBRATION_SD_KEYS = {
+    "frequency_sd": "frequency_sd_hz",
+    "speed_sd": "speed_sd_m_s",
+    "transmission_sd": "transmission_sd",
+}
 """How logs and configurations call the fields of `Vibration`."""
 
 

@@ -1,7 +1,7 @@
 """Scenes in Chipmunk (pymunk): impulses with friction between a body of arcs and two conveyor palms.
 
-The body's outline is made of arcs. Each palm touches a disc of its own, which takes the radius and the centre of the arc
-that the palm's normal points at; where arcs join, both discs have the same contact point. A palm is a kinematic segment
+The body's outline is made of arcs. Each palm touches a disc of its own, with the radius and the centre of the arc that
+the palm's normal points at; where arcs join, both discs have the same contact point. A palm is a kinematic segment
 through the hinge; its vibration is Chipmunk's surface velocity, which is exactly what a flat palm's motion along itself
 does to friction. The steps are short against the vibration: friction reverses within one of them.
 """
@@ -81,6 +81,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
 
     def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         nonlocal deepest
+        del space, data
         number = max(shape.collision_type for shape in arbiter.shapes) - 1
         normal = normals[number]
         impulse = arbiter.total_impulse

@@ -1,7 +1,7 @@
 """What an engine simulates: a body on two flat palms that rock and vibrate, drawn by a seed; and logs of what came out.
 
-Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms that vibrate), `slick` (no friction), `dry`
-(friction on palms that do not vibrate, whose plan has a dither of 0.1° at 10 Hz). SI units.
+Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms that vibrate), `slick` (no friction),
+`dry` (friction on palms that do not vibrate, whose plan has a dither of 0.1° at 10 Hz). SI units.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ENGINE_KINDS: tuple[EngineKind, ...] = get_args(EngineKind)
 _RELATIONS: Mapping[EngineKind, Relation] = {
     "vibrating": "independent", "in_phase": "in_phase", "antiphase": "antiphase", "slick": "independent", "dry": "none",
 }  # fmt: skip
-_MU = (0.05, 0.3)
+_MU, _SPEED_M_S = (0.05, 0.3), (0.010, 0.020)
 _DITHER_RAD, _DITHER_HZ = math.radians(0.1), 10.0
 _RELEASE_RAD = (0.12, 0.5)
 _MEAN_RADIUS_M, _RATIO = (16e-3, 24e-3), (0.75, 0.92)
@@ -140,7 +140,10 @@ def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> Scene:
     )
     surface = FrictionSurface(mu=0.0 if kind == "slick" else float(rng.uniform(*_MU)))
     vibration = Vibration(_RELATIONS[kind])
-    shaking = drawn_shaking(vibration, rng, pure=True)
+    shaking = None
+    if vibration.vibrates:
+        shaking = drawn_shaking(vibration, rng, speed=float(rng.uniform(*_SPEED_M_S)), pure=True)
+        surface = replace(surface, dither=0.5 * math.pi * shaking.palms[0].speed)
     palms = off.true_palms(rocking.at(0.0))
     poses = stable_poses(body, palms)
     psi = poses[int(rng.integers(len(poses)))]
@@ -195,13 +198,9 @@ def engine_log(
         told = replace(scene.run, body=simulated.body)
         rng = np.random.default_rng([_STREAM, seed, attempt])
         lines = list(log_lines(told, history, CALIBRATION[known], rng))
-        shakers = scene.run.shaking.palms if scene.run.shaking else ()
         truth = truth_of(told, history) | {
             "engine_kind": kind,
             "engine_penetration_m": simulated.penetration,
-            "vibration_hz": [each.frequency for each in shakers],
-            "vibration_m_s": [each.speed for each in shakers],
-            "vibration_phase_rad": [each.phase for each in shakers],
         }
         return lines, truth
     raise ValueError(f"no {kind} scene of seed {seed} keeps both contacts")
