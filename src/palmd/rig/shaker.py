@@ -56,6 +56,17 @@ class Shaker:
         tau = math.tau * self.frequency * t + self.phase
         return self.speed * (math.cos(tau) + self.second * math.cos(2.0 * tau) + self.third * math.cos(3.0 * tau))
 
+    def moved(self, t: float) -> float:
+        """How far outwards the palm is at t (s), in m: the integral of its speed, with mean 0."""
+        turn = math.tau * self.frequency
+        tau = turn * t + self.phase
+        waves = math.sin(tau) + self.second / 2.0 * math.sin(2.0 * tau) + self.third / 3.0 * math.sin(3.0 * tau)
+        return self.speed / turn * waves
+
+
+STILL = Shaker(frequency=1.0, speed=0.0)
+"""A palm that does not vibrate."""
+
 
 @dataclass(frozen=True, slots=True)
 class Shaking:

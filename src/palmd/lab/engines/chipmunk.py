@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pymunk
 
-from palmd.lab.engines.scene import Scene, Simulated
+from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
 from palmd.rig.shapes import Body, SupportFunction
 from palmd.rig.sharp_shapes import ArcSupport
 from palmd.rig.simulate import STEP_S
+from palmd.system.mechanism import PALMS
 
 STEPS = 12
 """Of the engine in each row of a run: 42 µs."""
@@ -77,49 +78,30 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
         surface.filter = pymunk.ShapeFilter(categories=4 << number, mask=1 << number)
         surface.collision_type = number + 1
     space.add(moving, *discs, *palms, *surfaces)
-    impulses, deepest = np.zeros(2), 0.0
+    rows, normals = Rows(q), [(0.0, 0.0), (0.0, 0.0)]
 
     def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
-        nonlocal deepest
         del space, data
-        number = max(shape.collision_type for shape in arbiter.shapes) - 1
-        normal = normals[number]
-        impulse = arbiter.total_impulse
-        impulses[number] += abs(impulse.x * normal[0] + impulse.y * normal[1])
-        deepest = max(deepest, -arbiter.contact_point_set.points[0].distance)
+        palm = max(shape.collision_type for shape in arbiter.shapes) - 1
+        (nx, ny), impulse = normals[palm], arbiter.total_impulse
+        rows.press(palm, abs(impulse.x * nx + impulse.y * ny), -arbiter.contact_point_set.points[0].distance)
 
-    space.on_collision(1, 0, post_solve=pressed)
-    space.on_collision(2, 0, post_solve=pressed)
-    dt, count = STEP_S / steps, round(duration_s / STEP_S)
-    rows = np.empty((count + 1, 6))
-    rows[0] = q.x, q.y, q.psi, q.omega0, math.nan, math.nan
-    in_use, normals = [-1, -1], [(0.0, 0.0), (0.0, 0.0)]
-    width = math.tau / len(outline.radii)
-    for k in range(count):
-        impulses[:] = 0.0
-        motion = scene.palms_at(k * STEP_S)  # in between, accelerations are taken for constant
-        turns = (
-            (motion.angles[0], motion.rates[0], motion.accelerations[0], 1.0),
-            (sum(motion.angles), sum(motion.rates), sum(motion.accelerations), -1.0),
-        )
-        for j in range(steps):
-            late = j * dt
-            speeds = scene.outward_speeds(k * STEP_S + late + 0.5 * dt)
-            for number, (angle, turning, acceleration, side) in enumerate(turns):
-                phi, rate = angle + late * (turning + 0.5 * late * acceleration), turning + late * acceleration
-                c, s = math.cos(phi), math.sin(phi)
+    for palm in PALMS:
+        space.on_collision(palm, 0, post_solve=pressed)
+    in_use, width = [-1, -1], math.tau / len(outline.radii)
+    for row in range(round(duration_s / STEP_S)):
+        for both in palm_steps(scene, row, steps):
+            for number, (step, side) in enumerate(zip(both, (1.0, -1.0), strict=True)):
+                c, s = math.cos(step.angle), math.sin(step.angle)
                 normals[number] = -side * s, side * c
-                palms[number].angle, palms[number].angular_velocity = phi, rate + 0.5 * dt * acceleration
-                surfaces[number].surface_velocity = (c * speeds[number], s * speeds[number])
-                arc = int(((phi - side * 0.5 * math.pi - moving.angle) % math.tau) / width)
+                palms[number].angle, palms[number].angular_velocity = step.angle, step.rate
+                surfaces[number].surface_velocity = (c * step.speed, s * step.speed)
+                arc = int(((step.angle - side * 0.5 * math.pi - moving.angle) % math.tau) / width)
                 if arc != in_use[number]:
                     in_use[number] = arc
                     discs[number].unsafe_set_radius(outline.radii[arc])
                     discs[number].unsafe_set_offset(outline.centres[arc])
-            space.step(dt)
-        rows[k + 1] = *moving.position, moving.angle, moving.angular_velocity, *(impulses / STEP_S)
-        if (impulses == 0.0).all():
-            rows = rows[: k + 2]
+            space.step(STEP_S / steps)
+        if not rows.end(*moving.position, moving.angle, moving.angular_velocity):
             break
-    rows[0, 4:] = rows[1, 4:]
-    return Simulated(body, *rows.T, deepest)
+    return rows.simulated(body)

@@ -1,8 +1,9 @@
 """Scenes in MuJoCo: an ellipsoid between two boxes, whose positions and velocities are prescribed.
 
-A palm is a box on a hinge joint and a slide joint along itself, heavy and set anew before each step, so that it moves as
-prescribed and its vibration is a motion of the box. MuJoCo's contacts are soft: they are as stiff as the step allows
-without bouncing (`solref`), with `solimp` 0.1, so that sliding friction does not lift the body. The collision of an ellipsoid with a box is iterative and needs a tolerance of 1e-13 or less for its normals.
+A palm is a box on a hinge joint and a slide joint along itself, heavy and set anew before each step, so that it moves
+as prescribed and its vibration is a motion of the box. MuJoCo's contacts are soft: they are as stiff as the step allows
+without bouncing (`solref`), with `solimp` 0.1, so that sliding friction does not lift the body. The collision of an
+ellipsoid with a box is iterative and needs a tolerance of 1e-13 or less for its normals.
 """
 
 from __future__ import annotations
@@ -10,9 +11,8 @@ from __future__ import annotations
 import math
 
 import mujoco
-import numpy as np
 
-from palmd.lab.engines.scene import Scene, Simulated
+from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
 from palmd.rig.simulate import STEP_S
 
 STEPS = 12
@@ -48,41 +48,19 @@ def model_of(scene: Scene, dt: float) -> mujoco.MjModel:
 
 def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
     """Runs the scene; see `palmd.lab.engines.scene.Engine`."""
-    dt, count, q = STEP_S / steps, round(duration_s / STEP_S), scene.start
+    dt, q = STEP_S / steps, scene.start
     model = model_of(scene, dt)
     data = mujoco.MjData(model)
     data.qpos[4:], data.qvel[4:] = (q.x, q.y, q.psi), (q.vx, q.vy, q.omega0)
-    rows, forces, deepest = np.empty((count + 1, 6)), np.zeros(2), 0.0
-    rows[0] = q.x, q.y, q.psi, q.omega0, math.nan, math.nan
-    shakers = scene.run.shaking.palms if scene.run.shaking else ()
-    slides = np.zeros(2)
-    for k in range(count):
-        forces[:], touched = 0.0, False
-        motion = scene.palms_at(k * STEP_S)  # in between, accelerations are taken for constant
-        (phi1, phi2), (w1, w2), (a1, a2) = motion.angles, motion.rates, motion.accelerations
-        turns = ((phi1, w1, a1), (phi1 + phi2, w1 + w2, a1 + a2))
-        for j in range(steps):
-            late = j * dt
-            t = k * STEP_S + late
-            for palm, (angle, rate, acceleration) in enumerate(turns):
-                data.qpos[2 * palm] = angle + late * (rate + 0.5 * late * acceleration)
-                data.qvel[2 * palm] = rate + (late + 0.5 * dt) * acceleration
-                if shakers:
-                    shaker = shakers[palm]
-                    turn = math.tau * shaker.frequency
-                    slides[palm] = shaker.speed / turn * math.sin(turn * t + shaker.phase)
-                    data.qpos[2 * palm + 1] = slides[palm]
-                    data.qvel[2 * palm + 1] = shaker.outward_speed(t + 0.5 * dt)
+    rows = Rows(q)
+    for row in range(round(duration_s / STEP_S)):
+        for both in palm_steps(scene, row, steps):
+            data.qpos[:4] = [each for step in both for each in (step.angle, step.moved)]
+            data.qvel[:4] = [each for step in both for each in (step.rate, step.speed)]
             mujoco.mj_step(model, data)
-            contacts = data.contact
-            forces_now, address, pairs = data.efc_force, contacts.efc_address, contacts.geom
-            for number, depth in enumerate(contacts.dist):
-                forces[min(pairs[number])] += forces_now[address[number]]
-                touched = True
-                deepest = max(deepest, -float(depth))
-        rows[k + 1] = data.qpos[4], data.qpos[5], data.qpos[6], data.qvel[6], *(forces / steps)
-        if not touched and k:
-            rows = rows[: k + 2]
+            contacts, forces = data.contact, data.efc_force
+            for depth, pair, address in zip(contacts.dist, contacts.geom, contacts.efc_address, strict=True):
+                rows.press(int(min(pair)), float(forces[address]) * dt, -float(depth))
+        if not rows.end(*data.qpos[4:].tolist(), float(data.qvel[6])):
             break
-    rows[0, 4:] = rows[1, 4:]
-    return Simulated(scene.run.body, *rows.T, deepest)
+    return rows.simulated(scene.run.body)

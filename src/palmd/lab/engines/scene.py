@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, Protocol, get_args
 
@@ -18,7 +18,7 @@ from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.imperfections import drawn
 from palmd.rig.plant import PAD_LENGTH, BodyState, FrictionSurface, Hinge, Plant, palm_frame, stable_poses
-from palmd.rig.shaker import drawn_shaking
+from palmd.rig.shaker import STILL, drawn_shaking
 from palmd.rig.shapes import Body, Support, ellipse, uniform_body_of, with_slug
 from palmd.rig.simulate import (
     CALIBRATION,
@@ -33,6 +33,7 @@ from palmd.rig.simulate import (
     truth_of,
 )
 from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
 from palmd.system.vibration import Relation, Vibration
 
 EngineKind = Literal["vibrating", "in_phase", "antiphase", "slick", "dry"]
@@ -47,6 +48,7 @@ _MEAN_RADIUS_M, _RATIO = (16e-3, 24e-3), (0.75, 0.92)
 _MASS_KG = (0.06, 0.25)
 _STREAM = 0x656E67  # of seeds, so that no draw is shared with `rig.simulate`
 _MARGIN_M, _LEAST_N = 3e-3, 1e-3
+_LOST_ROWS = 10  # without any contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +86,6 @@ class Scene:
         """Where the palms really are at t (s)."""
         return self.run.palms_at(t)
 
-    def outward_speeds(self, t: float) -> Sequence[float]:
-        """Of both palms along themselves (m/s) at t (s)."""
-        return [each.outward_speed(t) for each in self.run.shaking.palms] if self.run.shaking else (0.0, 0.0)
-
     @property
     def frictions(self) -> tuple[float, float]:
         """Of both palms."""
@@ -114,6 +112,64 @@ class Simulated(NamedTuple):
     f1: FloatArray
     f2: FloatArray
     penetration: float
+
+
+class PalmStep(NamedTuple):
+    """One palm over a step of an engine: its direction (rad) and how far it is moved outwards (m) when the step begins.
+
+    rate (rad/s) and speed (m/s, outwards) are those in the middle of the step.
+    """
+
+    angle: float
+    rate: float
+    moved: float
+    speed: float
+
+
+def palm_steps(scene: Scene, row: int, steps: int) -> Iterator[list[PalmStep]]:
+    """Both palms in each of the `steps` from a row to the next; accelerations are constant in between."""
+    motion, dt = scene.palms_at(row * STEP_S), STEP_S / steps
+    turns = [[sum(each[: palm + 1]) for each in motion] for palm in range(len(PALMS))]
+    shakers = scene.run.shaking.palms if scene.run.shaking else (STILL,) * len(PALMS)
+    for late in (step * dt for step in range(steps)):
+        t = row * STEP_S + late
+        yield [
+            PalmStep(
+                angle + late * (rate + 0.5 * late * acceleration),
+                rate + (late + 0.5 * dt) * acceleration,
+                shaker.moved(t),
+                shaker.outward_speed(t + 0.5 * dt),
+            )
+            for (angle, rate, acceleration), shaker in zip(turns, shakers, strict=True)
+        ]
+
+
+class Rows:
+    """What a run of an engine leaves behind, row by row."""
+
+    def __init__(self, start: BodyState) -> None:
+        """Before the first step."""
+        self.deepest = 0.0
+        self._rows = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
+        self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0
+
+    def press(self, palm: int, impulse: float, depth: float) -> None:
+        """A contact of palm 0 or 1 in one step: its normal impulse (N s) and penetration (m)."""
+        self._impulses[palm] += impulse
+        self._touched, self.deepest = True, max(self.deepest, depth)
+
+    def end(self, x: float, y: float, psi: float, omega0: float) -> bool:
+        """A row ends with the body there; false where it has touched nothing for a while."""
+        self._rows.append((x, y, psi, omega0, *(impulse / STEP_S for impulse in self._impulses)))
+        self._untouched_rows = 0 if self._touched else self._untouched_rows + 1
+        self._impulses, self._touched = [0.0] * len(PALMS), False
+        return self._untouched_rows < _LOST_ROWS
+
+    def simulated(self, body: Body) -> Simulated:
+        """The run; the forces of its first row are those of the next."""
+        columns = np.array(self._rows).T
+        columns[4:, 0] = columns[4:, 1]
+        return Simulated(body, *columns, self.deepest)
 
 
 class Engine(Protocol):
