@@ -9,7 +9,8 @@ or in a fixed phase to it. Forces are means. It holds for fast vibrations, sines
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 from palmd.rig.curved_plant import CurvedPlant
@@ -19,14 +20,22 @@ from palmd.rig.shapes import Body
 from palmd.system.vibration import Relation
 
 Signs = tuple[float, ...]
+_RIPPLE_STEPS = 2
 
 
-def forward_share(slip: float, speed: float) -> float:
-    """The share of time in which slip + speed·cos τ is positive; slip, speed in m/s."""
-    return 0.5 + math.asin(min(max(slip / speed, -1.0), 1.0)) / math.pi
+def forward_share(slip: float, speed: float, ripples: Sequence[float] = ()) -> float:
+    """The share of time in which slip + speed·cos τ is positive, all in m/s.
+
+    The slip itself goes up and down by ± each of `ripples`.
+    """
+    shares = [
+        0.5 + math.asin(min(max((slip + sum(each)) / speed, -1.0), 1.0)) / math.pi
+        for each in product(*((ripple, -ripple) for ripple in ripples))
+    ]
+    return sum(shares) / len(shares)
 
 
-def shares(forward: Signs, relation: Relation) -> Iterator[tuple[Signs, float]]:
+def shares(forward: Sequence[float], relation: Relation) -> Iterator[tuple[Signs, float]]:
     """Pairs of slip signs along t1, t2 with the share of time of each, from both contacts' shares of forward slip.
 
     Palms in phase slip in opposite phase along t1 and t2, as t1 points outwards and t2 inwards.
@@ -48,10 +57,13 @@ class SignPairsPlant(Plant):
 
     def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, shaking: Shaking, **others: Any) -> None:
         """As `Plant` has it."""
+        self._begin(shaking)
+        super().__init__(body, hinge, surface, **others)
+
+    def _begin(self, shaking: Shaking) -> None:
         self._shaking = shaking
         self._slips: list[float] | None = None
         self._signs: list[float] = []
-        super().__init__(body, hinge, surface, **others)
 
     def _compiled_step(self) -> None:
         """None is written for it."""
@@ -63,15 +75,59 @@ class SignPairsPlant(Plant):
         slips, self._slips = self._slips, None
         if not slips or self.surface.mu == 0.0:
             return free
-        touching = [palm for palm, on in zip(self._shaking.palms, self.touching, strict=True) if on]
-        forward = tuple(forward_share(u, palm.speed) for u, palm in zip(slips, touching, strict=True))
+        on = [i for i, touching in enumerate(self.touching) if touching]
+        solved: dict[Signs, _Rates] = {}
+        for signs in product((1.0, -1.0), repeat=len(slips)):
+            self._signs = list(reversed(signs))
+            solved[signs] = super()._solve(*place)
+        speeds = [self._shaking.palms[i].speed for i in on]
+        forward = [forward_share(u, speed) for u, speed in zip(slips, speeds, strict=True)]
+        for _ in range(_RIPPLE_STEPS):
+            ripples = self._ripples(frame, psi, on, solved, forward)
+            forward = [forward_share(*each) for each in zip(slips, speeds, ripples, strict=True)]
         mean = [0.0] * len(free)
         for signs, share in shares(forward, self._shaking.relation):
-            if share:
-                self._signs = list(reversed(signs))
-                mean = [m + share * each for m, each in zip(mean, super()._solve(*place), strict=True)]
+            mean = [m + share * each for m, each in zip(mean, solved[signs], strict=True)]
         ax, ay, al, f1, f2 = mean
         return ax, ay, al, f1, f2
+
+    def _ripples(
+        self, frame: PalmFrame, psi: float, on: list[int], solved: Mapping[Signs, _Rates], forward: Sequence[float]
+    ) -> list[list[float]]:
+        """Of each contact's slip: by how much (m/s) alternating friction makes it go up and down in its reversals.
+
+        An alternating acceleration makes a triangle. A contact's own one is at its tip where it reverses, that
+        of an independent palm anywhere (1/√3 of the amplitude, RMS). Palms of one frequency reverse about together.
+        """
+        relation = self._shaking.relation
+        tangents = [self._tangent(i, frame, psi) for i in on]
+
+        def leap(n: int, before: Signs, after: Signs) -> float:
+            tx, ty, h = tangents[n]
+            dx, dy, turn = (a - b for a, b in zip(solved[after][:3], solved[before][:3], strict=True))
+            return tx * dx + ty * dy + h * turn
+
+        def triangle(by: int, rate: float) -> float:
+            return abs(rate) * forward[by] * (1.0 - forward[by]) / (2.0 * self._shaking.palms[on[by]].frequency)
+
+        if len(on) == 1 or relation != "independent":
+            first: Signs = (1.0, -1.0) if relation == "in_phase" and len(on) == 2 else (1.0,) * len(on)
+            last = tuple(-sign for sign in first)
+            return [[triangle(n, leap(n, last, first))] for n in range(len(on))]
+
+        def flipped(n: int, by: int) -> float:
+            """The leap where `by` reverses, the other contact slipping either way for its share of the time."""
+            share, pair = forward[1 - by], ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
+            if by == 1:
+                pair = tuple((b, a) for a, b in pair)
+            return share * leap(n, pair[1], pair[0]) + (1.0 - share) * leap(n, pair[3], pair[2])
+
+        return [[triangle(n, flipped(n, n)), triangle(1 - n, flipped(n, 1 - n)) / math.sqrt(3.0)] for n in (0, 1)]
+
+    def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:
+        """t at the contact, and the lever of a force along it."""
+        tx, ty, out, *_ = frame.each()[palm]
+        return tx, ty, self.body.support.at(out - psi)[0]
 
     def _friction(self, slip: float) -> float:
         """Tangential over normal force of the contact that is asked for next, palm 1 before palm 2."""
@@ -88,6 +144,10 @@ class CurvedSignPairsPlant(SignPairsPlant, CurvedPlant):
         self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, shaking: Shaking, **others: Any
     ) -> None:
         """As `CurvedPlant` has it."""
-        self._shaking = shaking
-        self._slips, self._signs = None, []
+        self._begin(shaking)
         CurvedPlant.__init__(self, body, hinge, surface, curvatures, **others)
+
+    def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:
+        del frame
+        theta = self._theta[palm]
+        return -math.sin(theta + psi), math.cos(theta + psi), self.body.support.at(theta)[0]
