@@ -513,8 +513,8 @@ void vibrating_plant_place(const Scene *scene, Body *body, const Palms *palms) {
   for (int i = 0; i < CONTACTS; i++) body->on[i] = 1.0, body->preload[i] = 0.0, body->least[i] = HUGE_VAL;
   slips_of(scene, body, &frame, slips);
   for (int i = 0; i < CONTACTS; i++) body->mode[i] = slips[i] < 0.0 ? -1.0 : 1.0;
-  Scene rigid = *scene;
-  for (int i = 0; i < CONTACTS; i++) rigid.palms[i].yielding = 0.0;
+  Scene rigid = *scene; /* and slick: forces without friction are about the mean ones with it */
+  for (int i = 0; i < CONTACTS; i++) rigid.palms[i].yielding = rigid.palms[i].mu = 0.0;
   settle(&rigid, body, palms, body->t);
   for (int i = 0; i < CONTACTS; i++) {
     body->preload[i] = body->rates.f[i], body->force[i] = body->rates.f[i];
