@@ -15,8 +15,8 @@ import mujoco
 from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
 from palmd.rig.simulate import STEP_S
 
-STEPS = 12
-"""Of the engine in each row of a run: 42 µs."""
+STEPS = 20
+"""Of the engine in each row of a run: 25 µs."""
 _THICK_M = 0.02
 _SETTINGS = 'cone="elliptic" impratio="100" ccd_tolerance="1e-14" ccd_iterations="200" tolerance="0" iterations="30"'
 
