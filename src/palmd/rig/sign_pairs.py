@@ -117,10 +117,13 @@ class SignPairsPlant(Plant):
 
         def flipped(n: int, by: int) -> float:
             """The leap where `by` reverses, the other contact slipping either way for its share of the time."""
-            share, pair = forward[1 - by], ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
-            if by == 1:
-                pair = tuple((b, a) for a, b in pair)
-            return share * leap(n, pair[1], pair[0]) + (1.0 - share) * leap(n, pair[3], pair[2])
+            return sum(
+                share * leap(n, *((before, after) if by == 0 else (before[::-1], after[::-1])))
+                for share, before, after in (
+                    (forward[1 - by], (-1.0, 1.0), (1.0, 1.0)),
+                    (1.0 - forward[1 - by], (-1.0, -1.0), (1.0, -1.0)),
+                )
+            )
 
         return [[triangle(n, flipped(n, n)), triangle(1 - n, flipped(n, 1 - n)) / math.sqrt(3.0)] for n in (0, 1)]
 

@@ -197,7 +197,9 @@ class VibratingPlant(CurvedPlant):
             "longest_step": min(steps), "force_lag": FORCE_LAG_S, "motion_lag": MOTION_LAG_S,
             "arc": hinge.mode == "arc",
         }  # fmt: skip
-        return _CompiledScene(self.body.support, numbers, palms)
+        support = self.body.support
+        assert isinstance(support, Support), "`resolves` was asked"
+        return _CompiledScene(support, numbers, palms)
 
     def _palm(self, i: int) -> dict[str, float]:
         shaker = self.shaking.palms[i]
