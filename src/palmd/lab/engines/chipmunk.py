@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pymunk
 
+from palmd.events import FloatArray
 from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
 from palmd.rig.shapes import Body, SupportFunction
 from palmd.rig.sharp_shapes import ArcSupport
@@ -34,10 +35,10 @@ def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
 
     Each has the outline's mean radius of curvature over its normals, but for what closes the outline.
     """
-    theta = np.arange(count) * (math.tau / count)
+    theta: FloatArray = np.arange(count, dtype=np.float64) * (math.tau / count)
     fine = 64
-    inner = (np.arange(count * fine) + 0.5) * (math.tau / count / fine)
-    curvature_radius = support.sample(inner) + support.sample(inner, 2)
+    inner: FloatArray = (np.arange(count * fine, dtype=np.float64) + 0.5) * (math.tau / count / fine)
+    curvature_radius: FloatArray = np.add(support.sample(inner), support.sample(inner, 2))
     v = curvature_radius.reshape(count, fine).mean(axis=1)
     # an outline of arcs closes where Σ v_j (u(θ_{j+1}) − u(θ_j)) = 0
     step = np.exp(1j * (theta + math.tau / count)) - np.exp(1j * theta)
@@ -102,6 +103,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
                     discs[number].unsafe_set_radius(outline.radii[arc])
                     discs[number].unsafe_set_offset(outline.centres[arc])
             space.step(STEP_S / steps)
-        if not rows.end(*moving.position, moving.angle, moving.angular_velocity):
+        x, y = moving.position
+        if not rows.end(x, y, moving.angle, moving.angular_velocity):
             break
     return rows.simulated(body)

@@ -119,6 +119,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
                 rows.press(palms_by_index[other], force * dt, float(pair.depth))
             context.SetDiscreteState(plant.EvalUniquePeriodicDiscreteUpdate(context))
             state[:] = plant.GetPositionsAndVelocities(context)
-        if not rows.end(*state[_BODY].tolist(), float(state[-1])):
+        x, y, psi = state[_BODY].tolist()
+        if not rows.end(x, y, psi, float(state[-1])):
             break
     return rows.simulated(scene.run.body)

@@ -61,6 +61,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
             contacts, forces = data.contact, data.efc_force
             for depth, pair, address in zip(contacts.dist, contacts.geom, contacts.efc_address, strict=True):
                 rows.press(int(min(pair)), float(forces[address]) * dt, -float(depth))
-        if not rows.end(*data.qpos[4:].tolist(), float(data.qvel[6])):
+        x, y, psi = data.qpos[4:].tolist()
+        if not rows.end(x, y, psi, float(data.qvel[6])):
             break
     return rows.simulated(scene.run.body)

@@ -150,7 +150,7 @@ class Rows:
     def __init__(self, start: BodyState) -> None:
         """Before the first step."""
         self.deepest = 0.0
-        self._rows = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
+        self._rows: list[tuple[float, ...]] = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
         self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0
 
     def press(self, palm: int, impulse: float, depth: float) -> None:
@@ -167,9 +167,9 @@ class Rows:
 
     def simulated(self, body: Body) -> Simulated:
         """The run; the forces of its first row are those of the next."""
-        columns = np.array(self._rows).T
-        columns[4:, 0] = columns[4:, 1]
-        return Simulated(body, *columns, self.deepest)
+        x, y, psi, omega0, f1, f2 = np.array(self._rows).T
+        f1[0], f2[0] = f1[1], f2[1]
+        return Simulated(body, x, y, psi, omega0, f1, f2, self.deepest)
 
 
 class Engine(Protocol):

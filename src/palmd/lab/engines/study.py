@@ -171,7 +171,7 @@ def _live(log: EventLog, told: dict[str, Any]) -> dict[str, Any]:
         return {"valid": 0.0}
 
     def off(name: str, values: FloatArray) -> FloatArray:
-        return np.abs(values - np.interp(t, told["t"], told[name]))
+        return np.asarray(np.abs(values - np.interp(t, told["t"], told[name])), dtype=np.float64)
 
     begin = log.events[0].t_sample
     settled = t - begin > min(SETTLED_S, 0.5 * (t[-1] - begin))
@@ -196,7 +196,8 @@ def as_line(row: EngineRow) -> dict[str, Any]:
 
 def row_from(line: dict[str, Any]) -> EngineRow:
     """What `as_line` made; raises TypeError for what it did not make."""
-    return EngineRow(**{name: math.nan if value is None else value for name, value in line.items()})
+    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in line.items()}
+    return EngineRow(**values)
 
 
 def table(rows: Sequence[EngineRow]) -> str:
