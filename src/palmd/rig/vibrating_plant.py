@@ -15,6 +15,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from functools import cache
 from typing import Any
 
@@ -64,7 +65,7 @@ class _Palm(ctypes.Structure):
     )  # fmt: skip
 
 
-class _Scene(ctypes.Structure):
+class _VibratingScene(ctypes.Structure):
     _fields_ = (
         ("table", ctypes.c_void_p),
         *_doubles("rho2", "damping", "gravity", "shake"),
@@ -89,7 +90,7 @@ class _Body(ctypes.Structure):
     )
 
 
-class _Palms(ctypes.Structure):
+class _PalmMotions(ctypes.Structure):
     _fields_ = tuple(_pairs("angles", "rates", "accelerations"))
 
 
@@ -142,6 +143,12 @@ class VibratingPlant(CurvedPlant):
         return self._memory.r[0], self._memory.r[1]
 
     @property
+    def touching(self) -> tuple[bool, bool]:
+        """Which palms the body touches."""
+        one, two = (each != 0.0 for each in self._memory.on)
+        return one, two
+
+    @property
     def mean_omega0(self) -> float:
         """The body's rate (rad/s) without the ripple that the vibration gives it: smoothed, corrected for its lag."""
         first, second = self._memory.turning
@@ -178,7 +185,7 @@ class VibratingPlant(CurvedPlant):
         q.x, q.y, q.psi, q.vx, q.vy, q.omega0 = m.x, m.y, m.psi, m.vx, m.vy, m.w
         self._rates = m.ax, m.ay, m.al, m.f[0], m.f[1]
         self._theta = list(m.theta)
-        self._on1, self._on2, self.fallen = m.on[0] != 0.0, m.on[1] != 0.0, m.fallen != 0.0
+        self.fallen = m.fallen != 0.0
 
     def take_away(self) -> None:
         """Removes the body from the palms until it is placed again."""
@@ -186,16 +193,16 @@ class VibratingPlant(CurvedPlant):
         self._memory = _Body(fallen=1.0)
 
     def _compiled_scene(self) -> _CompiledScene:
-        shakers, hinge = self.shaking.palms, self.hinge
+        shakers, (mode, travel, base) = self.shaking.palms, astuple(self.hinge)
         palms = [self._palm(i) for i in range(_CONTACTS)]
         steps = [1.0 / (STEPS_PER_PERIOD * each.frequency) for each in shakers]
         steps += [math.tau / math.sqrt(palm["stiffness"]) / _STEPS_PER_RESONANCE for palm in palms if palm["yielding"]]
         numbers = {
             "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity, "shake": self._shake,
-            "shaking_hz": _SHAKING_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
+            "shaking_hz": _SHAKING_HZ, "travel": travel, "base": base, "drift_rate": _DRIFT_RATE,
             "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
             "longest_step": min(steps), "force_lag": FORCE_LAG_S, "motion_lag": MOTION_LAG_S,
-            "arc": hinge.mode == "arc",
+            "arc": mode == "arc",
         }  # fmt: skip
         support = self.body.support
         assert isinstance(support, Support), "`resolves` was asked"
@@ -223,7 +230,9 @@ class _CompiledScene:
         library = _library()
         assert library is not None, "`resolves` was asked"
         self._library, self._table = library, np.array(support.table)
-        self._scene = _Scene(table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers)
+        self._scene = _VibratingScene(
+            table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
+        )
         self._at = ctypes.byref(self._scene)
 
     def place(self, body: _Body, palms: PalmMotion) -> None:
@@ -249,7 +258,7 @@ def resolves(body: Body) -> bool:
 
 
 def _palms(motion: PalmMotion) -> ctypes._CArgObject:
-    return ctypes.byref(_Palms(motion.angles, motion.rates, motion.accelerations))
+    return ctypes.byref(_PalmMotions(motion.angles, motion.rates, motion.accelerations))
 
 
 @cache

@@ -15,7 +15,7 @@ import numpy as np
 import pymunk
 
 from palmd.events import FloatArray
-from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
+from palmd.lab.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
 from palmd.rig.shapes import Body, SupportFunction
 from palmd.rig.sharp_shapes import ArcSupport
 from palmd.rig.simulate import STEP_S
@@ -56,7 +56,7 @@ def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
     return ArcSupport(tuple(theta.tolist()), tuple(v.tolist()), tuple(centres))
 
 
-def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
+def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
     """Runs the scene; see `palmd.lab.engines.scene.Engine`."""
     run, q = scene.run, scene.start
     outline = arcs_of(run.body.support)
@@ -79,7 +79,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
         surface.filter = pymunk.ShapeFilter(categories=4 << number, mask=1 << number)
         surface.collision_type = number + 1
     space.add(moving, *discs, *palms, *surfaces)
-    rows, normals = Rows(q), [(0.0, 0.0), (0.0, 0.0)]
+    rows, normals = RunRows(q), [(0.0, 0.0), (0.0, 0.0)]
 
     def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         del space, data

@@ -31,7 +31,7 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import PlanarJoint, PrismaticJoint, RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
+from palmd.lab.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
 from palmd.rig.simulate import STEP_S
 from palmd.system.mechanism import PALMS
 
@@ -61,7 +61,7 @@ def _combined(friction: float) -> float:
     return friction / (2.0 - friction)
 
 
-def model_of(scene: Scene, dt: float) -> tuple[Diagram, MultibodyPlant, Any]:
+def model_of(scene: EngineScene, dt: float) -> tuple[Diagram, MultibodyPlant, Any]:
     """The scene's diagram, its plant, and the body: world x is X, y is Y, z points out of the plane."""
     builder = DiagramBuilder()
     plant, graph = AddMultibodyPlantSceneGraph(builder, dt)
@@ -96,7 +96,7 @@ def model_of(scene: Scene, dt: float) -> tuple[Diagram, MultibodyPlant, Any]:
     return builder.Build(), plant, moving
 
 
-def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
+def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
     """Runs the scene; see `palmd.lab.engines.scene.Engine`."""
     dt, start = STEP_S / steps, scene.start
     diagram, plant, moving = model_of(scene, dt)
@@ -105,7 +105,7 @@ def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
     state = np.zeros(2 * _COORDINATES)
     state[_BODY], state[_BODY_RATES] = (start.x, start.y, start.psi), (start.vx, start.vy, start.omega0)
     palms_by_index = {plant.GetBodyByName(f"palm{palm}").index(): palm - 1 for palm in PALMS}
-    rows = Rows(start)
+    rows = RunRows(start)
     for row in range(round(duration_s / STEP_S)):
         for both in palm_steps(scene, row, steps):
             state[_PALMS] = [each for step in both for each in (step.angle, step.moved)]

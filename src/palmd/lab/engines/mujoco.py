@@ -12,7 +12,7 @@ import math
 
 import mujoco
 
-from palmd.lab.engines.scene import Rows, Scene, Simulated, palm_steps
+from palmd.lab.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
 from palmd.rig.simulate import STEP_S
 
 STEPS = 20
@@ -21,7 +21,7 @@ _THICK_M = 0.02
 _SETTINGS = 'cone="elliptic" impratio="100" ccd_tolerance="1e-14" ccd_iterations="200" tolerance="0" iterations="30"'
 
 
-def model_of(scene: Scene, dt: float) -> mujoco.MjModel:
+def model_of(scene: EngineScene, dt: float) -> mujoco.MjModel:
     """The scene's model: world x is X, z is Y."""
     body, ellipse = scene.run.body, scene.ellipse
     half, (a, b), (x, y) = 0.5 * _THICK_M, ellipse.half_axes, ellipse.centre
@@ -46,13 +46,13 @@ def model_of(scene: Scene, dt: float) -> mujoco.MjModel:
         </body></worldbody></mujoco>""")
 
 
-def simulate(scene: Scene, duration_s: float, steps: int = STEPS) -> Simulated:
+def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
     """Runs the scene; see `palmd.lab.engines.scene.Engine`."""
     dt, q = STEP_S / steps, scene.start
     model = model_of(scene, dt)
     data = mujoco.MjData(model)
     data.qpos[4:], data.qvel[4:] = (q.x, q.y, q.psi), (q.vx, q.vy, q.omega0)
-    rows = Rows(q)
+    rows = RunRows(q)
     for row in range(round(duration_s / STEP_S)):
         for both in palm_steps(scene, row, steps):
             data.qpos[:4] = [each for step in both for each in (step.angle, step.moved)]

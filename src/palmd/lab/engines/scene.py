@@ -74,7 +74,7 @@ class DitheredRocking(Rocking):
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class EngineScene:
     """A run to simulate, which begins at rest at `start`; `ellipse` is the body's outline as an engine's primitive."""
 
     kind: EngineKind
@@ -98,7 +98,7 @@ class Scene:
         return tuple(pad.standoff for pad in self.run.imperfections.pads)
 
 
-class Simulated(NamedTuple):
+class EngineRun(NamedTuple):
     """Columns of a run each `STEP_S`, beginning at t = 0, the body as the engine has it, and its worst penetration (m).
 
     x, y, psi, omega0: of the body; f1, f2: normal forces (N), means over the step before.
@@ -126,7 +126,7 @@ class PalmStep(NamedTuple):
     speed: float
 
 
-def palm_steps(scene: Scene, row: int, steps: int) -> Iterator[list[PalmStep]]:
+def palm_steps(scene: EngineScene, row: int, steps: int) -> Iterator[list[PalmStep]]:
     """Both palms in each of the `steps` from a row to the next; accelerations are constant in between."""
     motion, dt = scene.palms_at(row * STEP_S), STEP_S / steps
     turns = [[sum(each[: palm + 1]) for each in motion] for palm in range(len(PALMS))]
@@ -144,7 +144,7 @@ def palm_steps(scene: Scene, row: int, steps: int) -> Iterator[list[PalmStep]]:
         ]
 
 
-class Rows:
+class RunRows:
     """What a run of an engine leaves behind, row by row."""
 
     def __init__(self, start: BodyState) -> None:
@@ -165,21 +165,21 @@ class Rows:
         self._impulses, self._touched = [0.0] * len(PALMS), False
         return self._untouched_rows < _LOST_ROWS
 
-    def simulated(self, body: Body) -> Simulated:
+    def simulated(self, body: Body) -> EngineRun:
         """The run; the forces of its first row are those of the next."""
         x, y, psi, omega0, f1, f2 = np.array(self._rows).T
         f1[0], f2[0] = f1[1], f2[1]
-        return Simulated(body, x, y, psi, omega0, f1, f2, self.deepest)
+        return EngineRun(body, x, y, psi, omega0, f1, f2, self.deepest)
 
 
 class Engine(Protocol):
     """Runs a scene; what comes out may end before its time where a contact is lost."""
 
-    def __call__(self, scene: Scene, duration_s: float) -> Simulated:
+    def __call__(self, scene: EngineScene, duration_s: float) -> EngineRun:
         """Simulates it for that long."""
 
 
-def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> Scene:
+def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> EngineScene:
     """A scene by its seed: ellipses whose centre of mass is off-centre, real vibration as sines.
 
     known: `none` for a rig exactly as described, `calibrated` for one with drawn imperfections.
@@ -214,11 +214,11 @@ def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> Scene:
     assert isinstance(support, Support)
     first, second = support.coefficients[1:3]
     shape = Ellipse(half_axes, (first.real, -first.imag), -0.5 * cmath.phase(second))
-    return Scene(kind, run, shape, plant.state)
+    return EngineScene(kind, run, shape, plant.state)
 
 
-def history_of(scene: Scene, simulated: Simulated) -> FloatArray | None:
-    """Rows of `rig.simulate`'s runs, means over the vibration where they must be; None where a contact was lost."""
+def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
+    """RunRows of `rig.simulate`'s runs, means over the vibration where they must be; None where a contact was lost."""
     t = np.arange(len(simulated.x)) * STEP_S
     motions = [scene.palms_at(float(each)) for each in t]
     frames = [palm_frame(scene.run.hinge, palms) for palms in motions]
