@@ -10,7 +10,7 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, peers, field, faults, simulate, soak'
+    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, engines, peers, field, faults, simulate, soak'
     build:'compile the observers now; the first run does it otherwise'
     bundle:'a recorded run with versions and doctor'"'"'s findings as one zip, for a bug report'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
@@ -49,6 +49,7 @@ _shtab_palmd_commands() {
 _shtab_palmd_bench_commands() {
   local _commands=(
     curved:'curved palms: reconstructed blind, explored, and how much they touch'
+    engines:'physics engines as judges: vibrating palms with dry friction'
     explore:'unknown objects explored in the emulated rig, beside who knows them'
     faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
     field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
@@ -148,6 +149,22 @@ _shtab_palmd_bench_curved_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_bench_curved_defaults_added=0
+
+_shtab_palmd_bench_engines_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--runs[how many of each combination (default\: 2)]:N:"
+  "--engine[whose physics (default\: all)]:engine:(mujoco drake chipmunk all)"
+  "--kind[friction and vibration (default\: all)]:kind:(vibrating in_phase antiphase slick dry all)"
+  "--imperfections[of the rig, drawn (default\: all)]:imperfections:(none calibrated all)"
+  "--seed[the first run\'s (default\: 0)]:FIRST:"
+  "--seconds[how long each lasts (default\: 10.0)]:S:"
+  {-o,--output}"[a JSON line for each run, to resume (default\: engines.jsonl)]:FILE:_files"
+  "--jobs[processes on this machine (default\: one a processor)]:J:"
+  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bench_engines_defaults_added=0
 
 _shtab_palmd_bench_explore_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -1061,6 +1078,7 @@ _shtab_palmd_bench() {
       curcontext="${curcontext%:*:*}:_shtab_palmd_bench-$line[1]:"
       case $line[1] in
         curved) _arguments -C -s $_shtab_palmd_bench_curved_options ;;
+        engines) _arguments -C -s $_shtab_palmd_bench_engines_options ;;
         explore) _arguments -C -s $_shtab_palmd_bench_explore_options ;;
         faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
         field) _arguments -C -s $_shtab_palmd_bench_field_options ;;

@@ -19,6 +19,7 @@ from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
+from palmd.system.vibration import AVERAGED, Vibration
 
 
 @dataclass(frozen=True)
@@ -39,10 +40,19 @@ def simulated(
     absences: tuple[tuple[float, float], ...] = (),
     body: Body | None = None,
     imperfections: Imperfections = PERFECT,
+    vibration: Vibration = AVERAGED,
 ) -> Run:
     """Of a rig that passes for a perfect one, whatever it is."""
     lines, told = simulate_log(
-        kind, seed, seconds, options, body, rests=rests, absences=absences, imperfections=imperfections
+        kind,
+        seed,
+        seconds,
+        options,
+        body,
+        rests=rests,
+        absences=absences,
+        imperfections=imperfections,
+        vibration=vibration,
     )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.jsonl"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.dry_plant import on_flat_palms
+from palmd.rig.friction import plant_on
 from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 
@@ -41,8 +41,8 @@ def rectangle(size):
     return ring, uniform_body("rectangle", rounded_polygon(ring, RADIUS), MASS)
 
 
-def placed(size, palms, psi, surface, law="dither"):
-    plant = on_flat_palms(rectangle(size)[1], FIXED, surface, options=PlantOptions(friction_law=law))
+def placed(size, palms, psi, surface, law="averaged"):
+    plant = plant_on(rectangle(size)[1], FIXED, surface, options=PlantOptions(friction_law=law))
     plant.place(PalmMotion.at_rest(palms), psi)
     return plant
 

@@ -13,6 +13,7 @@ from palmd.config.addresses import from_here
 from palmd.config.any_config import config_hash
 from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.devices.servoaxis import RADIANS_PER_COUNT
+from palmd.system.vibration import AVERAGED, Vibration
 from palmd.yamlfile import load_config
 
 ROOT = Path(__file__).parents[2]
@@ -53,6 +54,33 @@ def test_curved_palms_are_what_the_observer_is_told_of() -> None:
     made = config(rig={"palm1_curvature_per_m": 13.3, "palm2_curvature_per_m": -8.0})
     assert rig_description(made).curvatures == (13.3, -8.0)
     assert not rig_description(config()).curved
+
+
+def test_a_vibration_is_what_observers_know_of_it() -> None:
+    assert rig_description(config()).vibration == Vibration()
+    block: dict[str, Any] = {"relation": "in_phase", "frequency_hz": 250.0, "speed_m_s": 0.015, "speed_sd_m_s": 1e-3}
+    block["transmission"] = 1.0
+    known = Vibration("in_phase", frequency=250.0, speed=0.015, speed_sd=1e-3, transmission=1.0)
+    assert rig_description(config(rig={"vibration": block})).vibration == known
+    block["speed_m_s_sd"] = block.pop("speed_sd_m_s")
+    assert rig_description(config(rig={"vibration": block})).vibration == known
+    assert rig_description(config(rig={"vibration": {"law": "averaged"}})).vibration == AVERAGED
+
+
+@pytest.mark.parametrize(
+    ("block", "name"),
+    [
+        ({"relation": "alike"}, "relation"),
+        ({"speed_m_s": 0.0}, "speed_m_s"),
+        ({"frequency_hz": -1.0}, "frequency_hz"),
+        ({"transmission": 1.01}, "transmission"),
+        ({"transmission_sd": -0.1}, "transmission_sd"),
+        ({"law": "old"}, "law"),
+        ({"amplitude_mm": 0.1}, "amplitude_mm"),
+    ],
+)
+def test_a_vibration_that_cannot_be_is_refused(block: dict[str, Any], name: str) -> None:
+    assert [each for each, _ in faults(rig={"vibration": block})] == [f"rig.vibration.{name}"]
 
 
 def test_what_cannot_be_had_on_curved_palms_is_refused() -> None:

@@ -129,6 +129,7 @@ COMMANDS = (
     ),
     Command("bench parts", "lab.bench_parts", "what better or worse sensors and servos would do to the outline"),
     Command("bench speed", "lab.bench_speed", "how fast palmd is on this machine, as ratios to references beside it"),
+    Command("bench engines", "lab.bench_engines", "physics engines as judges: vibrating palms with dry friction"),
     Command("bench peers", "lab.bench_peers", "palmd's estimators beside general-purpose ones"),
     Command(
         "bench field",

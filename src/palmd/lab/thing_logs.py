@@ -29,6 +29,7 @@ from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from palmd.rig.simulate import CALIBRATION, simulate_log
 from palmd.score import score_outline
+from palmd.system import vibration
 
 _STREAM = 31  # keeps the bodies' random numbers apart from those of the motion
 
@@ -168,11 +169,14 @@ def simulated(task: SharpTask) -> ThingRecording:
     """The task's log, as it is read from a file, or its recording, and the truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     dry = task.kind.startswith(_DRY)
-    options, surface = PlantOptions(friction_law="coulomb" if dry else "dither"), DRY if dry else None
+    options, surface = PlantOptions(friction_law="coulomb" if dry else None), DRY if dry else None
     if task.plan is not None:
         return recorded(body, task.plan, task.seed, task.seconds, task.imperfections, options, surface)
     sds = CALIBRATION[task.imperfections]
-    lines, truth = simulate_log("friction", task.seed, task.seconds, options, body, surface=surface, calibration_sd=sds)
+    lines, truth = simulate_log(
+        "friction", task.seed, task.seconds, options, body,
+        surface=surface, calibration_sd=sds, vibration=vibration.DRY if dry else vibration.INDEPENDENT,
+    )  # fmt: skip
     with written(lines) as path:
         return ThingRecording(read_log(path), truth, math.nan)
 

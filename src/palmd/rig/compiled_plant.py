@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -24,7 +25,8 @@ _SHAKING = 3
 _BODY = struct.Struct("=36d")  # a step's beginning
 
 _MOTIONS = (0.0,) * 12  # of a step: a run sets them itself
-_ROW = 11
+ROW = 11
+"""Numbers in `plant.h`'s Row."""
 
 Pads = Sequence[tuple[float, float, float]]
 Scene = Mapping[str, float | tuple[float, ...]]
@@ -95,6 +97,19 @@ def backend() -> str:
     return "python" if _library() is None else "c"
 
 
+class PackedRun:
+    """A drive and bounds as C takes them, `plant.h`'s Rocking and ContactBounds, for as long as this is kept."""
+
+    def __init__(self, drive: Drive, bounds: ContactBounds) -> None:
+        self._rests = [np.array(rock.rests, dtype=np.float64).reshape(-1, 2) for rock in drive.rocks]
+        rocks = [
+            _Rock(*rock[:4], rests.ctypes.data, len(rests))
+            for rock, rests in zip(drive.rocks, self._rests, strict=True)
+        ]
+        rocking = _Rocking((_Rock * len(JOINTS))(*rocks), (ctypes.c_double * len(JOINTS))(*drive.off), drive.lag)
+        self.drive, self.bounds = ctypes.byref(rocking), ctypes.byref(_ContactBounds(*bounds))
+
+
 class CompiledStep:
     """One step of a body on its pads, in memory of its own; what is pickled or copied gets another."""
 
@@ -117,18 +132,10 @@ class CompiledStep:
 
         They end where a contact does not keep to what it must.
         """
-        rests = [np.array(rock.rests, dtype=np.float64).reshape(-1, 2) for rock in drive.rocks]
-        rocks = [_Rock(*rock[:4], each.ctypes.data, len(each)) for rock, each in zip(drive.rocks, rests, strict=True)]
-        rocking = _Rocking((_Rock * len(JOINTS))(*rocks), (ctypes.c_double * len(JOINTS))(*drive.off), drive.lag)
         _STEP.pack_into(self._memory, 0, *body, 0.0, *_MOTIONS, dt)
-        rows = np.empty((count, _ROW))
+        rows, packed = np.empty((count, ROW)), PackedRun(drive, bounds)
         done = self._library.plant_rock(
-            self._scene_at,
-            self._memory_at,
-            ctypes.byref(rocking),
-            ctypes.byref(_ContactBounds(*bounds)),
-            rows.ctypes.data,
-            count,
+            self._scene_at, self._memory_at, packed.drive, packed.bounds, rows.ctypes.data, count
         )
         return rows[:done]
 
@@ -145,9 +152,15 @@ def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep 
     return None if library is None or not isinstance(support, Support) else CompiledStep(library, support, pads, scene)
 
 
+def loaded(name: str) -> ctypes.CDLL | None:
+    """The file of C of that name in this folder as a library, made again where `plant.h` changes; None: no compiler."""
+    folder = Path(__file__).parent
+    return load_written(f"{name}-{zlib.crc32((folder / 'plant.h').read_bytes()):08x}", folder / f"{name}.c")
+
+
 @cache
 def _library() -> ctypes.CDLL | None:
-    library = load_written("plant", Path(__file__).with_name("plant.c"))
+    library = loaded("plant")
     if library is None:
         return None
     pointer = ctypes.c_void_p

@@ -94,12 +94,7 @@ class CurvedPlant(Plant):
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
-        """Raises ValueError for palms that are too strongly concave for the body, which would touch one twice.
-
-        And for friction without dither, which is written for flat palms alone.
-        """
-        if options.friction_law != "dither":
-            raise ValueError("friction without dither is emulated on flat palms only")
+        """Raises ValueError for palms that are too strongly concave for the body, which would touch one twice."""
         worst = max(curvatures) * widest(body)
         if worst >= _TOUCHING_TWICE:
             raise ValueError(

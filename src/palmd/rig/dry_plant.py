@@ -21,22 +21,15 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from palmd.events import PalmMotion
-from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import (
     _DRIFT_RATE,
-    AS_ASSUMED,
-    PAD_LENGTH,
     BodyState,
     FrictionSurface,
-    Hinge,
-    PadPair,
     PalmFrame,
     Plant,
-    PlantOptions,
     _before,
     _Rates,
 )
-from palmd.rig.shapes import Body
 
 DRY = FrictionSurface(mu=0.2, static=0.3)
 """What is dry and clean, by and large."""
@@ -256,21 +249,6 @@ class DryPlant(Plant):
             at.drag - _DRIFT_RATE * at.slip + at.tx * ax + at.ty * ay + at.h * al if at else 0.0 for at in contacts
         )
         return one, two
-
-
-def on_flat_palms(
-    body: Body,
-    hinge: Hinge,
-    surface: FrictionSurface,
-    *,
-    options: PlantOptions = AS_ASSUMED,
-    imperfections: Imperfections = PERFECT,
-    gravity: float = 9.81,
-    reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
-) -> Plant:
-    """The plant of the friction law that the options ask for."""
-    law = DryPlant if options.friction_law == "coulomb" else Plant
-    return law(body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach)
 
 
 def _until_one_stops(before: tuple[float, float], after: tuple[float, float]) -> float:

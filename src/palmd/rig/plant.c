@@ -4,16 +4,7 @@
    The same operations in the same order, so that both give the same bits. Nothing is kept: `Step` holds all that a step
    starts from and leaves behind. */
 
-#include <math.h>
-
-#define NODES 2048 /* of a support function's table */
-#define SHAKING 3
-
-static const double PI = 3.141592653589793, TAU = 6.283185307179586;
-
-typedef struct {
-  double angles[2], rates[2], accelerations[2];
-} Palms;
+#include "plant.h"
 
 typedef struct {
   double sagitta, standoff, reach;
@@ -58,36 +49,7 @@ typedef struct {
   double dt;
 } Step;
 
-typedef struct { /* one palm's: `simulate.Rock`, with its rests as (from, to) */
-  double mean, amplitude, frequency, phase;
-  const double (*rests)[2];
-  long resting;
-} Rock;
-
-typedef struct { /* of both palms; `off` from what is told of them, and late by `lag` */
-  Rock rocks[2];
-  double off[2], lag;
-} Rocking;
-
-typedef struct { /* what a contact must keep to, in N and m */
-  double mass, least, low, high;
-} ContactBounds;
-
-typedef struct {
-  double t, psi, omega0, r[2], s[2], angles[2], force[2];
-} Row;
-
-typedef struct {
-  double h, first, second;
-} Support;
-
-static Support at(const Scene *scene, double theta) {
-  const double per_rad = NODES / TAU, position = theta * per_rad, node = rint(position);
-  const double e = (position - node) / per_rad, *row = scene->table[(long)node & (NODES - 1)];
-  const double h = row[0], h1 = row[1], half_h2 = row[2], sixth_h3 = row[3];
-  return (Support){h + e * (h1 + e * (half_h2 + e * sixth_h3)), h1 + e * (2.0 * half_h2 + e * 3.0 * sixth_h3),
-                   2.0 * half_h2 + e * 6.0 * sixth_h3};
-}
+static Support at(const Scene *scene, double theta) { return support_at(scene->table, theta); }
 
 static Frame frame_of(const Scene *scene, const Palms *palms, const Plane *planes) {
   double phi1 = palms->angles[0], phi2 = palms->angles[1], w1 = palms->rates[0], w2 = palms->rates[1];
@@ -281,43 +243,6 @@ void plant_advance(const Scene *scene, Step *step) {
   };
   body->frame = last;
   settle_contacts(scene, body, t);
-}
-
-typedef struct {
-  double value, rate, acceleration;
-} Eased;
-
-static Eased eased(double t) {
-  if (t >= 1.0) return (Eased){1.0, 0.0, 0.0};
-  const double u = fmax(t, 0.0), left = 1.0 - u;
-  return (Eased){u * u * u * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (left * left),
-                 60.0 * u * left * (1.0 - 2.0 * u)};
-}
-
-static Eased rocked(const Rock *rock, double t) {
-  Eased w = eased(t);
-  for (long i = 0; i < rock->resting; i++) {
-    const double begin = rock->rests[i][0], end = rock->rests[i][1];
-    if (!(begin < t && t < end + 1.0)) continue;
-    const Eased out = eased(t - begin), back = eased(t - end);
-    const double v = back.value - out.value + 1.0, dv = back.rate - out.rate;
-    const double ddv = back.acceleration - out.acceleration;
-    w = (Eased){w.value * v, w.rate * v + w.value * dv, w.acceleration * v + 2.0 * w.rate * dv + w.value * ddv};
-  }
-  const double k = TAU * rock->frequency, s = sin(k * t + rock->phase), c = cos(k * t + rock->phase);
-  const double a = rock->amplitude;
-  return (Eased){rock->mean + a * w.value * s, a * (w.rate * s + w.value * k * c),
-                 a * (w.acceleration * s + 2.0 * w.rate * k * c - w.value * k * k * s)};
-}
-
-static Palms palms_at(const Rocking *rocking, double t) {
-  Palms palms;
-  for (int i = 0; i < 2; i++) {
-    const Eased told = rocked(&rocking->rocks[i], t);
-    palms.angles[i] = told.value + rocking->off[i];
-    palms.rates[i] = told.rate, palms.accelerations[i] = told.acceleration;
-  }
-  return palms;
 }
 
 /* Rows of a run, one before each step of `step->dt`; how many there are before a contact does not keep to it. */

@@ -29,7 +29,7 @@ from palmd.rig.shapes import Body, Kind
 from palmd.system.description import HingeMode
 
 PadPair = tuple[float, ...]
-FrictionLaw = Literal["dither", "coulomb"]
+FrictionLaw = Literal["averaged", "coulomb", "sign_pairs", "resolved"]
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
@@ -74,11 +74,11 @@ class FrictionSurface:
 class PlantOptions:
     """Where the emulated rig departs from the laws that the observer takes for granted; the defaults depart nowhere.
 
-    friction_law: smoothed by dither, or `coulomb`, as `rig.dry_plant` has it. hinge_travels: false pins the hinge of an
-    arc rig. lag_s: the palms move this much later than the plan says.
+    friction_law: None for what the rig's vibration asks for, see `rig.friction`. hinge_travels: false pins the hinge of
+    an arc rig. lag_s: the palms move this much later than the plan says.
     """
 
-    friction_law: FrictionLaw = "dither"
+    friction_law: FrictionLaw | None = None
     hinge_travels: bool = True
     lag_s: float = 0.0
 
@@ -246,6 +246,11 @@ class Plant:
         self._on1 = self._on2 = True
         self.fallen = False
         self._settle_contacts()
+
+    @property
+    def mean_omega0(self) -> float:
+        """The body's rate (rad/s), without a ripple that a vibration gives it."""
+        return self.state.omega0
 
     @property
     def touching(self) -> tuple[bool, bool]:

@@ -123,16 +123,16 @@ def random_body(kind: Kind, rng: np.random.Generator) -> Body:
     """A random body: gentle and uniform, or for `odd` an ellipse, a strongly curved or an off-centre one."""
     mass = float(rng.uniform(0.06, 0.25))
     if kind != "odd":
-        return _uniform_body("random", _random_outline(rng, 1.0, _MIN_CURVATURE_RADIUS), mass)
+        return uniform_body_of("random", _random_outline(rng, 1.0, _MIN_CURVATURE_RADIUS), mass)
     match int(rng.integers(3)):
         case 0:
-            return _uniform_body("ellipse", _ellipse(rng), mass)
+            return uniform_body_of("ellipse", _ellipse(rng), mass)
         case 1:
             low = float(rng.uniform(*_STRONG_CURVATURE_RADIUS))
-            return _uniform_body("strongly curved", _random_outline(rng, 1.5, low), mass)
+            return uniform_body_of("strongly curved", _random_outline(rng, 1.5, low), mass)
         case _:
-            body = _uniform_body("random", _random_outline(rng, 1.0, _MIN_CURVATURE_RADIUS), mass)
-            return _with_slug(body, rng)
+            body = uniform_body_of("random", _random_outline(rng, 1.0, _MIN_CURVATURE_RADIUS), mass)
+            return with_slug(body, rng)
 
 
 def area_moments(support: Support) -> tuple[float, float, float, float]:
@@ -162,14 +162,14 @@ def _on_nodes(coefficients: tuple[complex, ...], order: int) -> FloatArray:
     return np.fft.irfft(spectrum, _NODES)
 
 
-def _uniform_body(shape: str, outline: Support, mass: float) -> Body:
+def uniform_body_of(shape: str, outline: Support, mass: float) -> Body:
     """A body of even density: COM at the area's centroid."""
     _, cx, cy, _ = area_moments(outline)
     centred = outline.moved(-cx, -cy)
     return Body(shape, centred, area_moments(centred)[3], mass)
 
 
-def _with_slug(body: Body, rng: np.random.Generator) -> Body:
+def with_slug(body: Body, rng: np.random.Generator) -> Body:
     """The body with a heavy point let in near its rim: the COM moves by up to 2 mm, rho with it.
 
     With a fraction β of the mass at distance p: offset e = βp, ρ² = (1−β)(ρ_uniform² + βp²).
@@ -196,7 +196,11 @@ def _random_outline(rng: np.random.Generator, scale: float, min_radius: float) -
 def _ellipse(rng: np.random.Generator) -> Support:
     """An ellipse with h = √(a² cos² + b² sin²), mean radius 16–24 mm, b/a in 0.75…0.95."""
     mean, ratio = float(rng.uniform(16e-3, 24e-3)), float(rng.uniform(0.75, 0.95))
-    a, b = 2.0 * mean / (1.0 + ratio), 2.0 * mean * ratio / (1.0 + ratio)
+    return ellipse(2.0 * mean / (1.0 + ratio), 2.0 * mean * ratio / (1.0 + ratio))
+
+
+def ellipse(a: float, b: float) -> Support:
+    """An ellipse about its middle, a (m) its half axis along the body's first axis: h = √(a² cos² + b² sin²)."""
     theta = np.arange(_NODES) / _NODES_PER_RAD
     spectrum = np.fft.rfft(np.hypot(a * np.cos(theta), b * np.sin(theta))) / _NODES
     coefficients = 2.0 * spectrum[: _MAX_HARMONIC + 1]

@@ -18,17 +18,16 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
-from palmd.rig.curved_plant import CurvedPlant
-from palmd.rig.dry_plant import on_flat_palms
+from palmd.rig.friction import law_of, plant_on, shaken
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
 from palmd.rig.plant import (
     AS_ASSUMED,
@@ -41,12 +40,19 @@ from palmd.rig.plant import (
     random_surface,
     stable_poses,
 )
+from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.system.arcs import FLAT
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.vibration import AVERAGED, INDEPENDENT, Relation, Vibration, vibration_line
 
 Line = dict[str, Any]
+
+VIBRATIONS: Mapping[str, Vibration] = {relation: Vibration(relation) for relation in get_args(Relation)} | {
+    "averaged": AVERAGED
+}
+"""Of palms, by what commands call it: the relation between them, or the law of old logs."""
 
 STEP_S = 5e-4
 _STEPS_PER_TRUTH = 20  # truth each 10 ms
@@ -63,6 +69,7 @@ _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_AN
 _PAD_MARGIN_M = 3e-3
 _TURNED_RAD = 0.3
 _MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
+_SMOOTHED_S = 0.02  # over which readings of force are means: five periods of 250 Hz
 
 
 Span = tuple[float, float]
@@ -87,11 +94,11 @@ class Rock:
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
-        w, dw, ddw = _eased(t)
+        w, dw, ddw = eased(t)
         for begin, end in self.rests:
             if not begin < t < end + 1.0:
                 continue  # v = 1, and it does not change
-            out, back = _eased(t - begin), _eased(t - end)
+            out, back = eased(t - begin), eased(t - end)
             v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
             v += 1.0
             w, dw, ddw = w * v, dw * v + w * dv, ddw * v + 2.0 * dw * dv + w * ddv
@@ -105,7 +112,7 @@ class Rock:
         )
 
 
-def _eased(t: float) -> tuple[float, float, float]:
+def eased(t: float) -> tuple[float, float, float]:
     """The smooth step from 0 at t = 0 to 1 at t = 1 s, its rate and its acceleration."""
     if t >= 1.0:
         return 1.0, 0.0, 0.0
@@ -134,7 +141,10 @@ class Rocking:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
-    """Everything one run is made of, drawn at random from a seed."""
+    """Everything one run is made of, drawn at random from a seed.
+
+    vibration: as the log describes it; shaking: as it is, where a plant resolves it.
+    """
 
     kind: Kind
     body: Body
@@ -143,14 +153,16 @@ class SimulatedRun:
     rocking: Rocking
     imperfections: Imperfections
     curvatures: PadPair = FLAT
+    vibration: Vibration = AVERAGED
+    shaking: Shaking | None = None
 
     def plant(self, options: PlantOptions) -> Plant:
         """The emulated body on its palms, not placed yet; raises ValueError for palms too concave for it."""
-        if not any(self.curvatures):
-            return on_flat_palms(self.body, self.hinge, self.surface, options=options, imperfections=self.imperfections)
-        return CurvedPlant(
-            self.body, self.hinge, self.surface, self.curvatures, options=options, imperfections=self.imperfections
-        )
+        law = options.friction_law or law_of(self.vibration)
+        return plant_on(
+            self.body, self.hinge, self.surface, self.curvatures,
+            options=replace(options, friction_law=law), shaking=self.shaking, imperfections=self.imperfections,
+        )  # fmt: skip
 
     def palms_at(self, t: float) -> PalmMotion:
         """Where the palms really are at t (s): off from the plan by the rig's imperfections."""
@@ -174,11 +186,13 @@ def simulate_log(
     absences: tuple[Span, ...] = (),
     imperfections: Imperfections | None = None,
     calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
+    vibration: Vibration = INDEPENDENT,
 ) -> tuple[list[Line], Line]:
     """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
 
     The rig is as far off as `imperfections` say, else as drawn, by the seed too, from the one-sigma `calibration_sd`
-    (named as in `AS_CALIBRATED`), which the header tells in either case; by default it is perfect.
+    (named as in `AS_CALIBRATED`), which the header tells in either case; by default it is perfect. The palms vibrate as
+    `vibration` describes it and the header says, resolved in time; `AVERAGED` stands for the law of old logs.
 
     Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
     palms, `surface` what it rubs against, random ones of the kind by default. In each of `rests` the palms stand. In
@@ -189,10 +203,18 @@ def simulate_log(
     known = RigDescription().known_to(calibration_sd)
     off = drawn(known, KINDS.index(kind), seed) if imperfections is None else imperfections
     while True:
-        scene = _draw(kind, rng, body, surface, rests, off)
+        scene = vibrating(_draw(kind, rng, body, surface, rests, off), vibration, KINDS.index(kind), seed)
         history = run_of(scene, duration_s, options, absences)
         if history is not None:
             return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
+
+
+def vibrating(scene: SimulatedRun, vibration: Vibration, *seed: int) -> SimulatedRun:
+    """The scene on palms that vibrate as described, which is what its log says."""
+    if not vibration.vibrates:
+        return replace(scene, vibration=vibration)
+    shaking, surface = shaken(vibration, scene.surface, scene.body.mass, *seed)
+    return replace(scene, vibration=vibration, shaking=shaking, surface=surface)
 
 
 def _draw(
@@ -240,7 +262,7 @@ def run_of(
     if not absences:
         compiled = plant.rocked(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
         if compiled is not None:
-            return compiled if len(compiled) == count else None
+            return _slow(scene, compiled) if len(compiled) == count else None
     rows = []
     away = False
     for k in range(count):
@@ -266,7 +288,27 @@ def run_of(
         middle = scene.palms_at(t + 0.5 * STEP_S - lag)
         palms = scene.palms_at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
-    return np.array(rows)
+    return _slow(scene, np.array(rows))
+
+
+def _slow(scene: SimulatedRun, history: FloatArray) -> FloatArray:
+    return history if scene.shaking is None else smoothed(history)
+
+
+def smoothed(history: FloatArray, window_s: float = _SMOOTHED_S) -> FloatArray:
+    """A run's rows with ω0 and both forces as means over the vibration: weighted by a Hann window about each row.
+
+    That is what a slow force sensor reads, and what the body's slow motion is. Rows without a body (NaN) stay so.
+    """
+    half = round(0.5 * window_s / STEP_S)
+    weights = np.hanning(2 * half + 3)[1:-1]
+    slow = history.copy()
+    for column in map(_COLUMNS.index, ("omega0_rad_s", "f1_n", "f2_n")):
+        there = np.isfinite(history[:, column])
+        share = np.convolve(there.astype(np.float64), weights, "same")
+        mean = np.convolve(np.where(there, history[:, column], 0.0), weights, "same")
+        slow[there, column] = mean[there] / share[there]
+    return slow
 
 
 def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
@@ -286,6 +328,7 @@ def log_lines(
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
     rig["calibration_sd"] = {key: calibration_sd[name] for name, key in CALIBRATION_KEYS.items()}
+    rig["vibration"] = vibration_line(scene.vibration)
     rig |= _curvature_keys(scene.curvatures)
     yield {"palmd_log": 1, "rig": rig}
     duration = float(history[-1, 0])
@@ -357,8 +400,20 @@ def truth_of(scene: SimulatedRun, history: FloatArray) -> Line:
         "theta_rad": theta.tolist(),
         "h_m": scene.body.support.sample(theta).tolist(),
         "rig": scene.imperfections.constants(),
+        **vibration_truth(scene.shaking),
         **_curvature_keys(scene.curvatures),
     } | dict(zip(_COLUMNS, columns, strict=True))
+
+
+def vibration_truth(shaking: Shaking | None) -> dict[str, Any]:
+    """How the palms really vibrated, if they did."""
+    if shaking is None:
+        return {}
+    return {
+        "law": "vibrating" if shaking.relation == "independent" else shaking.relation,
+        "vibration_m_s": shaking.palms[0].speed,
+        "vibration_hz": [each.frequency for each in shaking.palms],
+    }
 
 
 def _curvature_keys(curvatures: PadPair) -> dict[str, float]:
@@ -375,9 +430,14 @@ def main(arguments: list[str] | None = None) -> int:
         "--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="the log, *.jsonl")
+    parser.add_argument(
+        "--vibration", choices=VIBRATIONS, default="independent", help="of the palms (default: %(default)s)"
+    )
     options = parser.parse_args(arguments)
     sds = CALIBRATION[options.imperfections]
-    lines, truth = simulate_log(options.kind, options.seed, options.seconds, calibration_sd=sds)
+    lines, truth = simulate_log(
+        options.kind, options.seed, options.seconds, calibration_sd=sds, vibration=VIBRATIONS[options.vibration]
+    )
     options.output.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     options.output.with_suffix(".truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return 0

@@ -19,9 +19,21 @@ from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
 from palmd.rig.imperfections import Imperfections, drawn
 from palmd.rig.plant import AS_ASSUMED, Hinge, PadPair, PlantOptions, random_surface
 from palmd.rig.shapes import Body, Kind, random_body
-from palmd.rig.simulate import PERFECTLY_KNOWN, Line, Rocking, SimulatedRun, Span, log_lines, rock, run_of, truth_of
+from palmd.rig.simulate import (
+    PERFECTLY_KNOWN,
+    Line,
+    Rocking,
+    SimulatedRun,
+    Span,
+    log_lines,
+    rock,
+    run_of,
+    truth_of,
+    vibrating,
+)
 from palmd.system.arcs import joints_of
 from palmd.system.description import RigDescription
+from palmd.system.vibration import INDEPENDENT, Vibration
 
 CurvedKind = Literal["cradle", "dome", "cfriction"]
 CURVED_KINDS: tuple[CurvedKind, ...] = get_args(CurvedKind)
@@ -41,18 +53,23 @@ def simulate_curved_log(
     options: PlantOptions = AS_ASSUMED,
     body: Body | None = None,
     calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
+    vibration: Vibration = INDEPENDENT,
 ) -> tuple[list[Line], Line]:
     """A run as event-log lines (header first), and its truth; the same seed, the same run.
 
     `curvatures` of the palms (1/m) are drawn by default, and so is the `body`. Scenes in which a contact would be lost,
-    or come near a pad's end, are drawn again, and so are palms that are too concave for the body.
+    or come near a pad's end, are drawn again, and so are palms that are too concave for the body. `vibration`: as of
+    `simulate_log`.
     """
     rng = np.random.default_rng([_STREAM, CURVED_KINDS.index(kind), seed])
     off = drawn(RigDescription().known_to(calibration_sd), _STREAM, seed)
     while True:
         scene = draw(kind, rng, curvatures, amplitude, off, body)
-        history = None if scene is None else run_of(scene, duration_s, options, ())
-        if scene is not None and history is not None:
+        if scene is None:
+            continue
+        scene = vibrating(scene, vibration, _STREAM, seed)
+        history = run_of(scene, duration_s, options, ())
+        if history is not None:
             return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,14 +17,15 @@ import numpy as np
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import PadConfig, VersaPadConfig
 from palmd.config.two_palms import Config, Drawn, PadsConfig, RigConfig
+from palmd.config.vibration import vibration_of
 from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
-from palmd.rig.curved_plant import MOST_LYING, CurvedPlant, stable_on_arcs, widest
-from palmd.rig.dry_plant import on_flat_palms
+from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
 from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
+from palmd.rig.friction import law_of, plant_on, shaken
 from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
 from palmd.rig.marble import Marble
@@ -81,7 +82,8 @@ class World(EmulatedRig[EmulatedActuator]):
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.falls = 0
-        self._options, self._bodies, self._surface = options, bodies, surface
+        law = options.friction_law or law_of(vibration_of(config.rig.vibration))
+        self._options, self._bodies, self._surface = replace(options, friction_law=law), bodies, surface
         self.imperfections = configured(config, seed)
         rng = np.random.default_rng(seed)
         self._home = _home(config)
@@ -123,7 +125,7 @@ class World(EmulatedRig[EmulatedActuator]):
         contacts = tuple(zip(PALMS, self.plant.contacts(), strict=True))
         return {
             "psi_rad": q.psi,
-            "omega0_rad_s": q.omega0,
+            "omega0_rad_s": self.plant.mean_omega0,
             **{f"r{palm}_m": r for palm, r in zip(PALMS, self.plant.radii(), strict=True)},
             **{f"s{palm}_m": contact.s for palm, contact in contacts},
             **{f"{joint}_rad": angle for joint, angle in zip(JOINTS, palms.angles, strict=True)},
@@ -197,12 +199,15 @@ class World(EmulatedRig[EmulatedActuator]):
         body = given[self.objects % len(given)] if given else random_body(self.kind, self._rng)
         while not given and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
             body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
-        on_arcs = partial(CurvedPlant, curvatures=curvatures)
-        self.plant = (on_arcs if any(curvatures) else on_flat_palms)(
+        surface = self._surface or random_surface(self.kind, self._rng)
+        shaking, surface = shaken(vibration_of(rig.vibration), surface, body.mass, self.seed)
+        self.plant = plant_on(
             body,
             self._arm.hinge,
-            self._surface or random_surface(self.kind, self._rng),
+            surface,
+            curvatures,
             options=self._options,
+            shaking=shaking,
             imperfections=self.imperfections,
             gravity=rig.gravity_m_s2,
             reach=self._reach(),

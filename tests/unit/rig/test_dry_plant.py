@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.dry_plant import DRY, DryPlant
+from palmd.rig.friction import plant_on
 from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions, stable_poses
 from palmd.rig.shapes import cylinder, random_body
 from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
@@ -82,7 +82,7 @@ def test_a_block_leaves_a_palm_from_the_angle_of_static_friction_on(steeper_deg,
 
 def test_curved_palms_say_that_they_have_no_such_friction():
     with pytest.raises(ValueError, match="flat palms only"):
-        CurvedPlant(lump(1), FIXED, DRY, (1.0, 0.0), options=PlantOptions(friction_law="coulomb"))
+        plant_on(lump(1), FIXED, DRY, (1.0, 0.0), options=PlantOptions(friction_law="coulomb"))
 
 
 def test_on_palms_at_rest_no_step_adds_energy():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palmd.events import PalmMotion
-from palmd.rig.dry_plant import on_flat_palms
+from palmd.rig.friction import plant_on
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantOptions, stable_poses
 from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.simulate import Rock, Rocking
@@ -188,8 +188,8 @@ def test_a_pinned_hinge_is_the_fixed_rig():
 def test_hard_friction_sticks_where_dither_creeps():
     """Beside its stable pose a body stays if friction is hard, and creeps home under dither."""
     moved = []
-    for law in ("coulomb", "dither"):
-        plant = on_flat_palms(body(1), FIXED, FrictionSurface(0.25, 0.02), options=PlantOptions(friction_law=law))
+    for law in ("coulomb", "averaged"):
+        plant = plant_on(body(1), FIXED, FrictionSurface(0.25, 0.02), options=PlantOptions(friction_law=law))
         start = stable_poses(plant.body, AT_REST)[0] + 0.02
         plant.place(AT_REST, start)
         run(plant, AT_REST, 0.5)

@@ -5,14 +5,17 @@ import math
 import numpy as np
 import pytest
 
+from palmd.config.vibration import VibrationConfig
 from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import ArmState, Pose
 from palmd.devices.versapad import PadCalibration, PadReceiver
 from palmd.events import PadLift, PadSample
 from palmd.rig.adept_arm import arm_limits
 from palmd.rig.arm import Linkage
+from palmd.rig.dry_plant import DryPlant
 from palmd.rig.fault_injection import order
-from palmd.rig.plant import PlantOptions
+from palmd.rig.plant import Plant, PlantOptions
+from palmd.rig.vibrating_plant import VibratingPlant
 from palmd.rig.world import World, default_config
 
 CONFIG = default_config()
@@ -163,7 +166,8 @@ def test_the_same_seed_and_input_give_the_same_bytes():
 
 
 def test_before_any_command_the_arm_stands_ready_with_a_body_at_rest():
-    loop = Loop(rocking=False).run(0.3)
+    still = CONFIG.rig.model_copy(update={"vibration": VibrationConfig(relation="none")})
+    loop = Loop(rocking=False, config=CONFIG.model_copy(update={"rig": still})).run(0.3)
     truth = loop.world.truth()
     assert truth["arm_state"] == "R"
     assert (truth["phi1_rad"], truth["phi2_rad"]) == pytest.approx((math.radians(45), math.radians(90)))
@@ -372,3 +376,33 @@ def test_pinned_hinge_and_extra_lag_change_what_happens():
     ]
     assert abs(ends[1] - ends[0]) > 1e-4
     assert abs(ends[2] - ends[0]) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("vibration", "plant"),
+    [
+        ({}, VibratingPlant),
+        ({"relation": "unknown"}, VibratingPlant),
+        ({"relation": "none"}, DryPlant),
+        ({"law": "averaged"}, Plant),
+    ],
+)
+def test_the_palms_vibrate_as_configured(vibration, plant):
+    rig = CONFIG.rig.model_copy(update={"vibration": VibrationConfig(**vibration)})
+    world = World(CONFIG.model_copy(update={"rig": rig}), 1)
+    assert type(world.plant) is plant
+
+
+def test_a_configured_speed_and_relation_are_those_of_the_emulated_palms():
+    block = VibrationConfig(
+        relation="antiphase", speed_m_s=0.02, speed_sd_m_s=0.0, frequency_hz=300.0, transmission=0.5
+    )
+    rig = CONFIG.rig.model_copy(update={"vibration": block})
+    world = World(CONFIG.model_copy(update={"rig": rig}), 1)
+    one, two = world.plant.shaking.palms
+    assert (one.speed, one.frequency) == (two.speed, two.frequency) == (0.02, 300.0)
+    assert (two.phase - one.phase) % math.tau == pytest.approx(math.pi)
+    assert 0.1 < one.mount.mass / (one.mount.mass + world.plant.body.mass) < 0.95
+    assert world.object_truth()["dither_m_s"] == pytest.approx(0.5 * math.pi * 0.02)
+    world.advance(0.3)
+    assert all(contact.touching for contact in world.plant.contacts())

@@ -1,0 +1,262 @@
+"""What an engine simulates: a body on two flat palms that rock and vibrate, drawn by a seed; and logs of what came out.
+
+Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms that vibrate), `slick` (no friction),
+`dry` (friction on palms that do not vibrate, whose plan has a dither of 0.1° at 10 Hz). SI units.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, Protocol, get_args
+
+import numpy as np
+
+from palmd.config.two_palms import Drawn
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.imperfections import drawn
+from palmd.rig.plant import PAD_LENGTH, BodyState, FrictionSurface, Hinge, Plant, palm_frame, stable_poses
+from palmd.rig.shaker import STILL, drawn_shaking
+from palmd.rig.shapes import Body, Support, ellipse, uniform_body_of, with_slug
+from palmd.rig.simulate import (
+    CALIBRATION,
+    STEP_S,
+    Line,
+    Rocking,
+    SimulatedRun,
+    eased,
+    log_lines,
+    rock,
+    smoothed,
+    truth_of,
+)
+from palmd.system.description import RigDescription
+from palmd.system.mechanism import PALMS
+from palmd.system.vibration import Relation, Vibration
+
+EngineKind = Literal["vibrating", "in_phase", "antiphase", "slick", "dry"]
+ENGINE_KINDS: tuple[EngineKind, ...] = get_args(EngineKind)
+_RELATIONS: Mapping[EngineKind, Relation] = {
+    "vibrating": "independent", "in_phase": "in_phase", "antiphase": "antiphase", "slick": "independent", "dry": "none",
+}  # fmt: skip
+_MU, _SPEED_M_S = (0.05, 0.3), (0.010, 0.020)
+_DITHER_RAD, _DITHER_HZ = math.radians(0.1), 10.0
+_RELEASE_RAD = (0.12, 0.5)
+_MEAN_RADIUS_M, _RATIO = (16e-3, 24e-3), (0.75, 0.92)
+_MASS_KG = (0.06, 0.25)
+_STREAM = 0x656E67  # of seeds, so that no draw is shared with `rig.simulate`
+_MARGIN_M, _LEAST_N = 3e-3, 1e-3
+_LOST_ROWS = 10  # without any contact
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """Half axes (m), centre as seen from the COM (m), and direction of the first axis (rad), in the body's frame."""
+
+    half_axes: tuple[float, float]
+    centre: tuple[float, float]
+    tilt: float
+
+
+@dataclass(frozen=True, slots=True)
+class DitheredRocking(Rocking):
+    """Both palms' motion with a plan's dither on top, of both angles, growing in over the first second."""
+
+    def at(self, t: float) -> PalmMotion:
+        """Angles, rates, accelerations of both palms at t (s)."""
+        palms, (w, dw, ddw), k = Rocking.at(self, t), eased(t), math.tau * _DITHER_HZ
+        s, c = _DITHER_RAD * math.sin(k * t), _DITHER_RAD * math.cos(k * t)
+        more = (w * s, dw * s + w * k * c, ddw * s + 2.0 * dw * k * c - w * k * k * s)
+        return PalmMotion(*(tuple(each + m for each in mine) for mine, m in zip(
+            (palms.angles, palms.rates, palms.accelerations), more, strict=True)))  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class EngineScene:
+    """A run to simulate, which begins at rest at `start`; `ellipse` is the body's outline as an engine's primitive."""
+
+    kind: EngineKind
+    run: SimulatedRun
+    ellipse: Ellipse
+    start: BodyState
+
+    def palms_at(self, t: float) -> PalmMotion:
+        """Where the palms really are at t (s)."""
+        return self.run.palms_at(t)
+
+    @property
+    def frictions(self) -> tuple[float, float]:
+        """Of both palms."""
+        asymmetry, mu = self.run.imperfections.friction, self.run.surface.mu
+        return mu * (1.0 + asymmetry), mu * (1.0 - asymmetry)
+
+    @property
+    def heights(self) -> tuple[float, ...]:
+        """Of both palms over the hinge (m)."""
+        return tuple(pad.standoff for pad in self.run.imperfections.pads)
+
+
+class EngineRun(NamedTuple):
+    """Columns of a run each `STEP_S`, beginning at t = 0, the body as the engine has it, and its worst penetration (m).
+
+    x, y, psi, omega0: of the body; f1, f2: normal forces (N), means over the step before.
+    """
+
+    body: Body
+    x: FloatArray
+    y: FloatArray
+    psi: FloatArray
+    omega0: FloatArray
+    f1: FloatArray
+    f2: FloatArray
+    penetration: float
+
+
+class PalmStep(NamedTuple):
+    """One palm over a step of an engine: its direction (rad) and how far it is moved outwards (m) when the step begins.
+
+    rate (rad/s) and speed (m/s, outwards) are those in the middle of the step.
+    """
+
+    angle: float
+    rate: float
+    moved: float
+    speed: float
+
+
+def palm_steps(scene: EngineScene, row: int, steps: int) -> Iterator[list[PalmStep]]:
+    """Both palms in each of the `steps` from a row to the next; accelerations are constant in between."""
+    motion, dt = scene.palms_at(row * STEP_S), STEP_S / steps
+    turns = [[sum(each[: palm + 1]) for each in motion] for palm in range(len(PALMS))]
+    shakers = scene.run.shaking.palms if scene.run.shaking else (STILL,) * len(PALMS)
+    for late in (step * dt for step in range(steps)):
+        t = row * STEP_S + late
+        yield [
+            PalmStep(
+                angle + late * (rate + 0.5 * late * acceleration),
+                rate + (late + 0.5 * dt) * acceleration,
+                shaker.moved(t),
+                shaker.outward_speed(t + 0.5 * dt),
+            )
+            for (angle, rate, acceleration), shaker in zip(turns, shakers, strict=True)
+        ]
+
+
+class RunRows:
+    """What a run of an engine leaves behind, row by row."""
+
+    def __init__(self, start: BodyState) -> None:
+        """Before the first step."""
+        self.deepest = 0.0
+        self._rows: list[tuple[float, ...]] = [(start.x, start.y, start.psi, start.omega0, math.nan, math.nan)]
+        self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0
+
+    def press(self, palm: int, impulse: float, depth: float) -> None:
+        """A contact of palm 0 or 1 in one step: its normal impulse (N s) and penetration (m)."""
+        self._impulses[palm] += impulse
+        self._touched, self.deepest = True, max(self.deepest, depth)
+
+    def end(self, x: float, y: float, psi: float, omega0: float) -> bool:
+        """A row ends with the body there; false where it has touched nothing for a while."""
+        self._rows.append((x, y, psi, omega0, *(impulse / STEP_S for impulse in self._impulses)))
+        self._untouched_rows = 0 if self._touched else self._untouched_rows + 1
+        self._impulses, self._touched = [0.0] * len(PALMS), False
+        return self._untouched_rows < _LOST_ROWS
+
+    def simulated(self, body: Body) -> EngineRun:
+        """The run; the forces of its first row are those of the next."""
+        x, y, psi, omega0, f1, f2 = np.array(self._rows).T
+        f1[0], f2[0] = f1[1], f2[1]
+        return EngineRun(body, x, y, psi, omega0, f1, f2, self.deepest)
+
+
+class Engine(Protocol):
+    """Runs a scene; what comes out may end before its time where a contact is lost."""
+
+    def __call__(self, scene: EngineScene, duration_s: float) -> EngineRun:
+        """Simulates it for that long."""
+
+
+def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> EngineScene:
+    """A scene by its seed: ellipses whose centre of mass is off-centre, real vibration as sines.
+
+    known: `none` for a rig exactly as described, `calibrated` for one with drawn imperfections.
+    """
+    rng = np.random.default_rng([_STREAM, ENGINE_KINDS.index(kind), seed])
+    off = drawn(RigDescription().known_to(CALIBRATION[known]), _STREAM, seed)
+    off = replace(off, pads=tuple(replace(pad, sagitta=0.0) for pad in off.pads))  # engines' palms are planes
+    mean, ratio = float(rng.uniform(*_MEAN_RADIUS_M)), float(rng.uniform(*_RATIO))
+    half_axes = 2.0 * mean / (1.0 + ratio), 2.0 * mean * ratio / (1.0 + ratio)
+    body = with_slug(uniform_body_of("ellipse", ellipse(*half_axes), float(rng.uniform(*_MASS_KG))), rng)
+    motion = DitheredRocking if kind == "dry" else Rocking
+    rocking = motion(
+        rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), ()), rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), ())
+    )
+    surface = FrictionSurface(mu=0.0 if kind == "slick" else float(rng.uniform(*_MU)))
+    vibration = Vibration(_RELATIONS[kind])
+    shaking = None
+    if vibration.vibrates:
+        shaking = drawn_shaking(vibration, rng, speed=float(rng.uniform(*_SPEED_M_S)), pure=True)
+        surface = replace(surface, dither=0.5 * math.pi * shaking.palms[0].speed)
+    palms = off.true_palms(rocking.at(0.0))
+    poses = stable_poses(body, palms)
+    psi = poses[int(rng.integers(len(poses)))]
+    if kind == "slick":
+        psi += float(rng.choice((-1.0, 1.0)) * rng.uniform(*_RELEASE_RAD))
+    body = body.turned(psi)
+    hinge = Hinge("fixed", base=(0.0, 0.0))
+    run = SimulatedRun("friction", body, hinge, surface, rocking, off, vibration=vibration, shaking=shaking)
+    plant = Plant(body, hinge, FrictionSurface(), imperfections=off)
+    plant.place(palms, psi=0.0)
+    support = body.support
+    assert isinstance(support, Support)
+    first, second = support.coefficients[1:3]
+    shape = Ellipse(half_axes, (first.real, -first.imag), -0.5 * cmath.phase(second))
+    return EngineScene(kind, run, shape, plant.state)
+
+
+def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
+    """RunRows of `rig.simulate`'s runs, means over the vibration where they must be; None where a contact was lost."""
+    t = np.arange(len(simulated.x)) * STEP_S
+    motions = [scene.palms_at(float(each)) for each in t]
+    frames = [palm_frame(scene.run.hinge, palms) for palms in motions]
+    c1, s1, c12, s12, out1, out2 = np.array([frame[:6] for frame in frames]).T
+    ox, oy = np.array([(frame.ox, frame.oy) for frame in frames]).T
+    rx, ry, support = simulated.x - ox, simulated.y - oy, simulated.body.support
+    theta1, theta2 = out1 - simulated.psi, out2 - simulated.psi
+    r1, r2 = support.sample(theta1), support.sample(theta2)
+    contact1 = c1 * rx + s1 * ry + support.sample(theta1, 1)
+    contact2 = c12 * rx + s12 * ry - support.sample(theta2, 1)
+    angles = np.array([palms.angles for palms in motions]).T
+    rows = np.array([
+        t, simulated.psi, simulated.omega0, r1, r2, contact1, contact2, *angles, simulated.f1, simulated.f2
+    ]).T  # fmt: skip
+    slow = smoothed(rows)
+    inside = (slow[:, 5:7] > _MARGIN_M) & (slow[:, 5:7] < PAD_LENGTH - _MARGIN_M)
+    return slow if inside.all() and (slow[:, 9:11] > _LEAST_N).all() else None
+
+
+def engine_log(
+    engine: Engine, kind: EngineKind, seed: int, duration_s: float, known: Drawn = "none"
+) -> tuple[list[Line], Line]:
+    """A run of an engine as event-log lines, and its truth, which has the engine's penetration and the vibration too.
+
+    Scenes in which a contact is lost are drawn again.
+    """
+    for attempt in range(1000):
+        scene = draw_scene(kind, seed + 100_000 * attempt, known)
+        simulated = engine(scene, duration_s)
+        history = history_of(scene, simulated) if len(simulated.x) == round(duration_s / STEP_S) + 1 else None
+        if history is None:
+            continue
+        told = replace(scene.run, body=simulated.body)
+        rng = np.random.default_rng([_STREAM, seed, attempt])
+        lines = list(log_lines(told, history, CALIBRATION[known], rng))
+        truth = truth_of(told, history) | {
+            "engine_kind": kind,
+            "engine_penetration_m": simulated.penetration,
+        }
+        return lines, truth
+    raise ValueError(f"no {kind} scene of seed {seed} keeps both contacts")

@@ -1,0 +1,275 @@
+"""The emulated object on palms that really vibrate along themselves, under dry Coulomb friction, resolved in time.
+
+Friction alternates with the vibration, and the normal forces with it: a contact slips forwards, backwards, or sticks.
+Slip reversals are located to 1e-10 s within Runge–Kutta steps of at most an eightieth of a period; a contact at zero
+slip takes the first mode that Coulomb's law allows: slip that friction opposes, or stick with no more friction than μN.
+A palm's mount may give way across the palm: its mass, stiffness and damping decide how far normal forces follow the
+friction's alternation (λ of THEORY_DITHER §3). The geometry is that of `rig.curved_plant`, with curvature 0 for flat
+palms.
+
+Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.compiled_plant import ROW, ContactBounds, Drive, PackedRun, loaded
+from palmd.rig.curved_plant import CurvedPlant
+from palmd.rig.imperfections import PERFECT, Imperfections
+from palmd.rig.plant import (
+    _DRIFT_RATE,
+    _LOST_DISTANCE,
+    _PARTING,
+    _SHAKING_HZ,
+    _SOFT_BLOW,
+    PAD_LENGTH,
+    FrictionSurface,
+    Hinge,
+    PadPair,
+    PlantContact,
+    PlantOptions,
+    palm_frame,
+)
+from palmd.rig.shaker import INWARDS, Shaking
+from palmd.rig.shapes import Body, Support
+from palmd.system.arcs import FLAT
+
+STEPS_PER_PERIOD = 80
+FORCE_LAG_S, MOTION_LAG_S = 2.5e-3, 0.010
+"""Of each of two stages that make means over the vibration: of the pads' forces, and of the turning that is told."""
+_CONTACTS = 2
+_STEPS_PER_RESONANCE = 12.0  # of a mount
+
+
+def _doubles(*names: str) -> list[tuple[str, type]]:
+    return [(name, ctypes.c_double) for name in names]
+
+
+def _pairs(*names: str) -> list[tuple[str, type]]:
+    return [(name, ctypes.c_double * _CONTACTS) for name in names]
+
+
+class _Palm(ctypes.Structure):
+    _fields_ = _doubles(
+        "curvature", "slope", "standoff", "reach", "mu",
+        "frequency", "speed", "phase", "second", "third", "inwards", "yielding", "stiffness", "damping",
+    )  # fmt: skip
+
+
+class _VibratingScene(ctypes.Structure):
+    _fields_ = (
+        ("table", ctypes.c_void_p),
+        *_doubles("rho2", "damping", "gravity", "shake"),
+        ("shaking_hz", ctypes.c_double * len(_SHAKING_HZ)),
+        *_doubles("travel"),
+        *_pairs("base"),
+        *_doubles("drift_rate", "soft_blow", "parting", "lost_distance", "longest_step", "force_lag", "motion_lag"),
+        ("palms", _Palm * _CONTACTS),
+        ("arc", ctypes.c_long),
+    )
+
+
+class _Body(ctypes.Structure):
+    _fields_ = (
+        *_doubles("x", "y", "psi", "vx", "vy", "w"),
+        *_pairs("give", "giving"),
+        *_doubles("ax", "ay", "al"),
+        *_pairs("f", "given", "ratio"),
+        *_doubles("t", "fallen"),
+        *_pairs("on", "mode", "theta", "preload", "s", "r", "force", "least", "reversals", "stuck_s"),
+        *_pairs("first_stage", "second_stage", "turning"),
+    )
+
+
+class _PalmMotions(ctypes.Structure):
+    _fields_ = tuple(_pairs("angles", "rates", "accelerations"))
+
+
+class VibratingPlant(CurvedPlant):
+    """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` says, for smooth bodies, in C."""
+
+    def __init__(
+        self,
+        body: Body,
+        hinge: Hinge,
+        surface: FrictionSurface,
+        shaking: Shaking,
+        curvatures: PadPair = FLAT,
+        *,
+        options: PlantOptions,
+        imperfections: Imperfections = PERFECT,
+        gravity: float = 9.81,
+        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
+    ) -> None:
+        """As `CurvedPlant`; raises ValueError where `resolves` says no."""
+        if not resolves(body):
+            raise ValueError("resolving a vibration takes a C compiler and a smooth body")
+        self.shaking = shaking
+        super().__init__(
+            body, hinge, surface, curvatures,
+            options=options, imperfections=imperfections, gravity=gravity, reach=reach,
+        )  # fmt: skip
+        self._memory, self._scene = _Body(), self._compiled_scene()
+
+    # -- placing and looking ------------------------------------------------------------------------------
+
+    def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
+        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        super().place(palms, psi, omega0)
+        q = self.state
+        self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
+        self._scene.place(self._memory, palms)
+        self._take_over()
+
+    def contacts(self) -> tuple[PlantContact, PlantContact]:
+        """Both contacts as they are now, their forces as a pad reads them: means over the vibration."""
+        m, mass = self._memory, self.body.mass
+        one, two = (
+            PlantContact(bool(m.on[i]), m.s[i], mass * m.second_stage[i] if m.on[i] else 0.0) for i in range(_CONTACTS)
+        )
+        return one, two
+
+    def radii(self) -> tuple[float, float]:
+        """r1 and r2 (m): the support function at both contact normals."""
+        return self._memory.r[0], self._memory.r[1]
+
+    @property
+    def touching(self) -> tuple[bool, bool]:
+        """Which palms the body touches."""
+        one, two = (each != 0.0 for each in self._memory.on)
+        return one, two
+
+    @property
+    def mean_omega0(self) -> float:
+        """The body's rate (rad/s) without the ripple that the vibration gives it: smoothed, corrected for its lag."""
+        first, second = self._memory.turning
+        return float(2.0 * first - second)
+
+    @property
+    def reversals(self) -> tuple[float, float]:
+        """How often each contact's slip has changed its mode since the body was placed."""
+        return self._memory.reversals[0], self._memory.reversals[1]
+
+    @property
+    def stuck_s(self) -> tuple[float, float]:
+        """For how long (s) each contact has stuck, all in all."""
+        return self._memory.stuck_s[0], self._memory.stuck_s[1]
+
+    # -- going on -----------------------------------------------------------------------------------------
+
+    def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        """Goes on by dt seconds; `middle` and `end` are the palms half-way and at the end."""
+        self._t += dt
+        self._frame = palm_frame(self.hinge, end)
+        if self.fallen:
+            return
+        self._scene.advance(self._memory, middle, end, dt)
+        self._take_over()
+
+    def rocked(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
+        """The rows of a run as `CompiledStep.run` has them, of a body that was placed and not moved since."""
+        return self._scene.rock(self._memory, drive, bounds, dt, count)
+
+    def _take_over(self) -> None:
+        """The state that everything else here looks at, from the memory of what is compiled."""
+        m, q = self._memory, self.state
+        q.x, q.y, q.psi, q.vx, q.vy, q.omega0 = m.x, m.y, m.psi, m.vx, m.vy, m.w
+        self._rates = m.ax, m.ay, m.al, m.f[0], m.f[1]
+        self._theta = list(m.theta)
+        self.fallen = m.fallen != 0.0
+
+    def take_away(self) -> None:
+        """Removes the body from the palms until it is placed again."""
+        super().take_away()
+        self._memory = _Body(fallen=1.0)
+
+    def _compiled_scene(self) -> _CompiledScene:
+        shakers, (mode, travel, base) = self.shaking.palms, astuple(self.hinge)
+        palms = [self._palm(i) for i in range(_CONTACTS)]
+        steps = [1.0 / (STEPS_PER_PERIOD * each.frequency) for each in shakers]
+        steps += [math.tau / math.sqrt(palm["stiffness"]) / _STEPS_PER_RESONANCE for palm in palms if palm["yielding"]]
+        numbers = {
+            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity, "shake": self._shake,
+            "shaking_hz": _SHAKING_HZ, "travel": travel, "base": base, "drift_rate": _DRIFT_RATE,
+            "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
+            "longest_step": min(steps), "force_lag": FORCE_LAG_S, "motion_lag": MOTION_LAG_S,
+            "arc": mode == "arc",
+        }  # fmt: skip
+        support = self.body.support
+        assert isinstance(support, Support), "`resolves` was asked"
+        return _CompiledScene(support, numbers, palms)
+
+    def _palm(self, i: int) -> dict[str, float]:
+        shaker = self.shaking.palms[i]
+        mount, mass = shaker.mount, shaker.mount.mass
+        return {
+            "curvature": self._kappa[i], "slope": self._slopes[i], "standoff": self._standoffs[i],
+            "reach": self.reach[i], "mu": self.surface.mu * self._frictions[i],
+            "frequency": shaker.frequency, "speed": shaker.speed, "phase": shaker.phase,
+            "second": shaker.second, "third": shaker.third, "inwards": INWARDS[i],
+            "yielding": self.body.mass / mass,
+            "stiffness": 0.0 if math.isinf(mass) else mount.stiffness / mass,
+            "damping": mount.damping / mass,
+        }  # fmt: skip
+
+
+class _CompiledScene:
+    """What does not change, in the form of `vibrating_plant.c`, and its functions; what is copied gets another."""
+
+    def __init__(self, support: Support, numbers: Mapping[str, Any], palms: Sequence[Mapping[str, float]]) -> None:
+        self._made_of = support, numbers, palms
+        library = _library()
+        assert library is not None, "`resolves` was asked"
+        self._library, self._table = library, np.array(support.table)
+        self._scene = _VibratingScene(
+            table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
+        )
+        self._at = ctypes.byref(self._scene)
+
+    def place(self, body: _Body, palms: PalmMotion) -> None:
+        self._library.vibrating_plant_place(self._at, ctypes.byref(body), _palms(palms))
+
+    def advance(self, body: _Body, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        self._library.vibrating_plant_advance(self._at, ctypes.byref(body), _palms(middle), _palms(end), dt)
+
+    def rock(self, body: _Body, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
+        rows, packed = np.empty((count, ROW)), PackedRun(drive, bounds)
+        done = self._library.vibrating_plant_rock(
+            self._at, ctypes.byref(body), packed.drive, packed.bounds, dt, rows.ctypes.data, count
+        )
+        return rows[:done]
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return _CompiledScene, self._made_of
+
+
+def resolves(body: Body) -> bool:
+    """Whether a vibration can be resolved for the body: it is smooth, and there is a C compiler."""
+    return isinstance(body.support, Support) and _library() is not None
+
+
+def _palms(motion: PalmMotion) -> ctypes._CArgObject:
+    return ctypes.byref(_PalmMotions(motion.angles, motion.rates, motion.accelerations))
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    library = loaded("vibrating_plant")
+    if library is None:
+        return None
+    pointer, double = ctypes.c_void_p, ctypes.c_double
+    library.vibrating_plant_place.argtypes = (pointer,) * 3
+    library.vibrating_plant_advance.argtypes = (*[pointer] * 4, double)
+    library.vibrating_plant_place.restype = library.vibrating_plant_advance.restype = None
+    library.vibrating_plant_rock.argtypes = (*[pointer] * 4, double, pointer, ctypes.c_long)
+    library.vibrating_plant_rock.restype = ctypes.c_long
+    return library

@@ -1,0 +1,82 @@
+"""Physics engines nobody here wrote, as judges of the emulated rig and of the blind estimators."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from palmd.lab.engines import study
+from palmd.lab.engines.scene import ENGINE_KINDS, draw_scene, engine_log
+from palmd.lab.simulated import written
+from palmd.record.eventlog import read_log
+from palmd.rig.plant import AS_ASSUMED
+from palmd.rig.simulate import STEP_S
+from palmd.rig.vibrating_plant import resolves
+
+SECONDS = 0.3
+MOST_M = 2e-6
+PACKAGES = {"mujoco": "mujoco", "drake": "pydrake", "chipmunk": "pymunk"}
+
+
+@pytest.fixture(params=PACKAGES)
+def engine(request):
+    pytest.importorskip(PACKAGES[request.param], reason=f"{request.param} is not installed: the extra `engines` has it")
+    return study.engine_called(request.param)
+
+
+def resolved(scene, seconds):
+    """The emulated rig's own plant on the same scene."""
+    run = scene.run
+    plant = run.plant(AS_ASSUMED)
+    plant.place(run.palms_at(0.0), 0.0)
+    psi = []
+    for k in range(round(seconds / STEP_S)):
+        psi.append(plant.state.psi)
+        plant.advance(run.palms_at((k + 0.5) * STEP_S), run.palms_at((k + 1) * STEP_S), STEP_S)
+    return np.array(psi)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("vibrating", 1), ("antiphase", 1)])
+def test_the_engine_turns_the_body_as_the_emulated_rig_does(engine, kind, seed):
+    scene = draw_scene(kind, seed)
+    if not resolves(scene.run.body):
+        pytest.skip("resolving a vibration takes a C compiler")
+    there, here = engine(scene, SECONDS), resolved(scene, SECONDS)
+    assert there.penetration < MOST_M
+    assert len(there.x) == round(SECONDS / STEP_S) + 1
+    error = np.degrees(there.psi[: len(here)] - here)
+    assert math.sqrt(np.mean(error**2)) < 0.12
+    assert np.ptp(np.degrees(here)) > 0.5
+
+
+def test_without_friction_a_log_of_an_engine_is_reconstructed_blind_and_right():
+    pytest.importorskip("pymunk")
+    row = study.run(study.EngineTask("chipmunk", "slick", "none", 0, 5.0))
+    assert row.error == ""
+    assert row.right
+    assert row.penetration_m < MOST_M
+
+
+@pytest.mark.parametrize("kind", ENGINE_KINDS)
+def test_a_log_says_how_the_palms_vibrate(kind):
+    pytest.importorskip("pymunk")
+    lines, truth = engine_log(study.engine_called("chipmunk"), kind, 3, 0.2, "calibrated")
+    with written(lines) as path:
+        log = read_log(path)
+    assert log.rig.vibration.relation == {"vibrating": "independent", "slick": "independent", "dry": "none"}.get(
+        kind, kind
+    )
+    assert log.rig.vibration.law == "sign_pairs"
+    assert ("vibration_m_s" in truth) is (kind != "dry")
+    assert (truth["mu"] == 0.0) is (kind == "slick")
+
+
+def test_a_study_resumes_with_what_is_not_done():
+    tasks = study.tasks_of(("chipmunk",), ENGINE_KINDS, ("none", "calibrated"), 0, 2, 10.0)
+    assert len(tasks) == len(set(tasks)) == 20
+    row = study.failed(tasks[0], ValueError("no"))
+    assert study.row_from(study.as_line(row)).task == tasks[0]
+    assert study.tasks_of(("chipmunk",), ENGINE_KINDS, ("none", "calibrated"), 0, 2, 10.0, {row.task}) == tasks[1:]
+    assert "all" in study.table([row])
