@@ -19,6 +19,7 @@ from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.logreader import VERSION, LogForm, read_log_as
 from palmd.record.logreader import LogError as LogError
+from palmd.record.vibration_line import read_vibration, vibration_line
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
@@ -122,6 +123,7 @@ def _rig(rig: Line) -> RigDescription:
         palm_angle_noise=positive(rig, "palm_angle_noise_rad", default.palm_angle_noise),
         goal_rounding=not_negative(rig, "goal_rounding_rad", 0.0),
         pads=tuple(replace(common, curvature=kappa) for kappa in curvatures),
+        vibration=read_vibration(rig),
     ).known_to(sds)
     own = rig.get("pads")
     if own is None:
@@ -212,6 +214,7 @@ def header_line(rig: RigDescription) -> Line:
         **({"goal_rounding_rad": rig.goal_rounding} if rig.goal_rounding else {}),
         **worst,
         "calibration_sd": sds,
+        "vibration": vibration_line(rig.vibration),
         **{_CURVATURE.format(palm): kappa for palm, kappa in zip(PALMS, rig.curvatures, strict=True) if kappa},
     }
     if any(replace(pad, curvature=rig.pads[0].curvature) != rig.pads[0] for pad in rig.pads):

@@ -11,6 +11,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.system.mechanism import JOINTS, PALMS
+from palmd.system.vibration import INDEPENDENT, Vibration
 
 # An actuator that lags by some 20 ms makes of goals rounded by e, one each 10 ms, rates of e over so long.
 ROUNDING_LASTS_S = 0.03
@@ -61,7 +62,7 @@ class RigDescription:
     pads: one for each palm. base: of palm 1's far end, where an arc hinge is fixed to the world. palm_angle_noise: of a
     reported angle by itself. goal_rounding: to what steps set-points are rounded, which the palms follow (rad).
     angle_sd, gravity_sd: one-sigma of what each palm's angle and gravity's direction are off by, all along.
-    friction_sd: of the asymmetry (μ1 − μ2)/(μ1 + μ2) of the palms' friction.
+    friction_sd: of the asymmetry (μ1 − μ2)/(μ1 + μ2) of the palms' friction. vibration: of the palms along themselves.
     """
 
     gravity: float = 9.81
@@ -74,6 +75,7 @@ class RigDescription:
     gravity_sd: float = 0.0
     friction_sd: float = 0.0
     pads: tuple[PadSensor, ...] = tuple(PadSensor() for _ in PALMS)
+    vibration: Vibration = INDEPENDENT
 
     @property
     def arc(self) -> tuple[tuple[float, float], float]:

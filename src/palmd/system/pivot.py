@@ -15,6 +15,7 @@ from typing import Literal
 from palmd.events import FloatArray, LiveEstimate, PadSample
 from palmd.system.description import PadSensor
 from palmd.system.naming import Naming
+from palmd.system.vibration import INDEPENDENT, Vibration
 
 Vertical = Literal["rigid", "float"]
 
@@ -44,7 +45,7 @@ class PivotRig:
 
     vertical: whether the gripper is `rigid` in height or slides, a carriage of `carriage_mass` (kg) with
     `carriage_damping` (N s/m) under its own weight. arm_noise: of each measured position (m). angle_sd: of the pad's
-    slope along x (rad); `pad` has the other constants' one-sigma.
+    slope along x (rad); `pad` has the other constants' one-sigma. vibration: of the pad along itself.
     """
 
     gravity: float = 9.81
@@ -55,6 +56,7 @@ class PivotRig:
     arm_noise: float = 2e-5
     angle_sd: float = 0.0
     pad: PadSensor = field(default_factory=PadSensor)
+    vibration: Vibration = INDEPENDENT
 
     def known_to(self, sds: Mapping[str, float]) -> PivotRig:
         """The same rig with these `_sd`, as in `RigDescription.known_to`; those that it has no place for are left."""

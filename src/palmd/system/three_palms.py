@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray, LiveEstimate
 from palmd.system.naming import Naming
+from palmd.system.vibration import INDEPENDENT, Vibration
 
 SYSTEM = "three_palms"
 MECHANISM: Literal["edge-axis"] = "edge-axis"
@@ -55,11 +56,12 @@ class PadPlane:
 
 @dataclass(frozen=True, slots=True)
 class ThreePalmsRig:
-    """What an observer knows of the rig: gravity (m/s²), the pads, one-sigma of a reported joint angle (rad)."""
+    """What an observer knows of the rig: gravity (m/s²), the pads, one-sigma of a joint angle (rad), vibration."""
 
     gravity: float = 9.81
     pad: PadPlane = PadPlane()
     angle_noise: float = 2e-4
+    vibration: Vibration = INDEPENDENT
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from palmd.events import PadLift, PadSample, PalmSample
 from palmd.record.eventlog import LogError, header_line, read_log, write_log
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
+from palmd.system.vibration import AVERAGED, DRY, Vibration
 
 HEADER = (
     '{"palmd_log":1,"rig":{"gravity_m_s2":9.81,"hinge":{"mode":"arc","palm1_length_m":0.11},'
@@ -218,6 +219,54 @@ def test_a_bad_header_is_told(log, header, what):
     assert f"run.jsonl:1: {what}" in refused(log(header, PAD))
 
 
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        (None, Vibration()),
+        ({}, Vibration()),
+        ({"relation": "antiphase"}, Vibration("antiphase")),
+        ({"relation": "none"}, DRY),
+        ({"law": "averaged"}, AVERAGED),
+        (
+            {
+                "relation": "in_phase",
+                "frequency_hz": 250,
+                "speed_m_s": 0.015,
+                "speed_sd_m_s": 1e-3,
+                "transmission": 0.9,
+            },
+            Vibration("in_phase", frequency=250.0, speed=0.015, speed_sd=1e-3, transmission=0.9),
+        ),
+        ({"speed_m_s": 0.015, "speed_m_s_sd": 1e-3}, Vibration(speed=0.015, speed_sd=1e-3)),
+    ],
+)
+def test_vibration_in_the_header(log, written, meant):
+    header = json.loads(FIXED)
+    header["rig"]["vibration"] = written
+    assert read_log(log(json.dumps(header), PAD)).rig.vibration == meant
+
+
+@pytest.mark.parametrize(
+    ("written", "what"),
+    [
+        ("fast", "vibration must be an object"),
+        (
+            {"relation": "alike"},
+            "vibration.relation must be one of independent, in_phase, antiphase, unknown, none",
+        ),
+        ({"law": "old"}, "vibration.law must be one of sign_pairs, averaged"),
+        ({"speed_m_s": 0}, "speed_m_s must be more than 0, got 0"),
+        ({"frequency_hz": "250"}, "frequency_hz must be a finite number"),
+        ({"transmission": 1.5}, "vibration.transmission must be 0 to 1, got 1.5"),
+        ({"relation": ["independent"]}, "vibration.relation must be one of"),
+    ],
+)
+def test_a_vibration_that_is_refused(log, written, what):
+    header = json.loads(FIXED)
+    header["rig"]["vibration"] = written
+    assert f"run.jsonl:1: {what}" in refused(log(json.dumps(header), PAD))
+
+
 def test_files_that_are_no_log(log, tmp_path):
     assert refused(tmp_path / "none.jsonl").endswith("none.jsonl: No such file or directory")
     assert refused(tmp_path).endswith("Is a directory")
@@ -271,6 +320,13 @@ rigs = st.builds(
     palm_angle_noise=st.floats(1e-6, 1),
     goal_rounding=st.floats(0, 1),
     pads=st.tuples(sensors, sensors),
+    vibration=st.builds(
+        Vibration,
+        st.sampled_from(["independent", "in_phase", "antiphase", "unknown", "none"]),
+        *(st.none() | st.floats(1e-3, 500),) * 4,
+        *(st.none() | st.floats(0, 1),) * 2,
+        st.sampled_from(["sign_pairs", "averaged"]),
+    ),
 )
 
 

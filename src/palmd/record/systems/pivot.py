@@ -21,6 +21,7 @@ from palmd.record.logline import BadLineError, Line, block, not_negative, number
 from palmd.record.outline_curves import drawing_of
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor
 from palmd.system.pivot import GripperSample, PivotEvent, PivotRig
 
@@ -70,6 +71,7 @@ class PivotForm:
             carriage_damping=not_negative(gripper, "damping_n_s_m", 0.0) if slides else 0.0,
             arm_noise=positive(line, "arm_noise_m", default.arm_noise),
             pad=sensor,
+            vibration=read_vibration(line),
         )
         return rig.known_to(_calibration_sds(line))
 

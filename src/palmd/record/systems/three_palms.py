@@ -22,6 +22,7 @@ from palmd.record.logline import BadLineError, Line, block, not_negative, number
 from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
+from palmd.record.vibration_line import read_vibration
 from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
 from palmd.three_palms_messages import estimate_fields, shape_fields
@@ -78,6 +79,7 @@ class ThreePalms:
                 force_scale_std=positive(line, "force_scale_std", default.pad.force_scale_std),
             ),
             angle_noise=positive(line, "palm_angle_noise_rad", default.angle_noise),
+            vibration=read_vibration(line),
         )
 
     def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadReading | JointReport | None]:
