@@ -26,6 +26,7 @@ def constants_of(grasp):
     p[P.INERTIA] = body.mass * (body.rho**2 + b @ b)
     p[P.MOMENT : P.MOMENT + 2], p[P.MASS] = body.mass * b, body.mass
     p[P.DAMPING] = body.mass * grasp.damping
+    p[P.TRANSMISSION] = 1.0
     p[P.DRAG], p[P.SATURATION] = grasp.mu / grasp.dither, 1 / grasp.dither**2
     h = body.support.sample(theta) + b[0] * np.cos(theta) + b[1] * np.sin(theta)
     p[P.SHAPE :] = coefficients_of(h, ORDER)
@@ -55,7 +56,7 @@ def test_a_rigid_gripper_presses_as_the_constraints_say(grasp, psi):
     h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
     alpha = (h2 * omega**2 - az) / e
     z = (grasp.height(psi), vz, az)
-    wanted = grasp.torque_left(psi, omega, alpha, x, z)[1]
+    wanted = grasp.pressed(psi, omega, alpha, x, z)
     u = inputs_of(grasp, x, z)
     assert called("height", (psi, omega, alpha), p, u)[0] == pytest.approx(z[0], abs=1e-9)
     assert called("reading", (psi, omega, alpha), p, u)[0] == pytest.approx(x[0] + e, abs=1e-8)

@@ -16,7 +16,7 @@ from palmd.observer.three_palms.record import PadReadings, lay_out
 from palmd.observer.three_palms.smoother import BodyPrior, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
-from palmd.system.three_palms import palms_at, readings_of
+from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of
 
 ORDER, GRAVITY = 8, 9.81
 LAMBDA = np.array([-0.1, 0.05, 0.02, -0.04, 0.06, 0.1])
@@ -52,7 +52,7 @@ def moment():
 def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment):
     p, body = parameters
     palms, R, omega = moment
-    alpha, force = kernels.acceleration(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, GRAVITY))[:2]
+    alpha, force = kernels.acceleration(ORDER, "averaged")((by_columns(R), omega, palm_inputs(palms)), (p, (GRAVITY, 1.0)))[:2]
     T = len(R)
     bodies = Bodies(*(np.repeat(getattr(body, name), T, axis=0) for name in body.__dataclass_fields__))
     rubbing = Rubbing(*(np.full(T, each) for each in (MU, DITHER, DAMPING)))
@@ -83,7 +83,7 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     readings = PadReadings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
     record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
     prior = BodyPrior.apart(p, np.eye(len(p)), np.zeros(3), 1.0)
-    smoother = BodySmoother(record, prior, Noise(1e-4), GRAVITY)
+    smoother = BodySmoother(record, prior, Noise(1e-4), ThreePalmsRig())
     R = np.tile(np.eye(3), (11, 1, 1))
     motion = BodyMotion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
     nodes, step = (

@@ -63,6 +63,12 @@ class ThreePalmsRig:
     angle_noise: float = 2e-4
     vibration: Vibration = INDEPENDENT
 
+    @property
+    def acting(self) -> FloatArray:
+        """What the kernels take of it: gravity (m/s²) and λ of the palms' vibration, 1 where it is not known."""
+        known = self.vibration.transmission
+        return np.array([self.gravity, 1.0 if known is None else known])
+
 
 @dataclass(frozen=True, slots=True)
 class PalmPlanes:

@@ -126,7 +126,7 @@ def _worth_a_fit(record: PivotRecord) -> None:
 
 def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     """Minima from all starts, the best first, and the problem that they solve."""
-    kernels, known = library(), believed(record)
+    kernels, known = library(record.rig.vibration.law), believed(record)
     problem = Problem(kernels, record, known)
     rigid = record.rig.vertical == "rigid"
     if rigid:
