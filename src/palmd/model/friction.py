@@ -37,15 +37,15 @@ class Vibrated:
     averaged: SX
 
 
-def mean_direction(ratio: Any, xp: Any = ca) -> Any:
+def mean_direction(ratio: Any, xp: Any = ca, kink: float = KINK) -> Any:
     """σ_ε(u/V) = (2/π) atan(x S/(ε C)), a smooth form of (2/π) asin(x) within ±1 and of ±1 beyond (section 5).
 
     ratio: slip over the speed of the vibration, x = u/V. C² = 1 + S² with 2 S² = y + √(y² + 4 ε²), y = x² + ε² − 1,
-    which is section 5's C without the difference C² − 1.
+    which is section 5's C without the difference C² − 1. kink: ε.
     """
-    y = ratio**2 + KINK**2 - 1
-    squared = (y + xp.sqrt(y**2 + 4 * KINK**2)) / 2
-    return 2 / math.pi * xp.arctan(ratio / KINK * xp.sqrt(squared / (1 + squared)))
+    y = ratio**2 + kink**2 - 1
+    squared = (y + xp.sqrt(y**2 + 4 * kink**2)) / 2
+    return 2 / math.pi * xp.arctan(ratio / kink * xp.sqrt(squared / (1 + squared)))
 
 
 def averaged_direction(slip: Any, dither: Any, xp: Any = ca) -> Any:

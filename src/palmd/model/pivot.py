@@ -24,6 +24,7 @@ from palmd.system.vibration import VibrationLaw
 
 ORDER = 10  # harmonics of the outline
 MOTION = 3  # ψ, ω0, α0
+KINK = 5e-3  # ε of `mean_direction`: a body that rolls slips at nearly V, where friction tells its coefficient
 BATCH = 64
 
 
@@ -82,7 +83,7 @@ def _body(motion: SX, p: SX) -> tuple[SX, SX, SX, SX, SX]:
 def _direction(motion: SX, p: SX, u: SX, h: SX, law: VibrationLaw) -> SX:
     """σ of the slip u = Ẋ + h ω0."""
     ratio = (u[U.VX] + h * motion[1]) * ca.sqrt(p[P.SATURATION])
-    return mean_direction(math.pi / 2 * ratio) if law == "sign_pairs" else ratio / ca.sqrt(1 + ratio**2)
+    return mean_direction(math.pi / 2 * ratio, kink=KINK) if law == "sign_pairs" else ratio / ca.sqrt(1 + ratio**2)
 
 
 def _effective(sigma: SX, forward: SX, backward: SX, p: SX, law: VibrationLaw) -> SX:

@@ -10,7 +10,7 @@ import numpy as np
 from palmd.events import FloatArray, PalmSample
 from palmd.model import shape
 from palmd.model.friction import mean_direction
-from palmd.model.pivot import ORDER, P
+from palmd.model.pivot import KINK, ORDER, P
 from palmd.system.pivot import PivotAnswer, PivotRig, normal_of
 
 GAP_S = 0.15  # without a reading, after which the body may have been turned
@@ -191,7 +191,7 @@ class ClaimedOutline:
     def _direction(self, slip: float) -> float:
         """σ of a slip (m/s), as in `model.pivot`."""
         ratio = slip * math.sqrt(float(self._p[P.SATURATION]))
-        return ratio / math.hypot(1.0, ratio) if self._averaged else float(mean_direction(math.pi / 2 * ratio, np))
+        return ratio / math.hypot(1.0, ratio) if self._averaged else float(mean_direction(math.pi / 2 * ratio, np, KINK))
 
     def _effective(self, sigma: float, forward: float, backward: float) -> float:
         if self._averaged:

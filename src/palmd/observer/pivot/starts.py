@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.friction import mean_direction
-from palmd.model.pivot import CONSTANTS, ORDER, P, U
+from palmd.model.pivot import CONSTANTS, KINK, ORDER, P, U
 from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import PivotRecord, TouchSpan
 from palmd.system.pivot import PivotRig
@@ -266,7 +266,7 @@ def _lever(e: FloatArray, h: FloatArray, slip: FloatArray, mu: float, dither: fl
     """Of the pad's mean force about the pivot (m), as in `model.pivot`: by the old law where nothing is transmitted."""
     if not transmission:
         return e - mu * slip / np.hypot(slip, dither) * h
-    sigma = mean_direction(math.pi / 2 * slip / dither, np)
+    sigma = mean_direction(math.pi / 2 * slip / dither, np, KINK)
     effective = (sigma * e + mu * h) / (e + sigma * mu * h)
     lever: FloatArray = e - mu * (sigma + transmission * (effective - sigma)) * h
     return lever
