@@ -22,6 +22,7 @@ from palmd.config.plans import (
     SwingFrequency,
     one_key_of,
 )
+from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.events import ObserverName
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
@@ -95,6 +96,8 @@ class RigConfig(Strict):
     """How well gravity's direction is known, one sigma."""
     friction_asymmetry_sd: Annotated[NotNegative, Field(le=1)] = 0.3
     """How alike the palms rub: one sigma of (μ1 − μ2)/(μ1 + μ2); 0 where both surely have one friction."""
+    vibration: VibrationConfig = VibrationConfig()
+    """Of the palms along themselves, which breaks friction; left out: independent, and nothing else is known."""
     imperfections: Annotated[
         Annotated[Drawn, Tag("<word>")] | Annotated[ImperfectionsConfig, Tag("<values>")],
         Discriminator(_imperfections_kind),
@@ -243,6 +246,7 @@ def rig_description(config: Config) -> RigDescription:
         pads=tuple(
             pad_sensor(pad, kappa) for pad, kappa in zip(config.pads.each(), config.rig.curvatures_per_m, strict=True)
         ),
+        vibration=vibration_of(config.rig.vibration),
     )
 
 

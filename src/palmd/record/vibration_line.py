@@ -1,15 +1,20 @@
-"""The block `rig.vibration` in line 1 of an event log, read and written."""
+"""The block `rig.vibration` in line 1 of an event log, read."""
 
 from __future__ import annotations
 
 from typing import Any, get_args
 
 from palmd.record.logline import BadLineError, Line, block, not_negative, positive, shown
-from palmd.system.vibration import INDEPENDENT, Relation, Vibration, VibrationLaw
+from palmd.system.vibration import (
+    INDEPENDENT,
+    VIBRATION_KEYS,
+    VIBRATION_SD_KEYS,
+    Relation,
+    Vibration,
+    VibrationLaw,
+)
 
-_POSITIVE = {"frequency": "frequency_hz", "speed": "speed_m_s"}
-_KEYS = _POSITIVE | {"transmission": "transmission"}
-_SD_KEYS = {"frequency_sd": "frequency_sd_hz", "speed_sd": "speed_sd_m_s", "transmission_sd": "transmission_sd"}
+_MORE_THAN_ZERO = ("frequency", "speed")
 
 
 def read_vibration(rig: Line) -> Vibration:
@@ -21,10 +26,10 @@ def read_vibration(rig: Line) -> Vibration:
         "relation": _one_of(line, "relation", get_args(Relation), "independent"),
         "law": _one_of(line, "law", get_args(VibrationLaw), "sign_pairs"),
     }
-    for name, key in _KEYS.items():
+    for name, key in VIBRATION_KEYS.items():
         if line.get(key) is not None:
-            values[name] = positive(line, key) if name in _POSITIVE else not_negative(line, key)
-        sd_key, literal = _SD_KEYS[f"{name}_sd"], f"{key}_sd"  # `speed_m_s_sd` is accepted for `speed_sd_m_s`
+            values[name] = positive(line, key) if name in _MORE_THAN_ZERO else not_negative(line, key)
+        sd_key, literal = VIBRATION_SD_KEYS[f"{name}_sd"], f"{key}_sd"  # `speed_m_s_sd` is accepted for `speed_sd_m_s`
         given = next((each for each in (sd_key, literal) if line.get(each) is not None), None)
         if given is not None:
             values[f"{name}_sd"] = not_negative(line, given)
@@ -40,10 +45,3 @@ def _one_of(line: Line, key: str, allowed: tuple[str, ...], default: str) -> str
     if value not in allowed:
         raise BadLineError(f"vibration.{key} must be one of {', '.join(allowed)}; got {shown(value)}")
     return str(value)
-
-
-def vibration_line(vibration: Vibration) -> Line:
-    """The block as a log's header has it; what is not known is left out."""
-    known = {key: getattr(vibration, name) for name, key in (_KEYS | _SD_KEYS).items()}
-    law = {"law": vibration.law} if vibration.law != "sign_pairs" else {}
-    return {"relation": vibration.relation, **{key: value for key, value in known.items() if value is not None}, **law}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 Relation = Literal["independent", "in_phase", "antiphase", "unknown", "none"]
 """Between the palms: `in_phase` moves both away from the hinge at the same time; `none`: palms do not vibrate."""
@@ -40,3 +40,18 @@ DRY = Vibration(relation="none")
 """Palms that stand still unless the motion plan moves them."""
 AVERAGED = Vibration(law="averaged")
 """Palms whose friction follows the averaged law, as simulated before the law of sign pairs was known."""
+
+VIBRATION_KEYS = {"frequency": "frequency_hz", "speed": "speed_m_s", "transmission": "transmission"}
+VIBRATION_SD_KEYS = {
+    "frequency_sd": "frequency_sd_hz",
+    "speed_sd": "speed_sd_m_s",
+    "transmission_sd": "transmission_sd",
+}
+"""How logs and configurations call the fields of `Vibration`."""
+
+
+def vibration_line(vibration: Vibration) -> dict[str, Any]:
+    """The block `vibration` of a log's rig; what is not known is left out."""
+    known = {key: getattr(vibration, name) for name, key in (VIBRATION_KEYS | VIBRATION_SD_KEYS).items()}
+    law = {"law": vibration.law} if vibration.law != "sign_pairs" else {}
+    return {"relation": vibration.relation, **{key: value for key, value in known.items() if value is not None}, **law}
