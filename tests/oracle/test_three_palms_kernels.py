@@ -53,7 +53,7 @@ def moment():
     return palms, R, random.normal(0, 2.0, (T, 3))
 
 
-# At small slip the model is exact to order μ²: what is left falls eightfold as μ halves, as does the rig's finer lattice.
+# The model is exact to order μ²: what is left falls as μ³, down to what the kink of the directions leaves.
 @pytest.mark.parametrize(("mu", "within"), [(0.2, 0.02), (0.05, 3e-3)])
 def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment, mu, within):
     p, body = parameters

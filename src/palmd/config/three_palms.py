@@ -32,7 +32,6 @@ class ThreePalmsRigConfig(Strict):
     imperfections: Annotated[Literal["none"], Field(exclude=True)] = "none"
     """Of the emulated rig alone: it is as described, for its observer takes a rig to be so."""
 
-
     @field_validator("vibration")
     @classmethod
     def _independent(cls, vibration: VibrationConfig) -> VibrationConfig:

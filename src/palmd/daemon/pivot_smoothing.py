@@ -33,7 +33,9 @@ def serve(address: str, rig: str) -> None:
     from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother  # SciPy, in this process alone
 
     fields = json.loads(rig)
-    smoother = GrowingSmoother(PivotRig(**fields | {"pad": PadSensor(**fields["pad"]), "vibration": Vibration(**fields["vibration"])}))
+    smoother = GrowingSmoother(
+        PivotRig(**fields | {"pad": PadSensor(**fields["pad"]), "vibration": Vibration(**fields["vibration"])})
+    )
 
     def answer() -> list[Any] | None:
         a = smoother.answer()

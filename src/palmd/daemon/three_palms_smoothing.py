@@ -40,7 +40,9 @@ def serve(address: str, rig: str) -> None:
 
     sys.setswitchinterval(SWITCH_S)
     told = json.loads(rig)
-    smoother = GrowingBody(ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"]), "vibration": Vibration(**told["vibration"])}))
+    smoother = GrowingBody(
+        ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"]), "vibration": Vibration(**told["vibration"])})
+    )
     pool = ThreadPoolExecutor(1)
     thought: Future[BodyAnswer | None] | None = None
 

@@ -72,7 +72,9 @@ def step_function(order: int, h: float) -> ca.Function:
         kappa.append(q[3])
         by_spin.append(-by_s[3, :] @ midway.T @ ca.skew(normal))
         normals.append(u)
-    alpha, force, by = newton_function("sign_pairs")(midway, omega, ca.vertcat(*x), ca.vertcat(*kappa), body, inputs, rig)
+    alpha, force, by = newton_function("sign_pairs")(
+        midway, omega, ca.vertcat(*x), ca.vertcat(*kappa), body, inputs, rig
+    )
     damping = by[:, 3:6] + by[:, 15:18] @ ca.vertcat(*by_spin)
     after = omega + h * ca.solve(SX.eye(3) - h / 2 * damping, alpha)
     heights = ca.vertcat(*(ca.dot(u, each) for u, each in zip(normals, x, strict=True)))

@@ -2,10 +2,10 @@
 
 Each takes the body's motion (ψ, ω0, α0) at one instant and the constants p, and gives values with their gradient in
 (ψ, ω0, α0, p). About the pivot P the body has inertia I and mass moment M = m·(centre of mass − P), in the body's
-frame; ξ is M turned into the world. The pad vibrates along itself with amplitude V of its speed: friction alternates, and
-the normal force with it (docs/theory/vibration.md). At slip u each sign s of the sliding holds for a share of the time
-(1 ± σ)/2, σ = (2/π) asin(u/V), so that the mean force is that of one direction σ + λ(E[s f]/E[f] − σ) of friction. By the
-old law, which stands for logs simulated by it, friction is B u/√(1 + w u²) and the normal force steady.
+frame; ξ is M turned into the world. The pad vibrates along itself with amplitude V of its speed: friction alternates,
+and the normal force with it (docs/theory/vibration.md). At slip u each sign s of the sliding lasts for a share
+(1 ± σ)/2 of the time, σ = (2/π) asin(u/V), so that the mean force is that of one direction σ + λ(E[s f]/E[f] − σ) of
+friction. By the old law, for logs that were simulated by it, friction is B u/√(1 + w u²) and the normal force steady.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _direction(motion: SX, p: SX, u: SX, h: SX, law: VibrationLaw) -> SX:
 
 
 def _effective(sigma: SX, forward: SX, backward: SX, p: SX, law: VibrationLaw) -> SX:
-    """σ + λ(E[s f]/E[f] − σ) for forces that are as `forward` to `backward` while the body slips forward or backward."""
+    """σ + λ(E[s f]/E[f] − σ), for forces in the ratio of `forward` to `backward` while the body slips so."""
     if law == "averaged":
         return sigma
     ahead, behind = (1 + sigma) * forward, (1 - sigma) * backward
@@ -140,7 +140,7 @@ def _sliding(motion: SX, p: SX, u: SX, law: VibrationLaw) -> tuple[SX, SX]:
         left = at(alpha, SX(sign))[1]
         still = ca.substitute(left, alpha, 0)
         forces.append(at(-still / ca.jacobian(left, alpha), SX(sign))[0])
-    return at(motion[2], _effective(_direction(motion, p, u, h, law), *forces, p, law))
+    return at(motion[2], _effective(_direction(motion, p, u, h, law), forces[0], forces[1], p, law))
 
 
 @cache

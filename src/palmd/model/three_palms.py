@@ -91,8 +91,8 @@ def _newton_euler(
     """(ω̇, normal forces f per unit mass) where nᵢ·p̈ + (rᵢ×nᵢ)·ω̇ = aᵢ; body: damping, μ, ln u_d with u_d = πV/2.
 
     The palms vibrate independently, each along its `vibration_axes`. At slip uᵢ palm i pushes by f (n − μ s), where
-    s = σ + λμΣk are σ and Σ of `planar_friction` and k, how its own normal force answers friction: the diagonal of A⁻¹B,
-    where A f = b + μ B s f. Exact to order μ². With the old law s = u/√(u² + u_d²).
+    s = σ + λμΣk, with σ and Σ of `planar_friction` and k the answer of its own normal force to friction: the diagonal
+    of A⁻¹B where A f = b + μ B s f. Exact to order μ². With the old law s = u/√(u² + u_d²).
     """
     damping, mu, speed = body[0], body[1], ca.exp(body[2]) * (2 / math.pi)
     p = palms.inverse @ ca.vertcat(*(-ca.dot(n, each) for n, each in zip(palms.normal, r, strict=True)))

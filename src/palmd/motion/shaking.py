@@ -1,4 +1,4 @@
-"""How palms shake what lies on them, and which law of friction that asks for: notes on configurations and plans. Pure."""
+"""How palms shake what lies on them, and which law of friction that asks for: notes on configurations and plans."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from palmd.config.two_palms import Config, DitherSpec, PlanSpec
 from palmd.config.vibration import VibrationConfig
 from palmd.system.excitation import (
     FASTER,
+    MOST_FRICTION,
     PLAN_MOST_HZ,
     RESONANT,
     SLOW_HZ,
@@ -23,8 +24,6 @@ from palmd.system.excitation import (
     swung,
 )
 
-MOST_FRICTION = 0.3
-"""Coefficient of friction that a vibration should be strong enough for: objects with more are rare."""
 LIGHT_KG, HEAVY_KG = 0.03, 0.2
 """Of objects on the palms."""
 
@@ -40,7 +39,7 @@ def shaking_of(config: AnyConfig) -> Iterator[str]:
         return
     if frequency < FASTER * SLOW_HZ:
         yield (
-            f"rig.vibration: {frequency:g} Hz is neither motion (up to {PLAN_MOST_HZ:g} Hz) nor fast enough to be averaged:"
+            f"rig.vibration: {frequency:g} Hz is neither motion (up to {PLAN_MOST_HZ:g} Hz) nor fast enough to average:"
             f" vibrate at {FASTER * SLOW_HZ:g} Hz or faster"
         )
     elif speed is not None:
@@ -50,7 +49,7 @@ def shaking_of(config: AnyConfig) -> Iterator[str]:
         low, high = (resonance_hz(stiffness, mass) for mass in (HEAVY_KG, LIGHT_KG))
         if resonates(frequency, low) or resonates(frequency, high) or low < frequency < high:
             yield (
-                f"rig.vibration: {frequency:g} Hz is near the resonance of an object on its pad ({low:.0f} to {high:.0f} Hz"
+                f"rig.vibration: {frequency:g} Hz is near the resonance of objects on a pad ({low:.0f} to {high:.0f} Hz"
                 f" for {HEAVY_KG * 1e3:g} to {LIGHT_KG * 1e3:g} g): forces do not follow the law. Stay out of"
                 f" {RESONANT[0]:g} to {RESONANT[1]:g} times it"
             )
@@ -82,14 +81,13 @@ def shaking_by(plan: PlanSpec, config: Config) -> Iterator[str]:
     shaken = swung_by(plan.dither, reach_m(config))
     most = shaken.acceleration / friction_acceleration(1.0, config.rig.gravity_m_s2)
     yield (
-        f"dither: {plan.dither.amplitude_deg:g}° at {plan.dither.frequency_hz:g} Hz is motion, {shaken.speed * 1e3:.1f} mm/s"
-        f" at a contact: objects stick through it from a coefficient of friction of {most:.2g} on. Friction is taken to"
-        " be dry"
+        f"dither: {plan.dither.amplitude_deg:g}° at {plan.dither.frequency_hz:g} Hz is motion,"
+        f" {shaken.speed * 1e3:.1f} mm/s at a contact: it breaks no friction above a coefficient of {most:.2g}"
     )
     if config.rig.vibration.relation != "none":
         yield (
-            f"dither: the configuration says besides that the palms vibrate ({config.rig.vibration.relation}): set"
-            " rig.vibration.relation to none if no shaker does"
+            f"dither: the configuration says that the palms vibrate besides ({config.rig.vibration.relation}): set"
+            " rig.vibration.relation to none where no shaker does, for friction is dry then"
         )
 
 

@@ -19,9 +19,10 @@ from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.logreader import VERSION, LogForm, read_log_as
 from palmd.record.logreader import LogError as LogError
-from palmd.record.vibration_line import read_vibration, vibration_line
+from palmd.record.vibration_line import read_vibration
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
+from palmd.system.vibration import vibration_line
 
 _MAX_LENGTH_M = 1.0
 _ANGLES, _RATES, _ACCELERATIONS = (

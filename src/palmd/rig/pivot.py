@@ -49,8 +49,8 @@ class PivotImperfections:
     """By how much a run's readings differ from what line 1 says of them; the defaults are as it says.
 
     outliers: share of the pad's readings that are thrown anywhere on it. gaps: how many times the pad is silent for
-    `gap_s`. noise, force_noise: factors on the noise. coulomb: Coulomb friction of a pad that stands still, by tanh(u/u_d). zero:
-    of the pad (m). lag: of the pad's time stamps (s).
+    `gap_s`. noise, force_noise: factors on the noise. coulomb: friction of a pad that stands still, by tanh(u/u_d).
+    zero: of the pad (m). lag: of the pad's time stamps (s).
     """
 
     outliers: float = 0.0
@@ -70,7 +70,7 @@ AS_TOLD = PivotImperfections()
 class Grasp:
     """A body in the gripper over the pad: pivot (m, from the centre of mass, in the body), carriage kg and N s/m.
 
-    The pad vibrates along itself much faster than the body moves; friction is dry, and alternates with the normal force.
+    The pad vibrates along itself much faster than the body moves; friction is dry, and the normal force alternates too.
     """
 
     body: Body

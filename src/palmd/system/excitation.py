@@ -1,7 +1,7 @@
-"""Which law of friction an excitation of the palms asks for, by its frequency and speed (docs/theory/vibration.md). Pure.
+"""Which law of friction an excitation of the palms asks for, by frequency and speed (docs/theory/vibration.md). Pure.
 
-Motion of the plan is slow: friction is dry then, the object sticks and slips, and models follow it in steps. A vibration
-is averaged where it is much faster than the object moves and strong enough that no contact sticks through a reversal.
+Motion of the plan is slow: friction is dry, the object sticks and slips, and models follow it in steps. A vibration is
+averaged where it is much faster than the object moves and strong enough that no contact sticks through a reversal.
 What is between is neither, and must be resolved step by step.
 """
 
@@ -21,6 +21,8 @@ STICKS = 1.9
 """2πfV over the acceleration that friction gives a contact, below which the contact sticks while slip reverses."""
 FRICTION_SHARE = 2.4
 """That acceleration over μg: 1.3 on the average of ellipses between palms at rest, below this in 95 % of them."""
+MOST_FRICTION = 0.3
+"""Coefficient of friction that a vibration should be strong enough for: objects with more are rare."""
 STEPS_A_PERIOD = 20
 """Of an excitation that is resolved."""
 RESONANT = (0.5, 2.0)

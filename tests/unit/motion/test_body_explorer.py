@@ -23,9 +23,10 @@ from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
 from palmd.rig.three_palms.simulate import REST_POSE
-from palmd.system.three_palms import palms_at
+from palmd.system.three_palms import ThreePalmsRig, palms_at
 
 GRAVITY, SIDE, SEED = 9.81, 0.075, 4
+RIG = ThreePalmsRig()
 SPIN = (2.0, -1.5, 1.0)
 LIMITS = TiltLimits.over(WIDE, 1e3 * SIDE)
 
@@ -50,7 +51,7 @@ def integrated(move, R, omega, p, h=5e-4):
         at = move.at(t)
         each = (np.array([getattr(at, name)]) for name in ("angles", "rates", "accelerations"))
         planes = palms_at(*each)
-        out = acceleration((by_columns(R[None]), omega[None], palm_inputs(planes)), (p, GRAVITY))
+        out = acceleration((by_columns(R[None]), omega[None], palm_inputs(planes)), (p, RIG.acting))
         return out[0][0], -planes.normal[0] @ R
 
     for k in range(round(move.duration / h)):

@@ -191,7 +191,9 @@ class ClaimedOutline:
     def _direction(self, slip: float) -> float:
         """σ of a slip (m/s), as in `model.pivot`."""
         ratio = slip * math.sqrt(float(self._p[P.SATURATION]))
-        return ratio / math.hypot(1.0, ratio) if self._averaged else float(mean_direction(math.pi / 2 * ratio, np, KINK))
+        return (
+            ratio / math.hypot(1.0, ratio) if self._averaged else float(mean_direction(math.pi / 2 * ratio, np, KINK))
+        )
 
     def _effective(self, sigma: float, forward: float, backward: float) -> float:
         if self._averaged:
@@ -204,18 +206,18 @@ class ClaimedOutline:
         dither = float(self._p[P.SATURATION]) ** -0.5
         wanted = min(max(grip / self._friction, -MOST_GRIP), MOST_GRIP)
         if self._averaged:
-            return dither * wanted / math.sqrt(1.0 - wanted * wanted)
+            return float(dither * wanted / math.sqrt(1.0 - wanted * wanted))
         forward, backward = (self._slide_force_of(at, psi, omega0, sign, ax) for sign in (1.0, -1.0))
         # of the normal force, the share pushed while the body slips backward; λ blends that with a steady force
         ratio = backward / forward if forward > 0.0 and backward > 0.0 else 1.0
         ratio **= float(self._p[P.TRANSMISSION])
         ahead = ratio * (1.0 + wanted)
         sigma = 2.0 * ahead / (1.0 - wanted + ahead) - 1.0
-        return 2.0 / math.pi * dither * math.sin(math.pi / 2 * sigma)
+        return float(2.0 / math.pi * dither * math.sin(math.pi / 2 * sigma))
 
     def _slide_force_of(self, at: OutlinePoint, psi: float, omega0: float, sign: float, ax: float) -> float:
         """The force (N) while the body on a slide slips one way and turns as it must."""
-        p, rig, (xi_x, xi_y) = self._p, self._rig, self._xi(psi)
+        p, rig, xi_x = self._p, self._rig, self._xi(psi)[0]
         lever = at.e - sign * self._friction * at.h
         still = self.slide_force(at, psi, omega0)
         by_turning = xi_x - at.e * (float(p[P.MASS]) + rig.carriage_mass)

@@ -19,7 +19,14 @@ from palmd.observer.factor import given
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import (
-    MAX_ITERATIONS, SHARP, Known, PivotFit, Problem, Softening, moved_by_rig, with_forces_of,
+    MAX_ITERATIONS,
+    SHARP,
+    Known,
+    PivotFit,
+    Problem,
+    Softening,
+    moved_by_rig,
+    with_forces_of,
 )  # fmt: skip
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of

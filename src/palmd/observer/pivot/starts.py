@@ -35,7 +35,10 @@ ROTATIONS = 120
 BEAMS = 5
 LEAST_MASS_KG = 5e-3
 LEAST_SD = 1e-9  # of a constant that is known
-TRANSMISSION, TRANSMISSION_SD = 0.8, 0.4  # λ, where nobody knows it: 1 on a stiff pad, less on a light one on a load cell
+TRANSMISSION, TRANSMISSION_SD = (
+    0.8,
+    0.4,
+)  # λ, where nobody knows it: 1 on a stiff pad, less on a light one on a load cell
 # friction μ, vibration u_d (m/s) that are tried
 FRICTIONS = {"rigid": (0.02, 0.06, 0.1, 0.15, 0.22, 0.32), "float": (0.2, 0.27, 0.33, 0.42, 0.6)}
 DITHERS = {"rigid": (0.013,), "float": (0.008, 0.013, 0.02)}

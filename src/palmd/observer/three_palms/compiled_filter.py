@@ -46,7 +46,10 @@ class CompiledSteps:
     """
 
     def __init__(self, path: Path, order: int, acting: tuple[float, ...], **constants: float) -> None:
-        """`acting` is of `ThreePalmsRig`, constants are named as in `body_filter.c`; RuntimeError where the library at `path` has other sizes."""
+        """`acting` is of `ThreePalmsRig`, constants are named as in `body_filter.c`.
+
+        RuntimeError where the library at `path` has other sizes.
+        """
         library = ctypes.CDLL(str(path))
         sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:

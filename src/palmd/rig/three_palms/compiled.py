@@ -83,7 +83,7 @@ class BodyOnPalms:
         self, body: Bodies, rubbing: Rubbing, gravity: float, *,
         frequencies: Sequence[float] | None = None, compiled: bool = True,
     ) -> None:  # fmt: skip
-        """frequencies: of each palm's vibration (Hz), which is resolved then; None: the limit of fast ones, averaged."""
+        """frequencies: of each palm's vibration (Hz), which is then resolved; None: averaged, in the fast limit."""
         self.body, self.rubbing, self._gravity = body, rubbing, gravity
         self._phase: FloatArray = np.zeros(3)
         self._phase_rate: FloatArray = 2.0 * math.pi * np.array(frequencies or (0.0,) * 3)
@@ -126,14 +126,20 @@ class BodyOnPalms:
             self._vibrate(palms, dt)
             return
         if self._step is not None:
-            phases = self._phases_at, self._phase_at
-            self._step(self._scene_at, self._palms_at, *phases, dt, self._state_at, self._touch_at)
+            at = self._phases_at, self._phase_at
+            self._step(self._scene_at, self._palms_at, *at, dt, self._state_at, self._touch_at)
             self._phase[:] = np.fmod(self._phase + ONWARD, 2.0 * math.pi)
             return
         phases = PHASES + self._phase
         each = [PalmState(*(kind.reshape(1, 3, 3) for kind in row.reshape(4, 9))) for row in palms]
         states = step(
-            self.body, self.rubbing, lambda t: each[round(2 * t / dt) if dt else 0], self.states(), dt, self._gravity, phases
+            self.body,
+            self.rubbing,
+            lambda t: each[round(2 * t / dt) if dt else 0],
+            self.states(),
+            dt,
+            self._gravity,
+            phases,
         )
         self.begin(states)
         _, _, touched = accelerations(self.body, self.rubbing, each[2], states, self._gravity, phases)

@@ -1,10 +1,10 @@
 """Free rigid bodies held on three palms by constraint forces: B of them side by side, all six degrees of freedom each.
 
 State of each: position, velocity, rotation, spin. The gaps gᵢ = nᵢ·p − h(−Rᵀnᵢ) are held at zero by normal forces that
-make g̈ᵢ = −2κġᵢ − κ²gᵢ, so that what the integration lets in dies away. Friction is dry. The palms vibrate, each along its
-pad's axis a and independently of the others: at every instant of the vibrations friction is Coulomb's along the slip of
-that instant, and the contacts are rigid. What moves the body is the mean over `PHASES`, instants that are spread evenly
-over all combinations of the three palms' phases and are others at each step; or each instant comes in its turn
+make g̈ᵢ = −2κġᵢ − κ²gᵢ, so that what the integration lets in dies away. Friction is dry. The palms vibrate, each along
+its pad's axis a and independently of the others: at every instant of the vibrations friction is Coulomb's along the
+slip of that instant, and the contacts are rigid. What moves the body is the mean over `PHASES`, instants that are spread
+evenly over all combinations of the three palms' phases and are others at each step; or each instant comes in its turn
 (`vibrate`), as in a real rig.
 """
 
@@ -140,7 +140,9 @@ def step(
     k2 = rates(_moved(state, k1, 0.5 * dt), halfway)
     k3 = rates(_moved(state, k2, 0.5 * dt), halfway)
     k4 = rates(_moved(state, k3, dt), ending)
-    mean = BodyStates(*((getattr(k1, k) + 2 * getattr(k2, k) + 2 * getattr(k3, k) + getattr(k4, k)) / 6 for k in _PARTS))
+    mean = BodyStates(
+        *((getattr(k1, k) + 2 * getattr(k2, k) + 2 * getattr(k3, k) + getattr(k4, k)) / 6 for k in _PARTS)
+    )
     return _straightened(_moved(state, mean, dt))
 
 
@@ -148,7 +150,7 @@ def vibrate(
     bodies: Bodies, rubbing: Rubbing, motion: Motion, state: BodyStates, phase: FloatArray, rate: FloatArray,
     count: int, dt: float, gravity: float,
 ) -> tuple[BodyStates, FloatArray, list[PalmContacts]]:  # fmt: skip
-    """(state, phases (3,), contacts of each) after `count` steps of the midpoint rule through the vibrations themselves.
+    """(state, phases (3,), contacts of each) after `count` midpoint steps through the vibrations themselves.
 
     rate: of the phases (rad/s).
     """

@@ -31,7 +31,7 @@ class Kind:
     """A kind of run: ranges of μ and drag (m²/s), the joints' amplitude (rad) and highest frequency (Hz).
 
     spin: one-sigma of the first spin (rad/s), from where the body lies in no equilibrium; 0: it starts at rest.
-    vibration_hz: range of the palms' frequencies where their vibration is resolved, else it is much faster than the body.
+    vibration_hz: range of the palms' frequencies where their vibration is resolved, else it is averaged.
     """
 
     mu: tuple[float, float]

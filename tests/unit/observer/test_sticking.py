@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from palmd.daemon.sticking import LIFTED_S, StickingWatch
 from palmd.events import PadSample, PalmMotion
+from palmd.observer.sticking import LIFTED_S, StickingWatch
 
 SWING, RATE = 0.15, 3.0  # rad, rad/s: the opening's
 
