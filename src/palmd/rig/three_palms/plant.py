@@ -3,9 +3,9 @@
 State of each: position, velocity, rotation, spin. The gaps gᵢ = nᵢ·p − h(−Rᵀnᵢ) are held at zero by normal forces that
 make g̈ᵢ = −2κġᵢ − κ²gᵢ, so that what the integration lets in dies away. Friction is dry. The palms vibrate, each along
 its pad's axis a and independently of the others: at every instant of the vibrations friction is Coulomb's along the
-slip of that instant, and the contacts are rigid. What moves the body is the mean over `PHASES`, instants that are spread
-evenly over all combinations of the three palms' phases and are others at each step; or each instant comes in its turn
-(`vibrate`), as in a real rig.
+slip of that instant, and the contacts are rigid. What moves the body is the mean over `PHASES`, instants that are
+spread evenly over all combinations of the three palms' phases and are others at each step; or each instant comes in its
+turn (`vibrate`), as in a real rig.
 """
 
 from __future__ import annotations
