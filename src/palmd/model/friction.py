@@ -1,4 +1,4 @@
-"""Dry friction on palms that vibrate along themselves (docs/theory/friction.md): the one place where its law stands.
+"""Dry friction on palms that vibrate along themselves (docs/theory/vibration.md): the one place where its law stands.
 
 The normal forces alternate with the signs of slip, so that the rigid contact equations are solved for each pair of
 signs and averaged with the share of time of each pair. Every function takes CasADi expressions, or NumPy arrays with
