@@ -24,7 +24,7 @@ from palmd.system.vibration import VibrationLaw
 
 ORDER = 10  # harmonics of the outline
 MOTION = 3  # ψ, ω0, α0
-KINK = 5e-3  # ε of `mean_direction`: a body that rolls slips at nearly V, where friction tells its coefficient
+KINK = 1e-2  # ε of `mean_direction`: a body that rolls slips at nearly V, where friction tells its coefficient
 BATCH = 64
 
 
