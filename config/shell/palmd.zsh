@@ -343,7 +343,7 @@ _shtab_palmd_bench_soak_defaults_added=0
 _shtab_palmd_bench_space_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--runs[how many of each kind (default\: 8)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(friction large drag free released all)"
+  "--kind[what sort of run (default\: all)]:kind:(friction vibrating large drag free released all)"
   "--seed[of bodies and motions (default\: 0)]:N:"
   "--seconds[how long each lasts (default\: 20.0)]:S:"
   "--live[in the emulated rig, by the shipped plan, judged tick by tick]"

@@ -127,6 +127,7 @@ class Estimate(LiveEstimate):
     touched: float
     e_f: float = math.nan  # of the quasistatic observer: (3.36), m
     e_c: float = math.nan  # and the length of (3.37), m
+    invalid_reasons: tuple[str, ...] = field(default=(), kw_only=True)  # codes
 
     @classmethod
     def of(cls, fields: dict[str, Any]) -> Self:

@@ -95,6 +95,7 @@ def estimate_fields(estimate: Estimate) -> Fields:
     """`palm/estimate`."""
     fields: Fields = dict(zip(_TOLD, _told_of(estimate), strict=True))
     fields["valid"] = bool(estimate.valid)
+    fields["invalid_reasons"] = list(estimate.invalid_reasons)
     fields["sd"] = {_SD_NAMES[source]: sd for source, sd in estimate.sd.items()}
     fields.update(zip(_UNCERTAIN, _uncertain_of(estimate), strict=True))
     return fields

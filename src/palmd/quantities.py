@@ -231,6 +231,8 @@ ESTIMATE = Topic(
                  source="observability", digits=2),
         Quantity("touched", "number", "", "fraction of normals that have been in contact", "touched", "touched",
                  source="touched"),
+        Quantity("invalid_reasons", "texts", "", "codes: `sticks`, dry friction holds the object, or may",
+                 source="invalid_reasons"),
         Quantity("e_f_m", "number", "m", "error of balance (3.36), of the quasistatic observer", source="e_f"),
         Quantity("e_c_m", "number", "m", "error of contact (3.37), of the quasistatic observer", source="e_c"),
     ),

@@ -16,11 +16,15 @@ from palmd.observer.three_palms.record import PadReadings, lay_out
 from palmd.observer.three_palms.smoother import BodyPrior, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
 from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
-from palmd.system.three_palms import palms_at, readings_of
+from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of
 
 ORDER, GRAVITY = 8, 9.81
 LAMBDA = np.array([-0.1, 0.05, 0.02, -0.04, 0.06, 0.1])
 DAMPING, MU, DITHER = 2e-4, 0.15, 0.011
+PHASES = np.random.default_rng(0).uniform(0.0, 2.0 * math.pi, (1, 3)) + 2.0 * math.pi * np.outer(
+    np.arange(4099), (0.8191725134, 0.6710436067, 0.5497004779)
+)
+"""Of the palms' vibrations: many, spread evenly over all combinations."""
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +53,17 @@ def moment():
     return palms, R, random.normal(0, 2.0, (T, 3))
 
 
-def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment):
+# The model is exact to order μ²: what is left falls as μ³, down to what the kink of the directions leaves.
+@pytest.mark.parametrize(("mu", "within"), [(0.2, 0.02), (0.05, 3e-3)])
+def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(parameters, moment, mu, within):
     p, body = parameters
+    p = p.copy()
+    p[-2:] = mu, math.log(0.4)  # some slips are slower than that, some faster
     palms, R, omega = moment
-    alpha, force = kernels.acceleration(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, GRAVITY))[:2]
+    alpha, force = kernels.acceleration(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, (GRAVITY, 1.0)))[:2]
     T = len(R)
     bodies = Bodies(*(np.repeat(getattr(body, name), T, axis=0) for name in body.__dataclass_fields__))
-    rubbing = Rubbing(*(np.full(T, each) for each in (MU, DITHER, DAMPING)))
+    rubbing = Rubbing(*(np.full(T, each) for each in (mu, 0.4, DAMPING)))
     centre = centres_of(R, palm_inputs(palms), p)
     _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", R, palms.normal))
     r = np.einsum("bij,bnj->bni", R, x)
@@ -63,9 +71,9 @@ def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(p
     moved = -(palms.normal_rate * centre[:, None]).sum(-1) - (r * turning).sum(-1)
     velocity = np.linalg.solve(palms.normal, moved[..., None])[..., 0]
     at = PalmState(palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
-    _, spin_rate, touch = accelerations(bodies, rubbing, at, BodyStates(centre, velocity, R, omega), GRAVITY)
-    np.testing.assert_allclose(force, touch.force, rtol=1e-5)
-    np.testing.assert_allclose(alpha, spin_rate, rtol=1e-4, atol=1e-2)
+    _, spin_rate, touch = accelerations(bodies, rubbing, at, BodyStates(centre, velocity, R, omega), GRAVITY, PHASES)
+    np.testing.assert_allclose(force, touch.force, rtol=within)
+    np.testing.assert_allclose(alpha, spin_rate, atol=within * np.abs(spin_rate).max())
     read = readings_of(palms, centre[:, None] + r)
     for pad in range(3):
         geometry = reading_geometry(palms, np.full(T, pad))
@@ -83,7 +91,7 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     readings = PadReadings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
     record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
     prior = BodyPrior.apart(p, np.eye(len(p)), np.zeros(3), 1.0)
-    smoother = BodySmoother(record, prior, Noise(1e-4), GRAVITY)
+    smoother = BodySmoother(record, prior, Noise(1e-4), ThreePalmsRig())
     R = np.tile(np.eye(3), (11, 1, 1))
     motion = BodyMotion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
     nodes, step = (

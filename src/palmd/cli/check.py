@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Tells everything that is wrong at once; CliError when anything is."""
-    from palmd.motion.check import check_files
+    from palmd.motion.check import check_files, shaking_notes
     from palmd.outlinefile import SUFFIXES
 
     if arguments.draw is not None and arguments.draw.suffix.lower() not in PICTURES:
@@ -41,8 +41,10 @@ def run(arguments: argparse.Namespace) -> int:
     outlines = [path for path in arguments.files if path.suffix.lower() in SUFFIXES]
     files = [path for path in arguments.files if path not in outlines]
     errors = check_files(files) + _device_errors(files) + _outline_errors(outlines)
+    notes = [] if errors else shaking_notes(files)
     if arguments.json:
-        print(json.dumps({"good": not errors, "problems": [problem(each) for each in errors]}, indent=2))
+        told = {"good": not errors, "problems": [problem(each) for each in errors], "notes": notes}
+        print(json.dumps(told, indent=2))
         if errors:
             return BAD_INPUT
     if errors:
@@ -50,6 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.json:
         for path in arguments.files:
             print(f"{path}: good")
+        for note in notes:
+            print(f"note: {note}")
     if arguments.draw is not None:
         _draw([path for path in arguments.files if path not in outlines], arguments.draw, quiet=arguments.json)
     return 0

@@ -13,6 +13,7 @@ from palmd.config.fields import NotNegative, Pair, Plausible, Positive, Strict
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import AnyPlanSpec, ExploreSpec, one_key_of
 from palmd.config.two_palms import Drawn
+from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.system.pivot import SYSTEM, PivotRig
 
 
@@ -46,6 +47,8 @@ class PivotRigConfig(Strict):
     """One sigma of the pivot's reported position by itself, along and over the pad."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
     """How well the pad's slope along the arm's x is known, one sigma."""
+    vibration: VibrationConfig = VibrationConfig()
+    """Of the pad along itself, which breaks friction; its relation says no more than whether it vibrates."""
     imperfections: Annotated[Drawn, Field(exclude=True)] = "none"
     """Of the emulated rig alone: `none`, or drawn from all the `_sd` (`calibrated`)."""
 
@@ -139,6 +142,7 @@ def pivot_rig(config: PivotConfig) -> PivotRig:
         arm_noise=config.rig.arm_noise_mm * 1e-3,
         angle_sd=math.radians(config.rig.angle_sd_deg),
         pad=pad_sensor(config.pads.palm1, 0.0),
+        vibration=vibration_of(config.rig.vibration),
     )
 
 

@@ -12,7 +12,8 @@ from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
 from palmd.config.pads import AnyPads, VersaPadConfig
 from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
-from palmd.system.three_palms import MECHANISM, SYSTEM, PadPlane, ThreePalmsRig
+from palmd.config.vibration import VibrationConfig, vibration_of
+from palmd.system.three_palms import MECHANISM, RELATIONS, SYSTEM, PadPlane, ThreePalmsRig
 
 
 class ThreePalmsRigConfig(Strict):
@@ -26,8 +27,17 @@ class ThreePalmsRigConfig(Strict):
     """Straight down."""
     angle_noise_deg: Annotated[Positive, Field(le=1), Plausible(0.001, 0.2)] = 0.015
     """One sigma of a joint's reported angle by itself."""
+    vibration: VibrationConfig = VibrationConfig()
+    """Of each palm along its pad's a, independently of the others; left out: nothing else is known."""
     imperfections: Annotated[Literal["none"], Field(exclude=True)] = "none"
     """Of the emulated rig alone: it is as described, for its observer takes a rig to be so."""
+
+    @field_validator("vibration")
+    @classmethod
+    def _independent(cls, vibration: VibrationConfig) -> VibrationConfig:
+        if vibration.relation not in RELATIONS:
+            raise ValueError(f"relation must be {' or '.join(RELATIONS)}: no phase between three palms is modelled")
+        return vibration
 
 
 class PlanePadConfig(VersaPadConfig):
@@ -126,6 +136,7 @@ def three_palms_rig(config: ThreePalmsConfig) -> ThreePalmsRig:
         gravity=config.rig.gravity_m_s2,
         pad=PadPlane(side=pad.length_mm * 1e-3, noise=pad.noise_mm * 1e-3, resolution=1e-3 / pad.counts_per_mm),
         angle_noise=math.radians(config.rig.angle_noise_deg),
+        vibration=vibration_of(config.rig.vibration),
     )
 
 

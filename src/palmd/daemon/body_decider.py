@@ -113,7 +113,7 @@ class BodyDecider:
             self._known, self._was_claimed = known, outlook.claimed
             # What has been touched while it was claimed: answers tell it by less, in steps of their directions.
             self._shown = self._sure = self._carried(outlook)
-            self._foresight = BodyForesight(p, self._rig.gravity, self._rig.pad.side)
+            self._foresight = BodyForesight(p, self._rig)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(p)
         return self._foresight, self._explorer

@@ -13,6 +13,7 @@ from palmd.daemon.smoothing import BatchingProcess, work
 from palmd.events import Event
 from palmd.system.description import PadSensor
 from palmd.system.pivot import PivotAnswer, PivotRig
+from palmd.system.vibration import Vibration
 
 
 class PivotSmootherProcess(BatchingProcess[PivotAnswer]):
@@ -32,7 +33,9 @@ def serve(address: str, rig: str) -> None:
     from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother  # SciPy, in this process alone
 
     fields = json.loads(rig)
-    smoother = GrowingSmoother(PivotRig(**fields | {"pad": PadSensor(**fields["pad"])}))
+    smoother = GrowingSmoother(
+        PivotRig(**fields | {"pad": PadSensor(**fields["pad"]), "vibration": Vibration(**fields["vibration"])})
+    )
 
     def answer() -> list[Any] | None:
         a = smoother.answer()

@@ -14,6 +14,7 @@ import numpy as np
 from palmd.daemon.smoothing import BatchingProcess, work
 from palmd.events import Event
 from palmd.system.three_palms import BodyAnswer, PadPlane, ThreePalmsRig
+from palmd.system.vibration import Vibration
 from palmd.three_palms_messages import shaped
 
 PERIOD_S = 0.2  # of looking whether it has thought
@@ -39,7 +40,9 @@ def serve(address: str, rig: str) -> None:
 
     sys.setswitchinterval(SWITCH_S)
     told = json.loads(rig)
-    smoother = GrowingBody(ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"])}))
+    smoother = GrowingBody(
+        ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"]), "vibration": Vibration(**told["vibration"])})
+    )
     pool = ThreadPoolExecutor(1)
     thought: Future[BodyAnswer | None] | None = None
 

@@ -7,7 +7,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from palmd import messages, observer
 from palmd.config.two_palms import Config, rig_description
@@ -17,12 +17,12 @@ from palmd.daemon.exploring import Exploring
 from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
-from palmd.daemon.sticking import StickingWatch
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
 from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
 from palmd.messages import Fields, Says, improvement_fields, shape_fields, unexplained_fields
 from palmd.observer.observer import LiveObserver, Observer
+from palmd.observer.sticking import StickingWatch
 from palmd.outlinefile import Outline
 from palmd.quantities import IMPROVEMENT, SHAPE, UNEXPLAINED, Topic
 from palmd.system.mechanism import JOINTS, NAMING
@@ -44,7 +44,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         self.poses = make_poses(config)
         self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
-        self._swap, self._sticking = SwapWatch(), StickingWatch()
+        self._swap, self._sticking = SwapWatch(), StickingWatch(self._rig.vibration, self._rig.gravity)
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
         """As configured."""
@@ -78,10 +78,10 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
 
     def unknown(self, t: float, observer: LiveObserver) -> Estimate:
         """Without a number."""
-        values = {
+        values: dict[str, Any] = {
             field.name: math.nan
             for field in dataclasses.fields(Estimate)
-            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+            if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
         }
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 

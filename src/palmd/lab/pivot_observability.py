@@ -107,6 +107,7 @@ def held(seed: int) -> Held | None:
     p[P.INERTIA] = MASS_KG * (body.rho**2 + PIVOT_M**2)
     p[P.MOMENT : P.MOMENT + 2] = -MASS_KG * px, -MASS_KG * py
     p[P.DAMPING], p[P.MASS] = MASS_KG * DAMPING_M2_S, MASS_KG
+    p[P.TRANSMISSION] = 1.0
     p[P.DRAG], p[P.SATURATION] = MU / DITHER_M_S, DITHER_M_S**-2
     p[_SHAPE] = outline
     slope = _derivative(outline, _NORMALS, 1)

@@ -13,7 +13,7 @@ from palmd.model.kernels import of_columns
 from palmd.model.rollout import minimum_jerk
 from palmd.model.spherical import Y00, count
 from palmd.model.symbolic import SX, ca
-from palmd.model.three_palms import BODY, PalmVectors, local_function, newton_function
+from palmd.model.three_palms import BODY, RIG_INPUTS, PalmVectors, local_function, newton_function
 
 STEP_S = 5e-3
 ROUGH_ORDER, ROUGH_STEP_S = 8, 1e-2
@@ -53,14 +53,14 @@ def _turned(R: SX, by: SX) -> SX:
 
 
 def step_function(order: int, h: float) -> ca.Function:
-    """(R, ω, move; p, g) → (R and ω after h (s), `TOLD`).
+    """(R, ω, move; p, rig) → (R and ω after h (s), `TOLD`).
 
     Half of the turn, then the spin by the forces midway, then the other half: of second order. The spin that the
     forces see is implicit to the first order, so that it is stable however stiff friction is.
     """
     n = count(order)
     R, omega, move = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("move", MOVE_INPUTS)
-    parameters, gravity = SX.sym("p", n + BODY), SX.sym("g")
+    parameters, rig = SX.sym("p", n + BODY), SX.sym("rig", RIG_INPUTS)
     c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
     inputs, axes = edge_axis(*minimum_jerk(move[0:3], move[3:6], move[6], move[7] + h / 2))
     palms, midway, local = PalmVectors.of(inputs), _turned(R, h / 2 * omega), local_function(order)
@@ -72,7 +72,9 @@ def step_function(order: int, h: float) -> ca.Function:
         kappa.append(q[3])
         by_spin.append(-by_s[3, :] @ midway.T @ ca.skew(normal))
         normals.append(u)
-    alpha, force, by = newton_function()(midway, omega, ca.vertcat(*x), ca.vertcat(*kappa), body, inputs, gravity)
+    alpha, force, by = newton_function("sign_pairs")(
+        midway, omega, ca.vertcat(*x), ca.vertcat(*kappa), body, inputs, rig
+    )
     damping = by[:, 3:6] + by[:, 15:18] @ ca.vertcat(*by_spin)
     after = omega + h * ca.solve(SX.eye(3) - h / 2 * damping, alpha)
     heights = ca.vertcat(*(ca.dot(u, each) for u, each in zip(normals, x, strict=True)))
@@ -80,8 +82,8 @@ def step_function(order: int, h: float) -> ca.Function:
     contacts = [axis.T @ (centre + midway @ each) for axis, each in zip(axes, x, strict=True)]
     told = ca.vertcat(force, *contacts, *normals)
     return ca.Function(
-        "step", [R, omega, move, parameters, gravity], [_turned(midway, h / 2 * after), after, told],
-        ["R", "omega", "move", "p", "g"], ["R_after", "omega_after", "told"],
+        "step", [R, omega, move, parameters, rig], [_turned(midway, h / 2 * after), after, told],
+        ["R", "omega", "move", "p", "rig"], ["R_after", "omega_after", "told"],
     )  # fmt: skip
 
 
@@ -89,4 +91,4 @@ def step_function(order: int, h: float) -> ca.Function:
 def library(order: int, h: float) -> Library:
     """`step_columns`, for outlines up to degree `order` and steps of h (s)."""
     name = f"body_rollout{order}_{h * 1e3:g}ms"
-    return load(name, lambda: [of_columns(step_function(order, h), "step_columns", ["g"])])
+    return load(name, lambda: [of_columns(step_function(order, h), "step_columns", ["rig"])])

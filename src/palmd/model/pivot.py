@@ -2,7 +2,10 @@
 
 Each takes the body's motion (ψ, ω0, α0) at one instant and the constants p, and gives values with their gradient in
 (ψ, ω0, α0, p). About the pivot P the body has inertia I and mass moment M = m·(centre of mass − P), in the body's
-frame; ξ is M turned into the world. Friction is B u/√(1 + w u²) of slip u, as in `model.smoothing`.
+frame; ξ is M turned into the world. The pad vibrates along itself with amplitude V of its speed: friction alternates,
+and the normal force with it (docs/theory/vibration.md). At slip u each sign s of the sliding lasts for a share
+(1 ± σ)/2 of the time, σ = (2/π) asin(u/V), so that the mean force is that of one direction σ + λ(E[s f]/E[f] − σ) of
+friction. By the old law, for logs that were simulated by it, friction is B u/√(1 + w u²) and the normal force steady.
 """
 
 from __future__ import annotations
@@ -13,17 +16,22 @@ from enum import IntEnum
 from functools import cache
 
 from palmd.model.compiled import Library, load
+from palmd.model.friction import mean_direction
 from palmd.model.kernels import Kernel, of_columns
 from palmd.model.shape import contact_at
 from palmd.model.symbolic import SX, ca
+from palmd.system.vibration import VibrationLaw
 
 ORDER = 10  # harmonics of the outline
 MOTION = 3  # ψ, ω0, α0
+KINK = 1e-2  # ε of `mean_direction`: a body that rolls slips at nearly V, where friction tells its coefficient
 BATCH = 64
 
 
 class P(IntEnum):
-    """Index of each constant; SI units. DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²).
+    """Index of each constant; SI units. DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²), u_d = πV/2.
+
+    TRANSMISSION is λ, the share of the alternation of friction that the normal force follows.
 
     The rig's are by how much it is off: the pad reads ZERO + (1 + SCALE)·place as it was LAG ago, its surface lies
     STANDOFF too high where the arm's x is 0 and rises by SLOPE.
@@ -40,7 +48,8 @@ class P(IntEnum):
     LAG = 9
     STANDOFF = 10
     SLOPE = 11
-    SHAPE = 12
+    TRANSMISSION = 12
+    SHAPE = 13
 
 
 CONSTANTS = P.SHAPE + 2 * ORDER + 1
@@ -71,10 +80,23 @@ def _body(motion: SX, p: SX) -> tuple[SX, SX, SX, SX, SX]:
     return contact.r, -contact.d, contact.v - contact.r, cos * mx - sin * my, sin * mx + cos * my
 
 
-def _grip(motion: SX, p: SX, u: SX, h: SX) -> SX:
-    """Friction as a share of the normal force: μσ(u), of the slip u = Ẋ + h ω0."""
-    slip = u[U.VX] + h * motion[1]
-    return p[P.DRAG] * slip / ca.sqrt(1 + p[P.SATURATION] * slip**2)
+def _direction(motion: SX, p: SX, u: SX, h: SX, law: VibrationLaw) -> SX:
+    """σ of the slip u = Ẋ + h ω0."""
+    ratio = (u[U.VX] + h * motion[1]) * ca.sqrt(p[P.SATURATION])
+    return mean_direction(math.pi / 2 * ratio, kink=KINK) if law == "sign_pairs" else ratio / ca.sqrt(1 + ratio**2)
+
+
+def _effective(sigma: SX, forward: SX, backward: SX, p: SX, law: VibrationLaw) -> SX:
+    """σ + λ(E[s f]/E[f] − σ), for forces in the ratio of `forward` to `backward` while the body slips so."""
+    if law == "averaged":
+        return sigma
+    ahead, behind = (1 + sigma) * forward, (1 - sigma) * backward
+    return sigma + p[P.TRANSMISSION] * ((ahead - behind) / (ahead + behind) - sigma)
+
+
+def _friction(p: SX) -> SX:
+    """μ."""
+    return p[P.DRAG] / ca.sqrt(p[P.SATURATION])
 
 
 def _resisting(motion: SX, p: SX, u: SX, az: SX, xi_x: SX, xi_y: SX) -> SX:
@@ -93,24 +115,38 @@ def _height(motion: SX, p: SX, u: SX) -> SX:
     return _body(motion, p)[0] + p[P.STANDOFF] + p[P.SLOPE] * u[U.X]
 
 
-def _rigid_force(motion: SX, p: SX, u: SX) -> SX:
+def _rigid_force(motion: SX, p: SX, u: SX, law: VibrationLaw) -> SX:
+    """N/(e − μσz), N the torque about P; with λ = 1 it is N (e + σμz)/(e² − μ²z²), which is void where |e| ≤ μz."""
     h, e, _, xi_x, xi_y = _body(motion, p)
-    return _resisting(motion, p, u, u[U.AZ], xi_x, xi_y) / (e - _grip(motion, p, u, h) * h)
+    mu = _friction(p)
+    sigma = _effective(_direction(motion, p, u, h, law), e + mu * h, e - mu * h, p, law)
+    return _resisting(motion, p, u, u[U.AZ], xi_x, xi_y) / (e - mu * sigma * h)
 
 
-def _sliding(motion: SX, p: SX, u: SX) -> tuple[SX, SX]:
+def _sliding(motion: SX, p: SX, u: SX, law: VibrationLaw) -> tuple[SX, SX]:
     """(force, torque left over) under a slide of its own weight."""
     h, e, h2, xi_x, xi_y = _body(motion, p)
-    vz, az = -e * motion[1], -e * motion[2] + h2 * motion[1] ** 2
-    weight = (p[P.MASS] + u[U.CARRIAGE]) * (az + u[U.GRAVITY])
-    force = weight + u[U.CARRIAGE_DAMPING] * vz + xi_x * motion[2] - xi_y * motion[1] ** 2
-    return force, force * (e - _grip(motion, p, u, h) * h) - _resisting(motion, p, u, az, xi_x, xi_y)
+    mu, alpha = _friction(p), SX.sym("alpha")
+
+    def at(alpha0: SX, direction: SX) -> tuple[SX, SX]:
+        turning = ca.vertcat(motion[:2], alpha0)
+        vz, az = -e * motion[1], -e * alpha0 + h2 * motion[1] ** 2
+        weight = (p[P.MASS] + u[U.CARRIAGE]) * (az + u[U.GRAVITY])
+        force = weight + u[U.CARRIAGE_DAMPING] * vz + xi_x * alpha0 - xi_y * motion[1] ** 2
+        return force, force * (e - mu * direction * h) - _resisting(turning, p, u, az, xi_x, xi_y)
+
+    forces = []  # while the body slips forward, and backward: it turns as no torque is left then
+    for sign in (1, -1):
+        left = at(alpha, SX(sign))[1]
+        still = ca.substitute(left, alpha, 0)
+        forces.append(at(-still / ca.jacobian(left, alpha), SX(sign))[0])
+    return at(motion[2], _effective(_direction(motion, p, u, h, law), forces[0], forces[1], p, law))
 
 
 @cache
-def library() -> Library:
+def library(law: VibrationLaw = "sign_pairs") -> Library:
     """reading, height, rigid_force, slide_force, slide_torque, as `NAME_batch`; made once in a process."""
-    return load("pivot", _kernels)
+    return load("pivot" if law == "sign_pairs" else "pivot_averaged", lambda: _kernels(law))
 
 
 def needed(_config: object) -> list[tuple[str, Callable[[], str]]]:
@@ -118,13 +154,13 @@ def needed(_config: object) -> list[tuple[str, Callable[[], str]]]:
     return [("pivoting grasp", lambda: library().backend)]
 
 
-def _kernels() -> list[Kernel]:
+def _kernels(law: VibrationLaw) -> list[Kernel]:
     motion, p, u = SX.sym("motion", MOTION), SX.sym("p", CONSTANTS), SX.sym("u", INPUTS)
-    force, torque = _sliding(motion, p, u)
+    force, torque = _sliding(motion, p, u, law)
     values = {
         "reading": _reading(motion, p, u),
         "height": _height(motion, p, u),
-        "rigid_force": _rigid_force(motion, p, u),
+        "rigid_force": _rigid_force(motion, p, u, law),
         "slide_force": force,
         "slide_torque": torque,
     }

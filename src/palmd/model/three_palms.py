@@ -11,13 +11,16 @@ Parameters p = (c_lm, λ, damping, μ, ln u_d): `count(order)` + `BODY`. The sec
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.kernels import Kernel, of_columns, single
+from palmd.model.planar_friction import averaged_direction, direction_moments
 from palmd.model.spherical import Y00, SphericalSurface, count, curvature, point
 from palmd.model.symbolic import SX, ca
+from palmd.system.vibration import VibrationLaw
 
 MOMENT = 0.42
 """Λ of a body of radius 1 whose λ is 0: between a shell's 0.577 and what is dense inside; a full sphere has 0.447."""
@@ -25,6 +28,8 @@ BODY = 9
 """λ (6, rows of the lower triangle), damping (m²/s), μ, ln u_d (ln m/s)."""
 PALM_INPUTS = 36
 """Normals, their first and second derivatives, spins: 3 palms × 3 each, palm by palm."""
+RIG_INPUTS = 2
+"""Gravity (m/s²), and the ripple transmission λ of the palms' vibration."""
 
 Vectors = list[SX]
 
@@ -43,6 +48,15 @@ class PalmVectors:
         """From the column of `PALM_INPUTS`."""
         kinds = [[inputs[9 * kind + 3 * i : 9 * kind + 3 * i + 3] for i in range(3)] for kind in range(4)]
         return cls(*kinds)
+
+    @property
+    def vibration_axes(self) -> Vectors:
+        """Along which each palm vibrates: its pad's axis a, whose sense makes no difference.
+
+        Palm 1 along the edge about which it tilts, the others at right angles to the axis about which they turn.
+        """
+        axle, two, three = self.normal
+        return [SX([1, 0, 0]), ca.cross(axle, two), ca.cross(three, axle)]
 
     @property
     def inverse(self) -> SX:
@@ -72,37 +86,55 @@ def _inertia(scale: SX, lam: SX) -> SX:
 
 
 def _newton_euler(
-    palms: PalmVectors, r: Vectors, p_rate: SX, omega: SX, a: SX, J: SX, body: SX, gravity: SX
+    palms: PalmVectors, r: Vectors, p_rate: SX, omega: SX, a: SX, J: SX, body: SX, rig: SX, law: VibrationLaw
 ) -> tuple[SX, SX]:
-    """(ω̇, normal forces f per unit mass) where nᵢ·p̈ + (rᵢ×nᵢ)·ω̇ = aᵢ; body: damping, μ, ln u_d.
+    """(ω̇, normal forces f per unit mass) where nᵢ·p̈ + (rᵢ×nᵢ)·ω̇ = aᵢ; body: damping, μ, ln u_d with u_d = πV/2.
 
-    Dither hides dry friction: at slip σ a palm pushes by f (n − μ σ/√(|σ|² + u_d²)).
+    The palms vibrate independently, each along its `vibration_axes`. At slip uᵢ palm i pushes by f (n − μ s), where
+    s = σ + λμΣk, with σ and Σ of `planar_friction` and k the answer of its own normal force to friction: the diagonal
+    of A⁻¹B where A f = b + μ B s f. Exact to order μ². With the old law s = u/√(u² + u_d²).
     """
-    damping, mu, dither = body[0], body[1], ca.exp(body[2])
+    damping, mu, speed = body[0], body[1], ca.exp(body[2]) * (2 / math.pi)
     p = palms.inverse @ ca.vertcat(*(-ca.dot(n, each) for n, each in zip(palms.normal, r, strict=True)))
-    pushes, torques = [], []
-    for n, spin, each in zip(palms.normal, palms.spin, r, strict=True):
-        slip = p_rate + ca.cross(omega, each) - ca.cross(spin, p + each)
-        slip = slip - n * ca.dot(n, slip)
-        pushes.append(n - mu * slip / ca.sqrt(ca.sumsqr(slip) + dither**2))
-        torques.append(ca.cross(each, pushes[-1]))
     N = ca.horzcat(*palms.normal).T
     arms = ca.horzcat(*(ca.cross(each, n) for each, n in zip(r, palms.normal, strict=True))).T
-    F, T, J_inverse = ca.horzcat(*pushes), ca.horzcat(*torques), _inverse(J)
+    J_inverse = _inverse(J)
+    turning = arms @ J_inverse
+    A = N @ N.T + turning @ arms.T
+    A_inverse = _inverse(A) if law == "sign_pairs" else None
+    pushes, torques = [], []
+    for i, (n, e, spin, each) in enumerate(zip(palms.normal, palms.vibration_axes, palms.spin, r, strict=True)):
+        slip = p_rate + ca.cross(omega, each) - ca.cross(spin, p + each)
+        axes = e, ca.cross(n, e)
+        ratio = [ca.dot(axis, slip) / speed for axis in axes]
+        if A_inverse is None:
+            direction = averaged_direction(*ratio)
+        else:
+            (along, across), (first, mixed, second) = direction_moments(*ratio)
+            answer = A_inverse[i, :]
+            k = [answer @ (N @ axis + turning @ ca.cross(each, axis)) for axis in axes]
+            ripple = rig[1] * mu
+            direction = (
+                along + ripple * (first * k[0] + mixed * k[1]),
+                across + ripple * (mixed * k[0] + second * k[1]),
+            )
+        pushes.append(n - mu * (direction[0] * axes[0] + direction[1] * axes[1]))
+        torques.append(ca.cross(each, pushes[-1]))
+    F, T = ca.horzcat(*pushes), ca.horzcat(*torques)
     free = -damping * omega - ca.cross(omega, J @ omega)
-    weight = ca.vertcat(0, 0, -gravity)
-    A = N @ F + arms @ J_inverse @ T
-    f = _inverse(A) @ (a - N @ weight - arms @ J_inverse @ free)
+    weight = ca.vertcat(0, 0, -rig[0])
+    f = _inverse(N @ F + turning @ T) @ (a - N @ weight - turning @ free)
     return J_inverse @ (T @ f + free), f
 
 
-def newton_function() -> ca.Function:
-    """(R, ω, xᵢ, κᵢ, [radius, body], palms, g) → (ω̇, f, and ω̇'s Jacobian in δ, ω, x, κ, [radius, body]).
+def newton_function(law: VibrationLaw) -> ca.Function:
+    """(R, ω, xᵢ, κᵢ, [radius, body], palms, rig) → (ω̇, f, and ω̇'s Jacobian in δ, ω, x, κ, [radius, body]).
 
     x: the contacts in the body's frame, palm by palm; κᵢ = sᵢᵀR∇²H(uᵢ)Rᵀsᵢ, sᵢ = ω×nᵢ − ṅᵢ. The Jacobian keeps x and κ.
     """
     R, omega, x, kappa = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("x", 9), SX.sym("kappa", 3)
-    body, inputs, gravity, turn = SX.sym("body", 1 + BODY), SX.sym("palms", PALM_INPUTS), SX.sym("g"), SX.sym("turn", 3)
+    body, inputs, rig = SX.sym("body", 1 + BODY), SX.sym("palms", PALM_INPUTS), SX.sym("rig", RIG_INPUTS)
+    turn = SX.sym("turn", 3)
     palms = PalmVectors.of(inputs)
     turned = (SX.eye(3) + ca.skew(turn)) @ R
     r = [turned @ x[3 * i : 3 * i + 3] for i in range(3)]
@@ -119,10 +151,10 @@ def newton_function() -> ca.Function:
             for i in range(3)
         )
     )
-    alpha, f = _newton_euler(palms, r, p_rate, omega, a, J, body[7:], gravity)
+    alpha, f = _newton_euler(palms, r, p_rate, omega, a, J, body[7:], rig, law)
     by = ca.jacobian(alpha, ca.vertcat(turn, omega, x, kappa, body))
     outputs = [ca.substitute(each, turn, SX.zeros(3)) for each in (alpha, f, by)]
-    return ca.Function("newton", [R, omega, x, kappa, body, inputs, gravity], ca.cse(outputs))
+    return ca.Function("newton", [R, omega, x, kappa, body, inputs, rig], ca.cse(outputs))
 
 
 def local_function(order: int) -> ca.Function:
@@ -150,13 +182,13 @@ def _point_function(order: int) -> ca.Function:
     return ca.Function("point", [u, c], ca.cse([ca.densify(each) for each in (x, by_u, terms.S.T, rows)]))
 
 
-def acceleration_function(order: int) -> ca.Function:
-    """(R, ω, palms; p, g) → (ω̇, f, ∂ω̇/∂δ, ∂ω̇/∂ω, ∂ω̇/∂p)."""
+def acceleration_function(order: int, law: VibrationLaw) -> ca.Function:
+    """(R, ω, palms; p, rig) → (ω̇, f, ∂ω̇/∂δ, ∂ω̇/∂ω, ∂ω̇/∂p)."""
     n = count(order)
     R, omega, inputs = ca.MX.sym("R", 3, 3), ca.MX.sym("omega", 3), ca.MX.sym("palms", PALM_INPUTS)
-    parameters, gravity = ca.MX.sym("p", n + BODY), ca.MX.sym("g")
+    parameters, rig = ca.MX.sym("p", n + BODY), ca.MX.sym("rig", RIG_INPUTS)
     c, body = parameters[:n], ca.vertcat(Y00 * parameters[0], parameters[n:])
-    local, newton = local_function(order), newton_function()
+    local, newton = local_function(order), newton_function(law)
     q, by_turn, by_omega, by_c = [], [], [], []
     for i in range(3):
         normal, rate = inputs[3 * i : 3 * i + 3], inputs[9 + 3 * i : 12 + 3 * i]
@@ -168,7 +200,7 @@ def acceleration_function(order: int) -> ca.Function:
         by_omega.append(-by_s @ across)
         by_c.append(rows)
     x, kappa = ca.vertcat(*(each[:3] for each in q)), ca.vertcat(*(each[3] for each in q))
-    alpha, f, by = newton(R, omega, x, kappa, body, inputs, gravity)
+    alpha, f, by = newton(R, omega, x, kappa, body, inputs, rig)
     to_turn, to_omega, to_c, to_body = by[:, 0:3], by[:, 3:6], ca.MX.zeros(3, n), by[:, 18:]
     for i in range(3):
         through = ca.horzcat(by[:, 6 + 3 * i : 9 + 3 * i], by[:, 15 + i])
@@ -177,7 +209,7 @@ def acceleration_function(order: int) -> ca.Function:
         to_c += through @ by_c[i]
     to_c = ca.horzcat(to_c[:, 0] + Y00 * to_body[:, 0], to_c[:, 1:])
     outputs = [alpha, f, to_turn, to_omega, ca.horzcat(to_c, to_body[:, 1:])]
-    return ca.Function("acceleration", [R, omega, inputs, parameters, gravity], [ca.densify(o) for o in outputs])
+    return ca.Function("acceleration", [R, omega, inputs, parameters, rig], [ca.densify(o) for o in outputs])
 
 
 def reading_function(order: int) -> ca.Function:
@@ -205,14 +237,14 @@ def reading_function(order: int) -> ca.Function:
     return ca.Function("reading", [R, geometry, c], [ca.densify(o) for o in (value, by_turn, by_c)])
 
 
-def driven_function() -> ca.Function:
-    """([p, ω], palms, [cᵢ, ċᵢ]; [ln radius of gyration, damping, ln μ, ln u_d], g) → (rates, ∂/∂state, ∂/∂constants).
+def driven_function(law: VibrationLaw) -> ca.Function:
+    """([p, ω], palms, [cᵢ, ċᵢ]; [ln radius of gyration, damping, ln μ, ln u_d], rig) → (rates, ∂/∂state, ∂/∂constants).
 
     The same equations with the contacts and how they move given, instead of a shape: what a ball-like body, inertia
     ρ²·1, must do for its contacts to be there. rᵢ = cᵢ − p.
     """
     state, inputs, contacts = SX.sym("state", 6), SX.sym("palms", PALM_INPUTS), SX.sym("contacts", 18)
-    constants, gravity = SX.sym("constants", 4), SX.sym("g")
+    constants, rig = SX.sym("constants", 4), SX.sym("rig", RIG_INPUTS)
     p, omega, palms = state[:3], state[3:], PalmVectors.of(inputs)
     points = [contacts[3 * i : 3 * i + 3] for i in range(3)]
     moving = [contacts[9 + 3 * i : 12 + 3 * i] for i in range(3)]
@@ -230,10 +262,10 @@ def driven_function() -> ca.Function:
     )
     J = ca.exp(2 * constants[0]) * SX.eye(3)
     body = ca.vertcat(constants[1], ca.exp(constants[2]), constants[3])
-    alpha, _ = _newton_euler(palms, r, p_rate, omega, a, J, body, gravity)
+    alpha, _ = _newton_euler(palms, r, p_rate, omega, a, J, body, rig, law)
     rates = ca.vertcat(p_rate, alpha)
     outputs = ca.cse([rates, ca.jacobian(rates, state), ca.jacobian(rates, constants)])
-    return ca.Function("driven", [state, inputs, contacts, constants, gravity], outputs)
+    return ca.Function("driven", [state, inputs, contacts, constants, rig], outputs)
 
 
 def _of_motion(function: ca.Function) -> ca.Function:
@@ -250,28 +282,32 @@ def _over_block(function: ca.Function, shared: int) -> Kernel:
 
 
 @cache
-def library(order: int) -> Library:
+def library(order: int, law: VibrationLaw = "sign_pairs") -> Library:
     """`acceleration_block` and `reading_block` for outlines up to degree `order`, and both `…_of_motion_block`."""
 
     def kernels() -> list[Kernel]:
-        acceleration, reading = acceleration_function(order), reading_function(order)
+        acceleration, reading = acceleration_function(order, law), reading_function(order)
         motion = _over_block(_of_motion(acceleration), 2), _over_block(_of_motion(reading), 1)
         return [_over_block(acceleration, 2), _over_block(reading, 1), *motion]
 
-    return load(f"three_palms{order}", kernels)
+    return load(f"three_palms{order}{_SUFFIX[law]}", kernels)
 
 
 @cache
-def filter_library(order: int, written: str) -> Library:
+def filter_library(order: int, law: VibrationLaw, written: str) -> Library:
     """`acceleration` and `reading` for one instant, and what the file `written` computes with them."""
     return load(
-        f"three_palms_filter{order}",
-        lambda: [single(acceleration_function(order)), single(reading_function(order))],
+        f"three_palms_filter{order}{_SUFFIX[law]}",
+        lambda: [single(acceleration_function(order, law)), single(reading_function(order))],
         written=[written],
     )
 
 
 @cache
-def driven_library() -> Library:
+def driven_library(law: VibrationLaw = "sign_pairs") -> Library:
     """`driven_block`."""
-    return load("three_palms_driven", lambda: [_over_block(driven_function(), 2)])
+    return load(f"three_palms_driven{_SUFFIX[law]}", lambda: [_over_block(driven_function(law), 2)])
+
+
+_SUFFIX: dict[VibrationLaw, str] = {"sign_pairs": "", "averaged": "_averaged"}
+"""Of a library's name, by the law of friction."""

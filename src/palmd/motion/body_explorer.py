@@ -109,7 +109,7 @@ class BodyExplorer:
     def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
         self._foresight, self._limits, self._directions = foresight, limits, directions
-        self._rough = BodyForesight(foresight.known, foresight.gravity, foresight.pad_side, rough=True)
+        self._rough = BodyForesight(foresight.known, foresight.rig, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
@@ -285,7 +285,7 @@ class BodyExplorer:
         kinds = np.stack([corners, alone, near, anywhere])
         ends: FloatArray = kinds[random.choice(4, size=n, p=(0.3, 0.28, 0.13, 0.29)), np.arange(n)]
         inside = weight_shares(start).min(axis=1)
-        least = max(LEAST_SHARE, RESTING * self._least_force / self._foresight.gravity)
+        least = max(LEAST_SHARE, RESTING * self._least_force / self._foresight.rig.gravity)
         for _ in range(6):  # back towards the middle of what is allowed, until all of them bear
             bad = weight_shares(ends).min(axis=1) < np.minimum(least, inside)
             ends[bad] += 0.3 * (0.5 * (self._low + self._high) - ends[bad])

@@ -12,7 +12,7 @@ from palmd.model.body_rollout import MOVE_INPUTS, ROUGH_ORDER, ROUGH_STEP_S, STE
 from palmd.model.compiled import LANES
 from palmd.model.spherical import count, order_of
 from palmd.model.three_palms import BODY
-from palmd.system.three_palms import room_on_pads
+from palmd.system.three_palms import ThreePalmsRig, room_on_pads
 
 COLUMNS = 48  # moves side by side
 EVERY_S = 0.02  # the normals are told
@@ -51,18 +51,18 @@ class ForeseenMoves:
 class BodyForesight:
     """Rolls the model forward, of a body with parameters p of `model.three_palms`; holds the kernel's memory."""
 
-    def __init__(self, p: FloatArray, gravity: float, pad_side: float, *, rough: bool = False) -> None:
-        """`gravity` (m/s²), `pad_side` (m); takes a minute when its C has to be compiled first.
+    def __init__(self, p: FloatArray, rig: ThreePalmsRig, *, rough: bool = False) -> None:
+        """Takes a minute when its C has to be compiled first.
 
         rough: four times as quick, by the outline as far as `ROUGH_ORDER` holds it and in longer steps.
         """
         self._order = min(_order(p), ROUGH_ORDER) if rough else _order(p)
-        self.pad_side, self.gravity, self._step_s = pad_side, gravity, ROUGH_STEP_S if rough else STEP_S
+        self.rig, self._step_s = rig, ROUGH_STEP_S if rough else STEP_S
         sizes = (9, 3, MOVE_INPUTS, count(self._order) + BODY)
         self._R, self._omega, self._move, self._p = (np.zeros((COLUMNS, size)) for size in sizes)
         self._R_after, self._omega_after, self._told = (np.zeros((COLUMNS, size)) for size in (9, 3, TOLD))
         self.learn(p)
-        inputs = [self._R, self._omega, self._move, self._p, np.array([gravity])]
+        inputs = [self._R, self._omega, self._move, self._p, rig.acting]
         outputs = [self._R_after, self._omega_after, self._told]
         self._step = body_rollout.library(self._order, self._step_s).bind("step_columns", inputs, outputs)
 
@@ -110,7 +110,7 @@ class BodyForesight:
         spin = np.where(over, 0.0, np.linalg.norm(spun, axis=2)).max(axis=0)
         turn, omega = (each[steps - 1, np.arange(n)] for each in (turned, spun))
         force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(last, n, 3, 2)
-        room = room_on_pads(contacts, self.pad_side)
+        room = room_on_pads(contacts, self.rig.pad.side)
         finite = np.isfinite(turn).all(axis=1) & np.isfinite(spin)
         return ForeseenMoves(
             Bearings(np.swapaxes(turn.reshape(-1, 3, 3), 1, 2), omega, ends),

@@ -13,11 +13,13 @@ from pydantic import ValidationError
 from palmd.config.any_config import AnyConfig
 from palmd.config.pads import PadBase
 from palmd.config.plans import AnyPlanSpec
+from palmd.config.two_palms import Config, PlanSpec
 from palmd.console.folders import nearest, takes_files
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, PlanForm, Trajectory
 from palmd.motion.segments import Angles
+from palmd.motion.shaking import shaking_by, shaking_of
 from palmd.outlinefile import OutlineError, read_library
 from palmd.plausibility import implausible
 from palmd.systems import LIVE, load_part
@@ -102,6 +104,26 @@ def check_files(paths: Sequence[Path]) -> list[str]:
         systems = {each.system for each in meant}
         errors += _blind_errors(document, [each for name, each in blind if systems == {name}])
     return list(dict.fromkeys(errors))  # two configurations may name one plan
+
+
+def shaking_notes(paths: Sequence[Path]) -> list[str]:
+    """What is to be known of how good configurations and plans shake the palms, as `file: what`.
+
+    A plan is judged on the rig of every configuration of two palms given beside it, and of the one that names it.
+    """
+    documents = [read_document(path) for path in paths]
+    notes: list[str] = []
+    configs = [(each, parse_config(each)) for each in documents if not is_plan(each)]
+    plans = [each for each in documents if is_plan(each)]
+    for document, config in configs:
+        notes += [f"{document.path}: {note}" for note in shaking_of(config)]
+        if isinstance(config, Config):
+            named = [read_document(path) for path in _plan_named(document, config, [], given=paths)]
+            for plan in [*plans, *named]:
+                spec = plan_spec(plan, motion_limits(config))
+                if isinstance(spec, PlanSpec):
+                    notes += [f"{plan.path}: {note}" for note in shaking_by(spec, config)]
+    return list(dict.fromkeys(notes))
 
 
 def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +25,14 @@ SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and 
 _BINS = np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS
 _SHAPE = slice(shape_map.Z.SHAPE, None)
 
-_UNKNOWN = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
+_UNKNOWN: dict[str, Any] = dict.fromkeys((*NAMED, "mass", "nis", "observability"), math.nan)
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
 
 def answer(
     t: float, valid: bool, observer: str, object_count: int,
     y: list[float], sd: list[float], mass: MassEstimator, nis: float, observability: float, touched: float,
+    invalid_reasons: tuple[str, ...] = (),
 ) -> Estimate:  # fmt: skip
     """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
     values, sds = dict(zip(NAMED, y, strict=True)), dict(zip(NAMED, sd, strict=True))
@@ -42,13 +44,16 @@ def answer(
     told = {
         "t": t, "valid": valid, "observer": observer, "object_count": object_count,
         "mass": m, "nis": nis, "observability": observability, "touched": touched, "sd": sds,
+        "invalid_reasons": invalid_reasons,
     }  # fmt: skip
     return Estimate.of(told | values)
 
 
 def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:
     """The estimate when nothing is known but, perhaps, the palms; NaN elsewhere."""
-    known = {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
+    known: dict[str, Any] = (
+        {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
+    )
     return Estimate(
         t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},

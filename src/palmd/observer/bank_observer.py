@@ -37,6 +37,7 @@ from palmd.observer.returning_object import ReturningObject
 from palmd.observer.session import ObjectSession
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
+from palmd.observer.sticking import StickingWatch
 from palmd.observer.track import Track
 from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled, unmet
 from palmd.system.arcs import MOST_LYING
@@ -72,6 +73,10 @@ def _largest(values: list[float]) -> float:
     return math.nan if any(map(math.isnan, values)) else max(values)
 
 
+STICKS = ("sticks",)
+"""Why an estimate is not valid: palms that do not vibrate hold the object by dry friction, or may."""
+
+
 class BankObserver:
     """An `Observer`. `feed`, `improve` and `estimate` take bounded time and are safe inside the loop."""
 
@@ -96,6 +101,7 @@ class BankObserver:
         self._hypotheses = hypotheses or ReturningObject(rig, filters)
         self._fusion = Fusion(rig, self._hypotheses.banks)
         self._observability = Observability(rig_inputs(rig), rig.reading_variances)
+        self._dry = not rig.vibration.vibrates
         self._exact = declared_exact(rig)
         self._curved = rig.curved
         self.reset()
@@ -108,6 +114,7 @@ class BankObserver:
             self._link.reset()
         self._contacts = Contacts()
         self._because: Callable[[], str] = _no_contact  # in words only when asked: a tick has no time for them
+        self._sticking = StickingWatch(self._rig.vibration, self._rig.gravity)
         self._session = ObjectSession(
             self._rig, self._seed, self._fusion, self._contacts, self._hypotheses, self._observability
         )
@@ -171,6 +178,8 @@ class BankObserver:
 
     def _feed_pad(self, event: PadSample) -> None:
         self._contacts.read(event)
+        if self._dry:
+            self._sticking.feed(event)
         self._observability.count(event.pad)
         self._fuse(event)
 
@@ -230,6 +239,7 @@ class BankObserver:
         told_sd = [each * factor for each in sd]
         safe = (
             settled(evidence, SETTLED)
+            and self._slides(t)
             and self._foreseen(told_sd)
             and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
         )
@@ -250,6 +260,7 @@ class BankObserver:
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
+            () if valid or not self._dry or self._sticking.frictionless else STICKS,
         )  # fmt: skip
 
     def shape(self, t: float) -> ShapeEstimate | None:
@@ -366,6 +377,13 @@ class BankObserver:
         if riding.cornered or not told:
             return riding.cornered or not riding.excluded
         return riding.disc and not (self._exact and self._link.sure(begun) and not riding.concentric)
+
+    def _slides(self, t: float) -> bool:
+        """Whether palms break friction by vibrating, or forces have shown that there is next to none to break."""
+        if not self._dry:
+            return True
+        self._sticking.look(t, self._fusion.palms.motion(t) if self._fusion.palms_known(t) else None)
+        return self._sticking.frictionless
 
     def _lies_on(self, y: list[float]) -> bool:
         """Whether the object lies on its palms rather than in one that is as concave as it is round there."""

@@ -53,7 +53,8 @@ def cornered_reconstruction(
     if len(same(rides)) < LEAST_SEATS or not any(ride.rolls for ride in rides):
         return None
     shared = _believed(search, float(search.prior.mean[C.SHAPE]), GYRATION_SD)
-    whole = [RideReadings.of(record, ride, TRIM_S) for ride in sorted(rides, key=lambda ride: ride.start)]
+    law = search.rig.vibration.law
+    whole = [RideReadings.of(record, ride, TRIM_S, law) for ride in sorted(rides, key=lambda ride: ride.start)]
     both = [(seat, each) for each in whole if (seat := seat_of(each, shared.mean, shared.sd)) is not None]
     told, whole = [seat for seat, _ in both], [each for _, each in both]
     if len(told) < LEAST_SEATS:
@@ -184,7 +185,8 @@ def _weighed(fit: CorneredFit, whole: Record, search: Search) -> MassEstimator:
     mass = MassEstimator(search.rig.pads)
     for which, lying in enumerate(fit.lyings):
         mine = (whole.force_t > lying.t[0]) & (whole.force_t < lying.t[-1])
-        there = balance(fit.seat(which), fit.shared, Carried.by(lying.ride.palm, whole.force_palms[mine], whole.rig))
+        carried = Carried.by(lying.ride.palm, whole.force_palms[mine], whole.rig)
+        there = balance(fit.seat(which), fit.shared, carried, lying.law)
         on_ridden = whole.force_pad[mine] == PALMS[lying.ride.palm]
         pressed = np.where(on_ridden, there.ridden_force, there.other_force)
         for pad, force, expected in zip(whole.force_pad[mine], whole.force_value[mine], pressed, strict=True):

@@ -9,15 +9,20 @@ that the ridden palm reads, and it tells a and H. Nothing is integrated. Not for
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.model.friction import averaged_direction, mean_direction, sign_shares
 from palmd.observer.record import Record
 from palmd.observer.rides import Ride, unexplained
 from palmd.system.mechanism import JOINTS, OPENING, PALMS
+from palmd.system.vibration import VibrationLaw
 
 SEAT, SHARED = 4, 3
 """How many numbers: Y, ρ, a, H (m); and ln of the radius of gyration (m), μ, ln of the dither's speed (m/s)."""
@@ -65,8 +70,11 @@ class Balance:
     ridden_force: FloatArray
 
 
-def balance(seat: FloatArray, shared: FloatArray, carried: Carried) -> Balance:
-    """Of what lies as `seat` says (`SEAT` numbers) and rubs and turns as `shared` says (`SHARED`)."""
+def balance(seat: FloatArray, shared: FloatArray, carried: Carried, law: VibrationLaw = "sign_pairs") -> Balance:
+    """Of what lies as `seat` says (`SEAT` numbers) and rubs and turns as `shared` says (`SHARED`).
+
+    Means over the palms' vibrations, which are taken to be independent.
+    """
     high, radius, away, height = seat
     gyration2, mu, dither = np.exp(2.0 * shared[0]), shared[1], np.exp(shared[2])
     phi, rate, turn = carried.opening.T
@@ -78,21 +86,37 @@ def balance(seat: FloatArray, shared: FloatArray, carried: Carried) -> Balance:
     along = -other / sin * turn + (radius / sin + 2.0 * other * cos / sin**2) * rate**2
     along = along - carried.turn * height - carried.spin**2 * x - carried.pull[:, 0]
     out = carried.turn * x + 2.0 * carried.spin * slips - carried.spin**2 * height - carried.pull[:, 1]
-    rubs, other_rubs = (mu * u / np.hypot(u, dither) for u in (slips, slips * cos))
-    push = np.stack([sin - other_rubs * cos, -cos - other_rubs * sin])  # of the other palm, by its normal force
-    other_force = (along + rubs * out) / (push[0] + rubs * push[1])
-    ridden_force = out - push[1] * other_force
     lever = centre - radius * sin - x, high + radius * cos - height
-    torque = (lever[0] * push[1] - lever[1] * push[0]) * other_force - height * rubs * ridden_force
+    means = np.zeros((3, len(phi)))
+    for share, direction, other_direction in _directions(slips, slips * cos, dither, law):
+        rubs, other_rubs = mu * direction, mu * other_direction
+        push = np.stack([sin - other_rubs * cos, -cos - other_rubs * sin])  # of the other palm, by its normal force
+        other_force = (along + rubs * out) / (push[0] + rubs * push[1])
+        ridden_force = out - push[1] * other_force
+        torque = (lever[0] * push[1] - lever[1] * push[0]) * other_force - height * rubs * ridden_force
+        means += share * np.stack([other_force, ridden_force, torque])
+    other_force, ridden_force, torque = means
     ridden = x + (gyration2 * carried.turn - torque) / ridden_force
     return Balance(other, ridden, other_force, ridden_force)
+
+
+def _directions(
+    slip: FloatArray, other: FloatArray, dither: float, law: VibrationLaw
+) -> Iterator[tuple[FloatArray | float, FloatArray | float, FloatArray | float]]:
+    """(share of the time, direction of slip on the ridden palm, on the other) for slips (n; m/s); dither is πV/2."""
+    if law == "averaged":
+        yield 1.0, averaged_direction(slip, dither, np), averaged_direction(other, dither, np)
+        return
+    sigma = [mean_direction(math.pi / 2 * u / dither, np) for u in (slip, other)]
+    for share, (one, two) in zip(sign_shares(sigma, 0.0, np), itertools.product((1.0, -1.0), repeat=2), strict=True):
+        yield share, one, two
 
 
 @dataclass(frozen=True, slots=True)
 class RideReadings:
     """The readings of both pads in one ride, for as long as the object lies still; s and one-sigma in m.
 
-    on_ridden: which of them are the ridden palm's.
+    on_ridden: which of them are the ridden palm's. law: of friction.
     """
 
     ride: Ride
@@ -101,21 +125,22 @@ class RideReadings:
     sd: FloatArray
     on_ridden: Marks
     carried: Carried
+    law: VibrationLaw = "sign_pairs"
 
     @classmethod
-    def of(cls, record: Record, ride: Ride, trim: float) -> RideReadings:
+    def of(cls, record: Record, ride: Ride, trim: float, law: VibrationLaw = "sign_pairs") -> RideReadings:
         """Of `record`, but for so long (s) at either end."""
         t = record.contact_t
         mine = (t > ride.start + trim) & (t < ride.end - trim)
         carried = Carried.by(ride.palm, record.contact_palms[mine], record.rig)
         on_ridden = record.contact_pad[mine] == PALMS[ride.palm]
         return cls(
-            ride, t[mine], record.contact_value[mine], np.sqrt(record.contact_variance[mine]), on_ridden, carried
+            ride, t[mine], record.contact_value[mine], np.sqrt(record.contact_variance[mine]), on_ridden, carried, law
         )
 
     def residuals(self, seat: FloatArray, shared: FloatArray) -> FloatArray:
         """Of all readings (n), in one-sigmas."""
-        there = balance(seat, shared, self.carried)
+        there = balance(seat, shared, self.carried, self.law)
         return (np.where(self.on_ridden, there.ridden, there.other) - self.s) / self.sd
 
     def slopes(self, seat: FloatArray, shared: FloatArray) -> FloatArray:

@@ -64,6 +64,7 @@ AGAIN = Attempt(2.0, 3, work=6e4)  # half of these searches take less than 1e4
 LATER = tuple(AGAIN._replace(later_s=seconds) for seconds in (0.5, 4.0, 1.0, 2.0))
 BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an object may be is asked
 WHOLE = 0.95  # of a segment
+RUBS = 3.0  # sigmas of the coefficient of friction, from which there is some
 MOST_PARTS = 20  # segments of one log that are looked at
 MOST_RIDDEN_S = 60.0  # of these together, where rides of all of them are read
 DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
@@ -72,6 +73,10 @@ SAME = 100.0  # in sigmas squared, of some 45 constants
 Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_SUCH_RIG = "the readings are explained only by a rig that is nothing like its description: calibrate it first"
+STICKS = (
+    "sticks: the palms do not vibrate, and no sequence of sticking and slipping explains the readings; vibrate the"
+    " palms, or turn them slowly and by more"
+)
 NO_ANSWER = "no motion of an object was found that explains the readings"
 
 
@@ -93,6 +98,9 @@ def reconstruct(
     search = _search(found[0], rig)
     attempts = attempts_on(search)
     main = _part(search, seed, attempts[:BEFORE_OTHERS])
+    if not rig.vibration.vibrates and not still(search.record) and (main is None or main.reason or _rubs(main)):
+        dry = dry_reconstruction(search, seed, begun)
+        return _nothing(STICKS, begun) if dry is None else dry
     if main is None or main.reason:
         shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S), rig)
         swapped = shorter if shorter and shorter[0].lasts < found[0].lasts else []  # perhaps, in a gap
@@ -112,6 +120,15 @@ def reconstruct(
     parts = [main, *(_part_of(_search(segment, rig), seed) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
+
+
+def _rubs(part: _Part) -> bool:
+    """Whether a fit needs friction, which it takes for hidden by vibration."""
+    try:
+        answered = marginalised(part.search.library, part.record, part.known, part.fit)
+    except np.linalg.LinAlgError:
+        return True
+    return answered.mu > RUBS * answered.mu_sd
 
 
 def _in_doubt(

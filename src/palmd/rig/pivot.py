@@ -49,8 +49,8 @@ class PivotImperfections:
     """By how much a run's readings differ from what line 1 says of them; the defaults are as it says.
 
     outliers: share of the pad's readings that are thrown anywhere on it. gaps: how many times the pad is silent for
-    `gap_s`. noise, force_noise: factors on the noise. coulomb: friction by tanh(u/u_d) instead of u/√(u² + u_d²). zero:
-    of the pad (m). lag: of the pad's time stamps (s).
+    `gap_s`. noise, force_noise: factors on the noise. coulomb: friction of a pad that stands still, by tanh(u/u_d).
+    zero: of the pad (m). lag: of the pad's time stamps (s).
     """
 
     outliers: float = 0.0
@@ -68,7 +68,10 @@ AS_TOLD = PivotImperfections()
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A body in the gripper over the pad: pivot (m, from the centre of mass, in the body), carriage kg and N s/m."""
+    """A body in the gripper over the pad: pivot (m, from the centre of mass, in the body), carriage kg and N s/m.
+
+    The pad vibrates along itself much faster than the body moves; friction is dry, and the normal force alternates too.
+    """
 
     body: Body
     pivot: tuple[float, float]
@@ -97,18 +100,25 @@ class Grasp:
         """h_P″ at the contact (m)."""
         return self.body.support.at(-0.5 * math.pi - psi)[2] - self.arm(psi)[1]
 
-    def friction(self, slip: float) -> float:
-        """As a share of the normal force, at a slip (m/s)."""
+    def rubs(self, slip: float) -> tuple[tuple[float, float], ...]:
+        """(share of the time, friction as a share of the normal force) of each way to slip, at a mean slip (m/s)."""
         if self.coulomb:
-            return self.mu * math.tanh(slip / self.dither)
-        return self.mu * slip / math.hypot(slip, self.dither)
+            return ((1.0, self.mu * math.tanh(slip / self.dither)),)
+        forward = 0.5 + math.asin(min(max(slip / self.vibration, -1.0), 1.0)) / math.pi
+        return tuple((share, grip) for share, grip in ((forward, self.mu), (1.0 - forward, -self.mu)) if share > 0.0)
+
+    @property
+    def vibration(self) -> float:
+        """Amplitude of the pad's speed along itself (m/s), by which the friction of slow slip is that of `dither`."""
+        return 2.0 / math.pi * self.dither
 
     def torque_left(
-        self, psi: float, omega: float, alpha: float, x: Axis, vertical: Axis | None
+        self, psi: float, omega: float, alpha: float, x: Axis, vertical: Axis | None, grip: float
     ) -> tuple[float, float]:
         """(what is left of the torque about the centre of mass, N m; the pad's force, N) if it turned with `alpha`.
 
-        vertical: the pivot's motion where the gripper is rigid; otherwise the carriage obeys its own weight.
+        vertical: the pivot's motion where the gripper is rigid; otherwise the carriage obeys its own weight. grip: of
+        friction as a share of the normal force, at one instant.
         """
         body = self.body
         m, inertia = body.mass, body.mass * body.rho**2
@@ -121,8 +131,6 @@ class Grasp:
             z2 = ay + alpha * rx - omega * omega * ry
             py = -self.carriage * (z2 + GRAVITY) - self.carriage_damping * z1
             normal = m * (ay + GRAVITY) - py
-        vx = x[1] + omega * ry
-        grip = self.friction(vx + omega * h)
         if vertical is not None:
             ay = vertical[2] - alpha * rx + omega * omega * ry
             # torque: N (h' − grip·h) + rx py − ry px − C ω = I α, with px, py from Newton's law, linear in N
@@ -134,12 +142,30 @@ class Grasp:
         torque = normal * (h1 - grip * h) + rx * py - ry * px - m * self.damping * omega - inertia * alpha
         return torque, normal
 
+    def pressed(self, psi: float, omega: float, alpha: float, x: Axis, z: Axis) -> float:
+        """The pad's force (N) under a rigid gripper, on average; NaN where the body wedges for part of the time."""
+        mean = 0.0
+        for share, grip in self.rubs(self._slip(psi, omega, x)):
+            force = self.torque_left(psi, omega, alpha, x, z, grip)[1]
+            if not force > 0.0:
+                return math.nan
+            mean += share * force
+        return mean
+
     def motion(self, psi: float, omega: float, x: Axis) -> tuple[float, float]:
-        """(angular acceleration, the pad's force in N) of the sliding gripper."""
-        at0, force0 = self.torque_left(psi, omega, 0.0, x, None)
-        at1, force1 = self.torque_left(psi, omega, 1.0, x, None)
-        alpha = at0 / (at0 - at1)
-        return alpha, force0 + alpha * (force1 - force0)
+        """(angular acceleration, the pad's force in N) of the sliding gripper, on average."""
+        mean_alpha = mean_force = 0.0
+        for share, grip in self.rubs(self._slip(psi, omega, x)):
+            at0, force0 = self.torque_left(psi, omega, 0.0, x, None, grip)
+            at1, force1 = self.torque_left(psi, omega, 1.0, x, None, grip)
+            alpha = at0 / (at0 - at1)
+            mean_alpha += share * alpha
+            mean_force += share * (force0 + alpha * (force1 - force0))
+        return mean_alpha, mean_force
+
+    def _slip(self, psi: float, omega: float, x: Axis) -> float:
+        """Along the pad (m/s)."""
+        return x[1] + omega * self.height(psi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +294,7 @@ def _touched(
         omega = -at_z[1] / e
         h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
         alpha = (h2 * omega * omega - at_z[2]) / e
-        force = grasp.torque_left(psi, omega, alpha, at_x, at_z)[1]
+        force = grasp.pressed(psi, omega, alpha, at_x, at_z)
         s = at_x[0] + e
         if not (_LEAST_N < force < _MOST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
             return None
@@ -379,6 +405,7 @@ def _log(run: SimulatedPivot, off: PivotImperfections, rng: np.random.Generator)
         "arm_noise_m": 2e-5,
         "force_scale_std": 0.05,
         "calibration_sd": dict.fromkeys(("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad"), 0.0),
+        "vibration": {"relation": "none" if grasp.coulomb else "independent"},
     }
     events: list[Line] = []
     for t in np.arange(int(end / _ARM_PERIOD_S)) * _ARM_PERIOD_S:
@@ -423,6 +450,7 @@ def _truth(run: SimulatedPivot) -> Line:
         "mass_kg": grasp.body.mass,
         "mu": grasp.mu,
         "dither_m_s": grasp.dither,
+        "vibration_m_s": None if grasp.coulomb else grasp.vibration,
         "pivot_damping_m2_s": grasp.damping,
         "carriage_ratio": grasp.carriage / grasp.body.mass or None,
         "pivot_m": [px, py],

@@ -184,8 +184,8 @@ class PivotWorld(EmulatedRig[PivotArm]):
         omega = -z[1] / e
         h2 = grasp.bend(psi)
         alpha = (h2 * omega * omega - z[2]) / e
-        force = grasp.torque_left(psi, omega, alpha, x, z)[1]
-        lever = (e - grasp.friction(x[1] + omega * z[0]) * z[0]) * self._side
+        force = grasp.pressed(psi, omega, alpha, x, z)
+        lever = min((e - grip * z[0]) * self._side for _, grip in grasp.rubs(x[1] + omega * z[0]))
         self._psi = psi
         if lever < LEVER_M:
             self._jam()

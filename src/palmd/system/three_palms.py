@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray, LiveEstimate
 from palmd.system.naming import Naming
-from palmd.system.vibration import INDEPENDENT, Vibration
+from palmd.system.vibration import INDEPENDENT, Relation, Vibration
 
 SYSTEM = "three_palms"
 MECHANISM: Literal["edge-axis"] = "edge-axis"
@@ -25,6 +25,8 @@ PALMS = (1, 2, 3)
 JOINTS = ("beta", "gamma2", "gamma3")
 """What the joint angles are called, in the order of every joint vector."""
 NAMING = Naming(JOINTS, "rad", PALMS, along="b", across="a")
+RELATIONS: tuple[Relation, ...] = ("independent", "none")
+"""Between the palms' vibrations, of those that there are."""
 GAP_S = 0.15
 """Without a reading of a pad or a report of the joints, after which nothing is known to go on."""
 _TURNS: FloatArray = np.array([[0.0], [1.0], [-1.0]])
@@ -62,6 +64,12 @@ class ThreePalmsRig:
     pad: PadPlane = PadPlane()
     angle_noise: float = 2e-4
     vibration: Vibration = INDEPENDENT
+
+    @property
+    def acting(self) -> FloatArray:
+        """What the kernels take of it: gravity (m/s²) and λ of the palms' vibration, 1 where it is not known."""
+        known = self.vibration.transmission
+        return np.array([self.gravity, 1.0 if known is None else known])
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,10 @@ import pytest
 from shut import shut
 
 from palmd.config.two_palms import LimitsConfig
+from palmd.console.shipped import shipped
 from palmd.daemon.planner import read_plan
 from palmd.keys import make_pair
-from palmd.motion.check import check_files, load_trajectory, motion_limits
+from palmd.motion.check import check_files, load_trajectory, motion_limits, shaking_notes
 from palmd.motion.limits import MotionLimits
 from palmd.yamlfile import ConfigError, load_config
 
@@ -163,3 +164,31 @@ def test_a_plan_that_may_not_be_looked_for_is_told() -> None:
             assert check_files([config]) == [expected]
             with pytest.raises(ConfigError, match=expected):
                 read_plan(folder / "plans/rock.yaml", motion_limits(load_config(config)), None)
+
+
+def test_what_shakes_is_noted(tmp_path: Path) -> None:
+    """A vibration and its strength, one that is too slow, and a plan's dither."""
+    text = shipped("palmd.yaml").read_text(encoding="utf-8")
+    plan = tmp_path / "dither.yaml"
+    plan.write_text("name: d\nsegments:\n  - hold_s: 5\ndither: {amplitude_deg: 0.1, frequency_hz: 10}\n", "utf-8")
+
+    def notes(vibration: str) -> list[str]:
+        path = tmp_path / "rig.yaml"
+        kept = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("plan:"))
+        path.write_text(kept.replace("rig:\n", f"rig:\n  vibration: {vibration}\n", 1), "utf-8")
+        assert check_files([path, plan]) == []
+        return [note.partition(": ")[2] for note in shaking_notes([path, plan])]
+
+    assert [note for note in notes("{relation: independent}") if "rig.vibration:" in note] == []
+    (told, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.015}")
+    assert "averaged" in told
+    (told, *_) = notes("{relation: independent, frequency_hz: 250, speed_m_s: 0.006}")
+    assert "weak" in told
+    assert "0.21" in told
+    (told, *_) = notes("{relation: independent, frequency_hz: 30}")
+    assert "50 Hz" in told
+    dry = notes("{relation: none}")
+    assert "dry" in dry[0]
+    assert [note for note in dry if note.startswith("dither")] == [dry[1]]
+    assert "0.0081" in dry[1]
+    assert len([note for note in notes("{relation: independent}") if note.startswith("dither")]) == 2

@@ -312,7 +312,7 @@ class Lived:
         # R = 1 at the first node: the body's frame is turned
         p = parameters(lambda u: self.h_of(u @ R[0]), R[0] @ self.inertia @ R[0].T, ORDER)
         prior = beliefs.prior(Y00 * p[0], ORDER, task.spin_sd)
-        smoother = BodySmoother(record, prior, task.noise, self.rig.gravity)
+        smoother = BodySmoother(record, prior, task.noise, self.rig)
         fit = smoother.fit(BodyMotion(R @ R[0].T, omega, p), 12)
         now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
         return [now]

@@ -38,7 +38,7 @@ def world(t, palm):
 def test_forces_and_torques_balance_in_the_world(palm):
     t = 0.7
     carried = Carried.by(palm, palms(np.array([t])), RIG)
-    there = balance(SEAT, SHARED, carried)
+    there = balance(SEAT, SHARED, carried, "averaged")
     com, hinge, ridden, other, normal, other_normal, touched = world(t, palm)
     assert there.other[0] == pytest.approx(abs(touched - hinge), abs=1e-12)
     ahead, behind = world(t + H, palm)[0], world(t - H, palm)[0]

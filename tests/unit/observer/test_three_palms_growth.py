@@ -82,10 +82,10 @@ def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
     nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
     motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
     motion = motion.moved(nodes, random.normal(0.0, 1e-4, len(motion.p)))
-    assert isinstance(equations_of(record, task.noise, task.rig.gravity, ORDER), CompiledEquations)
+    assert isinstance(equations_of(record, task.noise, task.rig, ORDER), CompiledEquations)
     for nodes_alone in (False, True):
         compiled, twin = (
-            make(record, task.noise, task.rig.gravity, ORDER).at(motion, nodes_alone=nodes_alone)
+            make(record, task.noise, task.rig, ORDER).at(motion, nodes_alone=nodes_alone)
             for make in (equations_of, Equations)
         )
         for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
@@ -101,14 +101,14 @@ def test_a_record_without_readings_has_equations(task, right):
     empty = np.zeros(0, dtype=np.int64)
     none = replace(none, interval=empty, share=np.zeros(0), slot=empty, geometry=np.zeros((0, 24)))
     motion = BodyMotion(right.motion.R[:5], right.motion.omega[:5], right.motion.p)
-    given = none, task.noise, task.rig.gravity, ORDER
+    given = none, task.noise, task.rig, ORDER
     squares = equations_of(*given).at(motion).squares
     assert squares == pytest.approx(Equations(*given).at(motion).squares, rel=1e-9)
 
 
 def test_without_a_compiler_the_twin_serves(task, monkeypatch):
     monkeypatch.setattr(compiled_equations, "written", lambda: None)
-    assert isinstance(equations_of(task.whole, task.noise, task.rig.gravity, ORDER), Equations)
+    assert isinstance(equations_of(task.whole, task.noise, task.rig, ORDER), Equations)
 
 
 def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
@@ -188,7 +188,7 @@ def coarse(task, right):
     """All of the record as an outline explains it that leaves much out."""
     prior = beliefs.prior(Y00 * right.prior.mean[0], COARSE_ORDER, task.spin_sd)
     p = np.concatenate([right.motion.p[: count(COARSE_ORDER)], right.motion.p[-BODY:]])
-    smoother = BodySmoother(right.record, prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(right.record, prior, task.noise, task.rig)
     fit = smoother.fit(replace(right.motion, p=p))
     return replace(right, prior=prior, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
 
@@ -383,7 +383,7 @@ def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, m
 def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):
     now = started(task)
     record = lay_out(task.path, task.readings, task.start + now.intervals * SPACING_S, 25, SPACING_S)
-    smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
+    smoother = BodySmoother(record, now.ahead, task.noise, task.rig)
     beside = smoother.fit(spinning(now.ahead, 2, 25), 15)
     assert beside.cost > 1.5 * record.numbers
     right = eased(task, record, now.ahead, beside)
@@ -436,7 +436,7 @@ def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, 
 
 def test_nodes_alone_are_fitted_by_the_same_equations(task):
     now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
-    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
     moved = replace(now.motion, omega=now.motion.omega + 0.01)
     whole, alone = smoother.evaluate(moved), smoother.evaluate(moved, nodes_alone=True)
     assert alone.cost == whole.cost
@@ -445,7 +445,7 @@ def test_nodes_alone_are_fitted_by_the_same_equations(task):
 
 def test_nothing_is_left_of_what_was_evaluated_before(task):
     now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
-    one, other = (BodySmoother(now.record, now.prior, task.noise, task.rig.gravity) for _ in range(2))
+    one, other = (BodySmoother(now.record, now.prior, task.noise, task.rig) for _ in range(2))
     moved = now.motion.moved(np.full((len(now.motion.R), 6), 0.01), np.full(len(now.motion.p), 1e-5))
     for alone in (True, False):
         one.evaluate(now.motion, nodes_alone=alone)

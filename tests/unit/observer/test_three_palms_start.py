@@ -48,7 +48,7 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
     constants = np.array([math.log(gyration), 0.0, math.log(truth["mu"]), math.log(truth["dither_m_s"])])
     given = (state, palm_inputs(path.palms(t)), ContactCurves.smoothed(readings).at(path, t))
-    rates = kernels.driven()(given, (constants, rig.gravity))[0]
+    rates = kernels.driven()(given, (constants, rig.acting))[0]
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
     assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 from palmd.events import Estimate, Event, PadLift, PadSample
 from palmd.lab.silent_observer import SilentObserver
@@ -24,10 +25,10 @@ class LightObserver(SilentObserver):
         self.object_count = self.late_dropped = 0
         self._newest = -math.inf
         self._touched: dict[int, float] = {}
-        numbers = {
+        numbers: dict[str, Any] = {
             field.name: 0.01
             for field in dataclasses.fields(Estimate)
-            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+            if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
         }
         self._estimate = Estimate(
             t=0.0, valid=True, observer="shape", object_count=0, sd=dict.fromkeys(NAMED_STATE, 1e-3), **numbers

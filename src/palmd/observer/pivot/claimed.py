@@ -9,7 +9,8 @@ import numpy as np
 
 from palmd.events import FloatArray, PalmSample
 from palmd.model import shape
-from palmd.model.pivot import ORDER, P
+from palmd.model.friction import mean_direction
+from palmd.model.pivot import KINK, ORDER, P
 from palmd.system.pivot import PivotAnswer, PivotRig, normal_of
 
 GAP_S = 0.15  # without a reading, after which the body may have been turned
@@ -22,6 +23,7 @@ APART = 9.0  # by how much (squared sigmas) the best place on the outline must b
 MANY = 360
 WALK_M = 2e-4
 MOST_GRIP = 0.97  # of what friction can be, up to which it tells the slip
+LEAST_FRICTION = 1e-4  # coefficient, below which there is none
 
 
 class Gripper:
@@ -102,8 +104,9 @@ class ClaimedOutline:
         self.theta: FloatArray = np.arange(MANY, dtype=np.float64) * (math.tau / MANY)
         self.h: FloatArray = shape.basis(self.theta, ORDER) @ self.a
         self._slope: FloatArray = -shape.tangential_basis(self.theta, ORDER) @ self.a
-        self._p = p
+        self._p, self._averaged = p, rig.vibration.law == "averaged"
         self.mu = friction_of(p, covariance)
+        self._friction = max(self.mu[0], LEAST_FRICTION)
         moment = p[P.MOMENT : P.MOMENT + 2]
         size = float(np.hypot(*moment))
         part = covariance[P.MOMENT : P.MOMENT + 2, P.MOMENT : P.MOMENT + 2]
@@ -175,7 +178,8 @@ class ClaimedOutline:
     ) -> float:
         """What the pad must give (N), as `model.pivot` has it of a rigid gripper."""
         _, vx, ax = along
-        lever = at.e - self.grip(vx + at.h * omega0) * at.h
+        ahead, behind = at.e + self._friction * at.h, at.e - self._friction * at.h
+        lever = at.e - self._friction * self._effective(self._direction(vx + at.h * omega0), ahead, behind) * at.h
         return self.resisting(psi, omega0, alpha0, ax, az) / lever if abs(lever) > 1e-6 else math.nan
 
     def slide_force(self, at: OutlinePoint, psi: float, omega0: float) -> float:
@@ -184,16 +188,42 @@ class ClaimedOutline:
         weight = (float(self._p[P.MASS]) + rig.carriage_mass) * (rig.gravity + at.h2 * omega0**2)
         return weight - rig.carriage_damping * at.e * omega0 - self._xi(psi)[1] * omega0**2
 
-    def grip(self, slip: float) -> float:
-        """Friction as a share of the force, at a slip (m/s)."""
-        return float(self._p[P.DRAG]) * slip / math.sqrt(1.0 + float(self._p[P.SATURATION]) * slip * slip)
+    def _direction(self, slip: float) -> float:
+        """σ of a slip (m/s), as in `model.pivot`."""
+        ratio = slip * math.sqrt(float(self._p[P.SATURATION]))
+        return (
+            ratio / math.hypot(1.0, ratio) if self._averaged else float(mean_direction(math.pi / 2 * ratio, np, KINK))
+        )
 
-    def slip(self, grip: float) -> float:
-        """The slip (m/s) at which friction is such a share of the force, or nearly all that it can be."""
-        drag, bend = float(self._p[P.DRAG]), float(self._p[P.SATURATION])
-        most = MOST_GRIP * drag / math.sqrt(bend)
-        grip = min(max(grip, -most), most)
-        return grip / math.sqrt(drag * drag - bend * grip * grip)
+    def _effective(self, sigma: float, forward: float, backward: float) -> float:
+        if self._averaged:
+            return sigma
+        ahead, behind = (1.0 + sigma) * forward, (1.0 - sigma) * backward
+        return sigma + float(self._p[P.TRANSMISSION]) * ((ahead - behind) / (ahead + behind) - sigma)
+
+    def slip(self, at: OutlinePoint, psi: float, omega0: float, grip: float, ax: float) -> float:
+        """The slip (m/s) at which friction is such a share of a slide's force, or nearly all that it can be."""
+        dither = float(self._p[P.SATURATION]) ** -0.5
+        wanted = min(max(grip / self._friction, -MOST_GRIP), MOST_GRIP)
+        if self._averaged:
+            return float(dither * wanted / math.sqrt(1.0 - wanted * wanted))
+        forward, backward = (self._slide_force_of(at, psi, omega0, sign, ax) for sign in (1.0, -1.0))
+        # of the normal force, the share pushed while the body slips backward; λ blends that with a steady force
+        ratio = backward / forward if forward > 0.0 and backward > 0.0 else 1.0
+        ratio **= float(self._p[P.TRANSMISSION])
+        ahead = ratio * (1.0 + wanted)
+        sigma = 2.0 * ahead / (1.0 - wanted + ahead) - 1.0
+        return float(2.0 / math.pi * dither * math.sin(math.pi / 2 * sigma))
+
+    def _slide_force_of(self, at: OutlinePoint, psi: float, omega0: float, sign: float, ax: float) -> float:
+        """The force (N) while the body on a slide slips one way and turns as it must."""
+        p, rig, xi_x = self._p, self._rig, self._xi(psi)[0]
+        lever = at.e - sign * self._friction * at.h
+        still = self.slide_force(at, psi, omega0)
+        by_turning = xi_x - at.e * (float(p[P.MASS]) + rig.carriage_mass)
+        resisting = self.resisting(psi, omega0, 0.0, ax, at.h2 * omega0**2)
+        alpha = (resisting - still * lever) / (by_turning * lever - float(p[P.INERTIA]) + at.e * xi_x)
+        return still + by_turning * alpha
 
     def resisting(self, psi: float, omega0: float, alpha0: float, ax: float, az: float) -> float:
         """Torque about the pivot that the pad must give (N m)."""

@@ -18,7 +18,16 @@ from palmd.model.pivot import ORDER, P, U, library
 from palmd.observer.factor import given
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
-from palmd.observer.pivot.fit import MAX_ITERATIONS, SHARP, PivotFit, Problem, Softening, moved_by_rig, with_forces_of
+from palmd.observer.pivot.fit import (
+    MAX_ITERATIONS,
+    SHARP,
+    Known,
+    PivotFit,
+    Problem,
+    Softening,
+    moved_by_rig,
+    with_forces_of,
+)  # fmt: skip
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
@@ -31,6 +40,7 @@ EARLY_ITERATIONS = 25
 HOPELESS_START, HOPELESS = 10.0, 1.5  # times the best one's cost, from which a start, and an early fit, is left
 # Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
 LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
+MORE_FRICTION = (1.3, 1.8)  # times μ and V of the best fit, from which another is begun where the body rolls
 DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
 SAME_RAD = 3e-3  # of the orientation, within which two fits are one
 SAME_M = 3e-5  # RMS by which outlines of one body may differ
@@ -126,7 +136,7 @@ def _worth_a_fit(record: PivotRecord) -> None:
 
 def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     """Minima from all starts, the best first, and the problem that they solve."""
-    kernels, known = library(), believed(record)
+    kernels, known = library(record.rig.vibration.law), believed(record)
     problem = Problem(kernels, record, known)
     rigid = record.rig.vertical == "rigid"
     if rigid:
@@ -141,7 +151,19 @@ def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
     if not fits:
         raise TooLittleError("no motion of a body was found that explains the readings")
     problem = with_forces_of(problem, kernels, fits[0])
-    return _distinct([problem.fit(fit.c, fit.p) for fit in fits]), problem
+    found = [problem.fit(fit.c, fit.p) for fit in fits]
+    if not rigid and record.rig.vibration.law == "sign_pairs":
+        best = min(found, key=lambda fit: fit.cost)
+        found += [problem.fit(best.c, _rubbing_more(best.p, known, more)) for more in MORE_FRICTION]
+    return _distinct(found), problem
+
+
+def _rubbing_more(p: FloatArray, known: Known, more: float) -> FloatArray:
+    """The same constants with μ and V larger by a factor, which slow slip does not tell apart, and λ as believed."""
+    p = p.copy()
+    p[P.SATURATION] /= more**2
+    p[P.TRANSMISSION] = known.mean[P.TRANSMISSION]
+    return p
 
 
 def _refined(problem: Problem, c: FloatArray, p: FloatArray, stages: Sequence[Softening]) -> PivotFit:

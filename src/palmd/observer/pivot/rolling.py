@@ -90,7 +90,7 @@ class RollFilter:
         _, vx, ax = self._gripper.at(self._t)[0]
         force = body.slide_force(at, self.psi, omega0)
         rest = body.resisting(self.psi, omega0, 0.0, ax, at.h2 * omega0**2)
-        return (body.slip((at.e - rest / force) / at.h) - vx) / at.h
+        return (body.slip(at, self.psi, omega0, (at.e - rest / force) / at.h, ax) - vx) / at.h
 
     def _correct(self, miss: float, by_psi: float, variance: float) -> float:
         """By a measurement that missed by so much and moves with ψ by `by_psi`; what is far out is left."""

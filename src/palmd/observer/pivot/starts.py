@@ -18,10 +18,12 @@ from scipy.interpolate import BSpline
 
 from palmd.events import FloatArray
 from palmd.model import shape
-from palmd.model.pivot import CONSTANTS, ORDER, P, U
+from palmd.model.friction import mean_direction
+from palmd.model.pivot import CONSTANTS, KINK, ORDER, P, U
 from palmd.observer.pivot.fit import CENTRE_SD_M, GYRATION, Known
 from palmd.observer.pivot.record import PivotRecord, TouchSpan
 from palmd.system.pivot import PivotRig
+from palmd.system.vibration import Vibration
 
 ROLLS = 4  # rounds of roll and outline
 # One-sigma of a roll's rate, as a share of that without slip and at least (rad/s), and of a height's rate (m/s).
@@ -33,6 +35,10 @@ ROTATIONS = 120
 BEAMS = 5
 LEAST_MASS_KG = 5e-3
 LEAST_SD = 1e-9  # of a constant that is known
+TRANSMISSION, TRANSMISSION_SD = (
+    0.8,
+    0.4,
+)  # λ, where nobody knows it: 1 on a stiff pad, less on a light one on a load cell
 # friction μ, vibration u_d (m/s) that are tried
 FRICTIONS = {"rigid": (0.02, 0.06, 0.1, 0.15, 0.22, 0.32), "float": (0.2, 0.27, 0.33, 0.42, 0.6)}
 DITHERS = {"rigid": (0.013,), "float": (0.008, 0.013, 0.02)}
@@ -64,7 +70,8 @@ def believed(record: PivotRecord) -> Known:
     mean[P.MASS], sd[P.MASS] = mass, 2.0 * mass
     mean[P.DRAG], sd[P.DRAG] = (8.0, 12.0) if rigid else (25.0, 20.0)
     mean[P.SATURATION], sd[P.SATURATION] = 7e3, 6e3
-    sd[P.ZERO : P.SHAPE] = np.maximum(_constants_sd(rig), LEAST_SD)
+    sd[P.ZERO : P.TRANSMISSION] = np.maximum(_constants_sd(rig), LEAST_SD)
+    mean[P.TRANSMISSION], sd[P.TRANSMISSION] = _transmission(rig.vibration)
     if rigid:
         sd[P.STANDOFF] = LEAST_SD  # nothing tells it: `moved_by_rig` widens the band
     mean[P.SHAPE] = radius
@@ -76,6 +83,15 @@ def believed(record: PivotRecord) -> Known:
 def _constants_sd(rig: PivotRig) -> FloatArray:
     """In the order of `P`: zero, scale, lag, standoff, slope."""
     return np.array([rig.pad.zero_sd, rig.pad.scale_sd, rig.pad.lag_sd, rig.pad.standoff_sd, rig.angle_sd])
+
+
+def _transmission(vibration: Vibration) -> tuple[float, float]:
+    """What is believed of λ, and its one-sigma; there is none where the law has no ripple."""
+    if vibration.law == "averaged":
+        return 0.0, LEAST_SD
+    if vibration.transmission is None:
+        return TRANSMISSION, TRANSMISSION_SD
+    return vibration.transmission, max(vibration.transmission_sd or 0.0, LEAST_SD)
 
 
 # ---------------------------------------------------------------------------------------------------- rigid
@@ -232,7 +248,7 @@ def _weighed(sides: Sequence[Side], theta: FloatArray, known: Known) -> tuple[fl
     prior_mean, prior_sd = np.array([4e-5, 0.0, 0.0, 2e-6]), np.array([5e-5, 4e-3, 4e-3, 5e-6])
     slip = u[:, U.VX] + h * rate
     for mu, dither in itertools.product(FRICTIONS["rigid"], DITHERS["rigid"]):
-        lever = e - mu * slip / np.hypot(slip, dither) * h
+        lever = _lever(e, h, slip, mu, dither, known.mean[P.TRANSMISSION])
         fine = felt & (lever * np.sign(e) > LEAST_LEVER_M)
         if fine.sum() < 0.8 * felt.sum():
             continue
@@ -247,6 +263,16 @@ def _weighed(sides: Sequence[Side], theta: FloatArray, known: Known) -> tuple[fl
             constants[: P.MASS] = found
             constants[P.DRAG], constants[P.SATURATION] = mu / dither, 1 / dither**2
     return best, constants
+
+
+def _lever(e: FloatArray, h: FloatArray, slip: FloatArray, mu: float, dither: float, transmission: float) -> FloatArray:
+    """Of the pad's mean force about the pivot (m), as in `model.pivot`: by the old law where nothing is transmitted."""
+    if not transmission:
+        return e - mu * slip / np.hypot(slip, dither) * h
+    sigma = mean_direction(math.pi / 2 * slip / dither, np, KINK)
+    effective = (sigma * e + mu * h) / (e + sigma * mu * h)
+    lever: FloatArray = e - mu * (sigma + transmission * (effective - sigma)) * h
+    return lever
 
 
 def _rigid_start(record: PivotRecord, sides: Sequence[Side], turns: Sequence[float], known: Known) -> StartingPoint:
@@ -333,13 +359,14 @@ def _rolled(record: PivotRecord, felt: Sequence[_Felt], known: Known, mu: float,
     p[P.DRAG], p[P.SATURATION] = mu / dither, 1 / dither**2
     ends = np.cumsum([len(each.t) for each in felt])[:-1]
     weight = p[P.MASS] / (p[P.MASS] + record.rig.carriage_mass)
+    averaged = record.rig.vibration.law == "averaged"
     off = np.zeros(len(e))  # from the pivot to the centre of mass along the pad
     best: StartingPoint | None = None
     for _ in range(ROLLS):
         paths = []
         for each, own in zip(felt, np.split(off, ends), strict=True):
             share = np.clip((each.e - weight * own) / (mu * each.z), -0.97, 0.97)  # of friction, that the lever needs
-            slip = dither * share / np.sqrt(1 - share**2)
+            slip = dither * (share / np.sqrt(1 - share**2) if averaged else 2 / math.pi * np.sin(math.pi / 2 * share))
             rolled = (each.vx - slip) / each.z
             # where the lever is long the height tells the rate too: dz = e dθ
             sure = (ROLL_SD * np.abs(each.vx) / each.z + LEAST_RATE_SD) ** 2 / HEIGHT_RATE_SD**2

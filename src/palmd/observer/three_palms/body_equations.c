@@ -8,19 +8,20 @@
 
 #define STATES 6
 #define PALM_INPUTS 36
+#define RIG_INPUTS 2
 #define GEOMETRY 24
 #define OF_STEP 6 /* residuals of the equations in an interval: of turn and spin */
 #define CHUNK 32  /* instants that kernels are given at once: what comes of them stays in the processor's cache */
 #define SIDES (2 * STATES)
 
-const long body_equations_sizes[] = {STATES, PALM_INPUTS, GEOMETRY, OF_STEP, CHUNK};
+const long body_equations_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OF_STEP, CHUNK};
 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
 typedef struct {
   Kernel *acceleration, *reading; /* those of the motion alone where there are no `parameters` to be found */
   long parameters, harmonics;
-  double gravity;
+  double acting[RIG_INPUTS];
 } Model;
 
 typedef struct {
@@ -61,7 +62,7 @@ static void accelerate(const Model *model, long count, const double *R, const do
   lay_out_by_columns(turned, R, count);
   lay_out(spin[0], omega, count, 3);
   lay_out(palm[0], palms, count, PALM_INPUTS);
-  const double *in[] = {turned[0], spin[0], palm[0], p, &model->gravity};
+  const double *in[] = {turned[0], spin[0], palm[0], p, model->acting};
   double *out[] = {told->alpha[0], told->force[0], told->by_turn[0], told->by_omega[0], told->by_p};
   model->acceleration(in, out, columns_of(count));
 }

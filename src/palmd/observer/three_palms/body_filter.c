@@ -13,6 +13,7 @@
 
 #define STATES 6
 #define PALM_INPUTS 36
+#define RIG_INPUTS 2
 #define GEOMETRY 24
 #define SEEN 10 /* numbers: two of each of three contacts, and of the centre of mass in two rows */
 #define MOST 256 /* states and parameters */
@@ -27,14 +28,14 @@
 enum { ANGLE = 0, RATE = 3, ACCELERATION = 6, JOINTS = 9 };                /* of a report, or of the joints at a time */
 enum { NORMAL = 0, NORMAL_RATE = 9, NORMAL_ACCELERATION = 18, SPIN = 27 }; /* of the palms, three vectors each */
 
-const long body_filter_sizes[] = {STATES, PALM_INPUTS, GEOMETRY, SEEN, MOST, JOINTS};
+const long body_filter_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, JOINTS};
 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
 typedef struct {
   Kernel *acceleration, *reading;
   long parameters, harmonics;
-  double gravity, gate, learnt; /* of a reading; of the mean NIS */
+  double acting[RIG_INPUTS], gate, learnt; /* of a reading; of the mean NIS */
   double turn, spin, by_spin;             /* densities of the process noise */
 } Model;
 
@@ -181,7 +182,7 @@ static void step(const Model *model, Body *body, double *P, double h, const doub
   const long m = model->parameters, n = STATES + m;
   double R[9], alpha[3], force[3], by_turn[9], by_omega[9], by_p[3 * MOST];
   by_columns(body->R, R);
-  const double *in[] = {R, body->omega, palms, body->p, &model->gravity};
+  const double *in[] = {R, body->omega, palms, body->p, model->acting};
   double *out[] = {alpha, force, by_turn, by_omega, by_p};
   model->acceleration(in, out, 1);
 
@@ -328,7 +329,7 @@ void body_seen(const Model *model, const Track *track, const Body *body, const d
       covariance[i * SEEN + j] = covariance[j * SEEN + i] = across(model, at[i / 2].HP[i % 2], &at[j / 2], j % 2);
   double R[9], alpha[3], by_turn[9], by_omega[9], by_p[3 * MOST];
   by_columns(body->R, R);
-  const double *in[] = {R, body->omega, palms, body->p, &model->gravity};
+  const double *in[] = {R, body->omega, palms, body->p, model->acting};
   double *out[] = {alpha, force, by_turn, by_omega, by_p};
   model->acceleration(in, out, 1);
 }

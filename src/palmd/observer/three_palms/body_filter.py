@@ -127,8 +127,8 @@ class BodyFilter:
 
     def _step(self, h: float, palms: FloatArray) -> None:
         """One step of h (s), the palms as in its middle."""
-        shared = (self.p, self._rig.gravity)
-        acceleration = kernels.acceleration(self._order)
+        shared = (self.p, self._rig.acting)
+        acceleration = kernels.acceleration(self._order, self._rig.vibration.law)
         out = acceleration((by_columns(self.R[None]), self.omega[None], palms[None]), shared)
         alpha, by_turn, by_omega, by_p = (out[i][0] for i in (0, 2, 3, 4))
         J = np.zeros((STATES, STATES))
@@ -165,7 +165,7 @@ class BodyFilter:
     def _looked(self, geometry: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What geometries (T, 24) read, (2T,), and its Jacobian (2T, states and parameters)."""
         turned = np.repeat(by_columns(self.R[None]), len(geometry), axis=0)
-        y, by_turn, by_c = kernels.reading(self._order)((turned, geometry), (self.p[:-BODY],))
+        y, by_turn, by_c = kernels.reading(self._order, self._rig.vibration.law)((turned, geometry), (self.p[:-BODY],))
         H = np.zeros((2 * len(geometry), len(self.P)))
         H[:, :3], H[:, self._shape] = by_turn.reshape(-1, 3), by_c.reshape(len(H), -1)
         return y.ravel(), H
@@ -179,8 +179,8 @@ class BodyFilter:
         centre[:, 18:] = SHORT * np.array([[1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 0, 0]])
         y, H = self._looked(np.concatenate([geometry, centre]))
         inputs = palm_inputs(palms)
-        shared = (self.p, self._rig.gravity)
-        acceleration = kernels.acceleration(self._order)
+        shared = (self.p, self._rig.acting)
+        acceleration = kernels.acceleration(self._order, self._rig.vibration.law)
         force = acceleration((by_columns(self.R[None]), self.omega[None], inputs), shared)[1]
         return y, H @ self.P @ H.T, inputs[0], force[0]
 
@@ -188,7 +188,7 @@ class BodyFilter:
 def steps(order: int, rig: ThreePalmsRig) -> compiled_filter.CompiledSteps | None:
     """What is compiled of a filter; None where nothing can be."""
     return compiled_filter.steps(
-        order, gravity=rig.gravity, gate=GATE, learnt=LEARNT, turn=TURN, spin=SPIN, by_spin=BY_SPIN,
+        order, rig.vibration.law, tuple(rig.acting), gate=GATE, learnt=LEARNT, turn=TURN, spin=SPIN, by_spin=BY_SPIN,
     )  # fmt: skip
 
 

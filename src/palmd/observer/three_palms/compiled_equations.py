@@ -11,10 +11,11 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import EXPORTED, load_written
 from palmd.model.spherical import count
-from palmd.model.three_palms import BODY, PALM_INPUTS, library
+from palmd.model.three_palms import BODY, PALM_INPUTS, RIG_INPUTS, library
 from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.equations import BodyMotion, Equations, Noise, SumOfSquares
 from palmd.observer.three_palms.record import BodyRecord
+from palmd.system.three_palms import ThreePalmsRig
 
 GEOMETRY, OF_STEP, CHUNK = 24, 6, 32
 
@@ -22,7 +23,7 @@ GEOMETRY, OF_STEP, CHUNK = 24, 6, 32
 class _BlockKernels(ctypes.Structure):
     _fields_ = (
         ("acceleration", ctypes.c_void_p), ("reading", ctypes.c_void_p),
-        ("parameters", ctypes.c_long), ("harmonics", ctypes.c_long), ("gravity", ctypes.c_double),
+        ("parameters", ctypes.c_long), ("harmonics", ctypes.c_long), ("acting", ctypes.c_double * RIG_INPUTS),
     )  # fmt: skip
 
 
@@ -41,25 +42,25 @@ class _Equations(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in _FILLED)
 
 
-def equations_of(record: BodyRecord, noise: Noise, gravity: float, order: int) -> Equations | CompiledEquations:
+def equations_of(record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> Equations | CompiledEquations:
     """Those of a record, for outlines up to degree `order`: compiled, or in NumPy where there is no compiler."""
-    own, kernels = written(), library(order).path
+    own, kernels = written(), library(order, rig.vibration.law).path
     if own is None or kernels is None:
-        return Equations(record, noise, gravity, order)
-    return CompiledEquations(own, str(kernels), record, noise, gravity, order)
+        return Equations(record, noise, rig, order)
+    return CompiledEquations(own, str(kernels), record, noise, rig, order)
 
 
 class CompiledEquations:
     """As `equations.Equations`."""
 
     def __init__(
-        self, own: ctypes.CDLL, kernels: str, record: BodyRecord, noise: Noise, gravity: float, order: int
+        self, own: ctypes.CDLL, kernels: str, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int
     ) -> None:
         """By the library of `body_equations.c`, and the one at the path `kernels` of `model.three_palms`."""
         self._assemble, self._harmonics = own.body_equations, count(order)
-        addresses = _addresses(kernels)
-        self._of_all = _BlockKernels(*addresses[:2], count(order) + BODY, count(order), gravity)
-        self._of_motion = _BlockKernels(*addresses[2:], 0, 0, gravity)
+        addresses, acting = _addresses(kernels), tuple(rig.acting)
+        self._of_all = _BlockKernels(*addresses[:2], count(order) + BODY, count(order), acting)
+        self._of_motion = _BlockKernels(*addresses[2:], 0, 0, acting)
         K, S = len(record.middle_palms), len(record.interval)
         first = np.searchsorted(record.interval, np.arange(K + 1)).astype(np.int64)
         given = (record.node_palms, record.middle_palms, record.geometry, record.share, record.readings.value, first)
@@ -108,7 +109,7 @@ def written() -> ctypes.CDLL | None:
     found = load_written("body_equations", Path(__file__).with_name("body_equations.c"))
     if found is None:
         return None
-    sizes = (STATES, PALM_INPUTS, GEOMETRY, OF_STEP, CHUNK)
+    sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OF_STEP, CHUNK)
     if tuple((ctypes.c_long * len(sizes)).in_dll(found, "body_equations_sizes")) != sizes:
         raise RuntimeError("body_equations.c has other sizes than the model")
     found.body_equations.argtypes, found.body_equations.restype = (ctypes.c_void_p,) * 7, ctypes.c_double

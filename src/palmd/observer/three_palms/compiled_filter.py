@@ -11,9 +11,10 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import EXPORTED
 from palmd.model.spherical import count
-from palmd.model.three_palms import BODY, PALM_INPUTS, filter_library
+from palmd.model.three_palms import BODY, PALM_INPUTS, RIG_INPUTS, filter_library
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.system.three_palms import GAP_S, JOINTS
+from palmd.system.vibration import VibrationLaw
 
 STATES = 6
 GEOMETRY = 24
@@ -26,7 +27,8 @@ class _Model(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("acceleration", "reading")),
         *((name, ctypes.c_long) for name in ("parameters", "harmonics")),
-        *((name, ctypes.c_double) for name in ("gravity", "gate", "learnt", "turn", "spin", "by_spin")),
+        ("acting", ctypes.c_double * RIG_INPUTS),
+        *((name, ctypes.c_double) for name in ("gate", "learnt", "turn", "spin", "by_spin")),
     )  # fmt: skip
 
 
@@ -43,16 +45,19 @@ class CompiledSteps:
     changed in place.
     """
 
-    def __init__(self, path: Path, order: int, **constants: float) -> None:
-        """Constants are named as in `body_filter.c`; RuntimeError where the library at `path` has other sizes."""
+    def __init__(self, path: Path, order: int, acting: tuple[float, ...], **constants: float) -> None:
+        """`acting` is of `ThreePalmsRig`, constants are named as in `body_filter.c`.
+
+        RuntimeError where the library at `path` has other sizes.
+        """
         library = ctypes.CDLL(str(path))
-        sizes = (STATES, PALM_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
+        sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:
             raise RuntimeError("body_filter.c has other sizes than the model")
         if STATES + count(order) + BODY > MOST:
             raise ValueError(f"there is room for {MOST} states and parameters, not for degree {order}")
         kernels = (ctypes.cast(library[EXPORTED + name], ctypes.c_void_p) for name in ("acceleration", "reading"))
-        self._model = _Model(*(each.value for each in kernels), count(order) + BODY, count(order), **constants)
+        self._model = _Model(*(each.value for each in kernels), count(order) + BODY, count(order), acting, **constants)
         self._at = ctypes.addressof(self._model)
         pointer, number, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._carry, self._seen = library.body_carry, library.body_seen
@@ -88,7 +93,7 @@ def _track(joints: JointTrack) -> _Track:
 
 
 @cache
-def steps(order: int, **constants: float) -> CompiledSteps | None:
+def steps(order: int, law: VibrationLaw, acting: tuple[float, ...], **constants: float) -> CompiledSteps | None:
     """Those for outlines up to this degree; None where there is no compiler."""
-    path = filter_library(order, str(Path(__file__).with_name("body_filter.c"))).path
-    return None if path is None else CompiledSteps(path, order, **constants)
+    path = filter_library(order, law, str(Path(__file__).with_name("body_filter.c"))).path
+    return None if path is None else CompiledSteps(path, order, acting, **constants)

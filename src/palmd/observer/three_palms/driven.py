@@ -20,7 +20,7 @@ from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
-from palmd.system.three_palms import PALMS, contact_points
+from palmd.system.three_palms import PALMS, ThreePalmsRig, contact_points
 
 ROUNDNESS = 8e-3
 """One-sigma of how far a contact is from where a ball's would be (m)."""
@@ -153,7 +153,7 @@ def course(
     intervals: int,
     spacing: float,
     belief: BallBelief,
-    gravity: float,
+    rig: ThreePalmsRig,
 ) -> DrivenCourse:
     """The likeliest course on `intervals` from `start` on."""
     t: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
@@ -162,7 +162,7 @@ def course(
     given, given_mid = contacts.at(path, t), contacts.at(path, middle)
     inputs, inputs_mid = palm_inputs(palms), palm_inputs(path.palms(middle))
     centres, _ = ball_of(given[:, :9].reshape(-1, 3, 3), palms.normal)
-    problem = _Problem(inputs, inputs_mid, given, given_mid, palms.normal, spacing, belief, gravity)
+    problem = _Problem(inputs, inputs_mid, given, given_mid, palms.normal, spacing, belief, rig)
     state = np.concatenate([centres, np.zeros_like(centres)], axis=1)
     state[0] = belief.state
     constants = belief.mean.copy()
@@ -195,11 +195,11 @@ class _Problem:
     normals: FloatArray
     spacing: float
     belief: BallBelief
-    gravity: float
+    rig: ThreePalmsRig
 
     def evaluate(self, state: FloatArray, constants: FloatArray) -> tuple[float, Arrow]:
-        h, K, kernel = self.spacing, len(state) - 1, kernels.driven()
-        shared = (constants[:4], self.gravity)
+        h, K, kernel = self.spacing, len(state) - 1, kernels.driven(self.rig.vibration.law)
+        shared = (constants[:4], self.rig.acting)
         f, f_state, f_const = kernel((state, self.inputs, self.given), shared)
         mid_state = 0.5 * (state[:-1] + state[1:]) + h / 8 * (f[:-1] - f[1:])
         fm, fm_state, fm_const = kernel((mid_state, self.inputs_mid, self.given_mid), shared)

@@ -19,6 +19,7 @@ from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.kernels import BlockKernel, by_columns
 from palmd.observer.three_palms.motion_noise import BY_SPIN, SPIN, TURN
 from palmd.observer.three_palms.record import BodyRecord
+from palmd.system.three_palms import ThreePalmsRig
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +83,11 @@ def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 class Equations:
     """Of one record, for outlines up to one degree."""
 
-    def __init__(self, record: BodyRecord, noise: Noise, gravity: float, order: int) -> None:
-        self._record, self._noise, self._gravity = record, noise, gravity
-        self._shape = slice(0, count(order))
+    def __init__(self, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> None:
+        self._record, self._noise, self._acting = record, noise, rig.acting
+        self._shape, law = slice(0, count(order)), rig.vibration.law
         self._of_all, self._of_motion = (
-            (kernels.acceleration(order, of_motion=each), kernels.reading(order, of_motion=each))
+            (kernels.acceleration(order, law, of_motion=each), kernels.reading(order, law, of_motion=each))
             for each in (False, True)
         )
 
@@ -96,7 +97,7 @@ class Equations:
         K, h = len(record.middle_palms), record.spacing
         m, (acceleration, reading) = (0, self._of_motion) if nodes_alone else (len(p), self._of_all)
         R, omega = motion.R, motion.omega
-        shared = (p, self._gravity)
+        shared = (p, self._acting)
         f, force, f_turn, f_omega, *by_p = acceleration((by_columns(R), omega, record.node_palms), shared)
         f0, f1, w0, w1 = f[:-1], f[1:], omega[:-1], omega[1:]
         phi, ending = _turns(R, omega)

@@ -315,7 +315,7 @@ def finer(task: Task, now: Grown, orders: tuple[int, ...]) -> Grown:
         if order <= now.order or now.strange < STRANGE:
             continue
         prior = beliefs.raised_belief(now.prior, order)
-        smoother = BodySmoother(now.record, prior, task.noise, task.rig.gravity)
+        smoother = BodySmoother(now.record, prior, task.noise, task.rig)
         fit = smoother.fit(replace(now.motion, p=beliefs.raised(now.motion.p, order)), FINE_TRIES)
         if fit.cost > now.cost - BEHIND:
             break
@@ -420,7 +420,7 @@ def begun(task: Task, rival: Rival) -> Grown:
 
 def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
     """All of it fitted as a whole."""
-    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
     # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
     newest = now.motion.p
     before = beliefs.raised(now.whole.motion.p, order_of(len(newest) - BODY))
@@ -440,7 +440,7 @@ def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float
     contacts = ContactCurves.smoothed(record.readings)
     ball = ContactBall.of(task.path, contacts, record)
     coarse, prior = (beliefs.prior(ball.radius, order, task.spin_sd) for order in (START_ORDER, ORDER))
-    smoother = BodySmoother(record, prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(record, prior, task.noise, task.rig)
     found: list[Grown] = []
     for way in ways:
         if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
@@ -503,7 +503,7 @@ def _met(again: Grown, first: Grown, *, believed: bool = False) -> Grown | None:
 
 def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
     """The same record explained by what `motion` leads to."""
-    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
     fit = smoother.fit(motion)
     return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, confirmed=0)
 
@@ -515,7 +515,7 @@ def folded(task: Task, now: Grown, intervals: int, touched: Bools) -> Grown:
     """
     R, omega, p = now.motion.R, now.motion.omega, now.motion.p
     head = task.whole.first(intervals)
-    smoother = BodySmoother(head, now.prior, task.noise, task.rig.gravity)
+    smoother = BodySmoother(head, now.prior, task.noise, task.rig)
     ahead = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
     prior = foretelling(ahead, touched)
     start = task.start + intervals * SPACING_S
@@ -609,7 +609,7 @@ def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0
     told = _guess(task, begun_with, now.record.node_palms[-1:], start, more)
     more = len(told.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
-    smoother = BodySmoother(record, now.ahead, task.noise, task.rig.gravity)
+    smoother = BodySmoother(record, now.ahead, task.noise, task.rig)
     if task.finer:  # live it costs up to a fifth of a lap
         told = _nearer(smoother, record, told, _kept(begun_with, more))
     fit = smoother.fit(told, 15)
@@ -655,7 +655,7 @@ def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: 
         np.concatenate([centres_of(R[None], palms, p)[0], omega]),
         np.array([1e-4] * 3 + [0.05] * 3),
     )
-    driven = course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig.gravity)
+    driven = course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig)
     turned: FloatArray = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
     within = max(int(np.searchsorted(turned, TURN_A_WINDOW)), round(WINDOWS_S[-1] / SPACING_S))
     more = min(more, within)

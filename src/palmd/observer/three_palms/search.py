@@ -113,7 +113,7 @@ class Task:
     ) -> BodyFit:
         """The fit from `motion`, the equations held loosely by these strengths, or as they are."""
         noise = self.noise if strengths is None else _loosened(self.noise, strengths)
-        return BodySmoother(record, prior, noise, self.rig.gravity).fit(motion, iterations)
+        return BodySmoother(record, prior, noise, self.rig).fit(motion, iterations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +169,12 @@ def loosely(
 ) -> BodyFit:
     """What a blind start leads to while much noise is allowed to the equations."""
     belief = hypothesis.belief(ball.radius, ball.centre, task.spin_sd, task.rest)
-    driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig.gravity)
+    driven = course(task.path, contacts, record.start, len(record.t) - 1, SPACING_S, belief, task.rig)
     first = beliefs.prior(ball.radius, COARSE[0][0], task.spin_sd)
     motion = first_motion(record, driven, first, ball.radius * (1.0 + hypothesis.larger))
     for order, noise in COARSE:
         coarse = beliefs.with_inertia(beliefs.prior(ball.radius, order, task.spin_sd), STIFF)
-        smoother = BodySmoother(record, coarse, noise, task.rig.gravity)
+        smoother = BodySmoother(record, coarse, noise, task.rig)
         motion = smoother.fit(replace(motion, p=beliefs.raised(motion.p, order)), COARSE_STEPS).motion
     return task.fitted(record, beliefs.with_inertia(prior, STIFF), LOOSE[1], motion, STEPS)
 
@@ -201,14 +201,14 @@ def eased(task: Task, record: BodyRecord, prior: BodyPrior, fit: BodyFit) -> Bod
     if by_chance(fit, record) or not task.finer:
         return fit
     motion = roughened(task, record, prior, fit.motion).motion
-    again = BodySmoother(record, prior, task.noise, task.rig.gravity).fit(motion)
+    again = BodySmoother(record, prior, task.noise, task.rig).fit(motion)
     return min(fit, again, key=lambda each: each.cost)
 
 
 def roughened(task: Task, record: BodyRecord, prior: BodyPrior, motion: BodyMotion) -> BodyFit:
     """What leads on from a motion while readings are as rough as those of a start, then the equations loose."""
     for _, noise in COARSE:
-        motion = BodySmoother(record, prior, noise, task.rig.gravity).fit(motion, STEPS).motion
+        motion = BodySmoother(record, prior, noise, task.rig).fit(motion, STEPS).motion
     return task.fitted(record, prior, LOOSE[1], motion, STEPS)
 
 

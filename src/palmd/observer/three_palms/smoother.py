@@ -19,6 +19,7 @@ from palmd.observer.three_palms.arrow import STATES, Arrow
 from palmd.observer.three_palms.compiled_equations import equations_of
 from palmd.observer.three_palms.equations import BodyMotion, Noise
 from palmd.observer.three_palms.record import BodyRecord
+from palmd.system.three_palms import ThreePalmsRig
 
 LARGEST_TURN = 0.5  # of a node in one step (rad)
 SETTLED = 0.1  # decrease of the cost that a step promises, below which it is not taken any more
@@ -67,9 +68,9 @@ class BodyFit:
 class BodySmoother:
     """The sum of squares of one record, and its minimum."""
 
-    def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, gravity: float) -> None:
+    def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, rig: ThreePalmsRig) -> None:
         self._prior, self._reading_sd = prior, noise.reading
-        self._equations = equations_of(record, noise, gravity, order_of(len(prior.mean) - BODY))
+        self._equations = equations_of(record, noise, rig, order_of(len(prior.mean) - BODY))
 
     def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
         """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, in less time."""

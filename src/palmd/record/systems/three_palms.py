@@ -23,7 +23,7 @@ from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
 from palmd.record.systems import NotYetError, Reconstructed
 from palmd.record.vibration_line import read_vibration
-from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import JOINTS, MECHANISM, PALMS, RELATIONS, PadPlane, ThreePalmsRig
 from palmd.system.three_palms import SYSTEM as NAME
 from palmd.three_palms_messages import estimate_fields, shape_fields
 
@@ -69,7 +69,10 @@ class ThreePalms:
         mechanism = line.get("mechanism")
         if mechanism != MECHANISM:
             raise BadLineError(f"rig.mechanism must be {MECHANISM}, got {shown(mechanism)}")
-        pad, default = block(line, "pad"), ThreePalmsRig()
+        pad, default, vibration = block(line, "pad"), ThreePalmsRig(), read_vibration(line)
+        if vibration.relation not in RELATIONS:
+            told = shown(vibration.relation)
+            raise BadLineError(f"vibration.relation must be {' or '.join(RELATIONS)} between three palms, got {told}")
         return ThreePalmsRig(
             gravity=positive(line, "gravity_m_s2"),
             pad=PadPlane(
@@ -79,7 +82,7 @@ class ThreePalms:
                 force_scale_std=positive(line, "force_scale_std", default.pad.force_scale_std),
             ),
             angle_noise=positive(line, "palm_angle_noise_rad", default.angle_noise),
-            vibration=read_vibration(line),
+            vibration=vibration,
         )
 
     def events(self, t: float, line: Line, rig: ThreePalmsRig) -> Iterator[PadReading | JointReport | None]:

@@ -6,7 +6,8 @@ So are the palms that turn under it; their twin is `system.three_palms.palms_at`
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -15,11 +16,16 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import load_written
 from palmd.rig.three_palms.bodies import Bodies
-from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations, step
+from palmd.rig.three_palms.plant import ONWARD, PHASES, BodyStates, PalmState, Rubbing, accelerations, step, vibrate
 from palmd.system.three_palms import PalmPlanes, palms_at
 
-Stepper = Callable[[int, int, float, int, int], None]
+Stepper = Callable[[int, int, int, int, float, int, int], None]
+Vibrator = Callable[[int, int, int, int, float, int, float, int, int], None]
 Turner = Callable[[int, int, int], None]
+STEPS_A_PERIOD = 40
+"""Of the fastest vibration, where it is resolved."""
+SLOW_S = 8e-3
+"""By which force sensors fall behind where the vibration is resolved: they read the mean over it."""
 JointMotion = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 """Angles (rad), rates and accelerations of the three joints."""
 
@@ -73,8 +79,15 @@ class BodyOnPalms:
     point (3 palms, 3) and force (3,) per unit mass are those of that state, after a step.
     """
 
-    def __init__(self, body: Bodies, rubbing: Rubbing, gravity: float, *, compiled: bool = True) -> None:
+    def __init__(
+        self, body: Bodies, rubbing: Rubbing, gravity: float, *,
+        frequencies: Sequence[float] | None = None, compiled: bool = True,
+    ) -> None:  # fmt: skip
+        """frequencies: of each palm's vibration (Hz), which is then resolved; None: averaged, in the fast limit."""
         self.body, self.rubbing, self._gravity = body, rubbing, gravity
+        self._phase: FloatArray = np.zeros(3)
+        self._phase_rate: FloatArray = 2.0 * math.pi * np.array(frequencies or (0.0,) * 3)
+        self._per_s = STEPS_A_PERIOD * max(frequencies or (0.0,))
         constants = (*(getattr(body, name) for name in body.__dataclass_fields__), rubbing.mu, rubbing.dither)
         told = [np.ravel(each) for each in (*constants, rubbing.drag)]
         self._scene: FloatArray = np.concatenate([*told, [gravity]])
@@ -82,8 +95,9 @@ class BodyOnPalms:
         self.state: FloatArray = np.zeros(18)
         self._touch: FloatArray = np.zeros(12)
         self._step = _step() if compiled else None
-        arrays = self._scene, self._palms, self.state, self._touch
-        self._scene_at, self._palms_at, self._state_at, self._touch_at = (each.ctypes.data for each in arrays)
+        arrays = self._scene, self._palms, self.state, self._touch, self._phase, self._phase_rate, PHASES
+        (self._scene_at, self._palms_at, self._state_at, self._touch_at,
+         self._phase_at, self._phase_rate_at, self._phases_at) = (each.ctypes.data for each in arrays)  # fmt: skip
 
     @property
     def point(self) -> FloatArray:
@@ -108,16 +122,51 @@ class BodyOnPalms:
     def advance(self, palms: FloatArray, dt: float) -> None:
         """One step; palms (3, 36) at its beginning, midway and at its end, as `observer` and kernels have them."""
         self._palms[:] = palms
-        if self._step is not None:
-            self._step(self._scene_at, self._palms_at, dt, self._state_at, self._touch_at)
+        if self._per_s and dt > 0.0:
+            self._vibrate(palms, dt)
             return
+        if self._step is not None:
+            at = self._phases_at, self._phase_at
+            self._step(self._scene_at, self._palms_at, *at, dt, self._state_at, self._touch_at)
+            self._phase[:] = np.fmod(self._phase + ONWARD, 2.0 * math.pi)
+            return
+        phases = PHASES + self._phase
         each = [PalmState(*(kind.reshape(1, 3, 3) for kind in row.reshape(4, 9))) for row in palms]
-        states, _ = step(
-            self.body, self.rubbing, lambda t: each[round(2 * t / dt)], self.states(), 0.0, dt, self._gravity
+        states = step(
+            self.body,
+            self.rubbing,
+            lambda t: each[round(2 * t / dt) if dt else 0],
+            self.states(),
+            dt,
+            self._gravity,
+            phases,
         )
         self.begin(states)
-        _, _, touched = accelerations(self.body, self.rubbing, each[2], states, self._gravity)
+        _, _, touched = accelerations(self.body, self.rubbing, each[2], states, self._gravity, phases)
         self._touch[:] = np.concatenate([touched.point[0].ravel(), touched.force[0]])
+        self._phase[:] = np.fmod(self._phase + ONWARD, 2.0 * math.pi)
+
+    def _vibrate(self, palms: FloatArray, dt: float) -> None:
+        count = math.ceil(self._per_s * dt)
+        if self._step is not None:
+            phase = self._phase_at, self._phase_rate_at
+            _vibrate()(self._scene_at, self._palms_at, *phase, SLOW_S, count, dt, self._state_at, self._touch_at)
+            return
+
+        def between(t: float) -> PalmState:
+            share = t / dt
+            weights = (1 - share) * (1 - 2 * share), 4 * share * (1 - share), share * (2 * share - 1)
+            return PalmState(*(kind.reshape(1, 3, 3) for kind in (np.array(weights) @ palms).reshape(4, 9)))
+
+        states, self._phase[:], touches = vibrate(
+            self.body, self.rubbing, between, self.states(), self._phase, self._phase_rate, count, dt, self._gravity
+        )
+        self.begin(states)
+        kept = math.exp(-dt / count / SLOW_S)
+        for touch in touches:
+            force = touch.force[0]
+            self._touch[9:] = np.where(self.force > 0.0, kept * self.force + (1.0 - kept) * force, force)
+        self._touch[:9] = touches[-1].point[0].ravel()
 
 
 @cache
@@ -132,7 +181,17 @@ def _step() -> Stepper | None:
         return None
     pointer = ctypes.c_void_p
     function = library.three_palms_step
-    function.argtypes, function.restype = (pointer, pointer, ctypes.c_double, pointer, pointer), None
+    function.argtypes, function.restype = (*(pointer,) * 4, ctypes.c_double, *(pointer,) * 2), None
+    return function
+
+
+@cache
+def _vibrate() -> Vibrator:
+    library, pointer = _library(), ctypes.c_void_p
+    assert library is not None, "nothing is compiled"
+    function = library.three_palms_vibrate
+    numbers = ctypes.c_double, ctypes.c_long, ctypes.c_double
+    function.argtypes, function.restype = (*(pointer,) * 4, *numbers, *(pointer,) * 2), None
     return function
 
 

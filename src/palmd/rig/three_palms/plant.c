@@ -2,15 +2,23 @@
    joints: as `system.three_palms.palms_at`. */
 
 #include <math.h>
+#include <string.h>
 
 #define ELLIPSOIDS 2
 #define VERTICES 12
 #define PULL 100.0 /* 1/s, of what holds the gaps at zero */
+#define INSTANTS 64 /* of the palms' vibrations */
+#define KINK 0.03
+#define WAYS 3 /* that a palm may push: along its normal, along its vibration and across that */
+
+typedef double Instant[3]; /* the palms' speeds as they vibrate, over their amplitude */
+
+static const double PI = 3.14159265358979323846;
 
 typedef struct {
   double ball, forms[ELLIPSOIDS][3][3], vertices[VERTICES][3], sharpness, offset[3], inertia[3][3];
   double mu, dither, drag, gravity;
-} Scene;
+} Scene; /* dither: pi V / 2, V the amplitude of a palm's speed as it vibrates */
 
 typedef struct {
   double normal[3][3], rate[3][3], acceleration[3][3], spin[3][3];
@@ -90,8 +98,17 @@ static double support(const Scene *b, const double *u, const double *s, double *
   return h + size;
 }
 
-static void rates(const Scene *b, const Palms *palms, const State *x, State *out, Touch *touch) {
-  double J[3][3], J_inverse[3][3], RI[3][3], jacobian[3][6], wrench[3][6], free[6] = {0, 0, -b->gravity}, wanted[3];
+/* the directions of friction of a contact that slips so (m/s): along the vibration, and across it */
+static void direction(double along, double across, double speed, double now, double *out) {
+  const double there = along + speed * now, size = sqrt(there * there + across * across + KINK * KINK * speed * speed);
+  out[0] = there / size, out[1] = across / size;
+}
+
+/* at `count` instants of the vibrations, whose mean it is */
+static void rates(const Scene *b, const Palms *palms, const State *x, const Instant *instants, int count, State *out,
+                  Touch *touch) {
+  double J[3][3], J_inverse[3][3], RI[3][3], jacobian[3][6], wrench[3][WAYS][6], free[6] = {0, 0, -b->gravity}, wanted[3];
+  double slips[3][2];
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) {
       RI[i][j] = 0.0;
@@ -121,14 +138,17 @@ static void rates(const Scene *b, const Palms *palms, const State *x, State *out
     for (int i = 0; i < 3; i++) touch->point[n][i] = x->p[i] + r[i];
     cross(palms->spin[n], touch->point[n], carried);
     for (int i = 0; i < 3; i++) slip[i] = x->v[i] + slide[i] - carried[i], slide[i] += back[i];
-    double off = dot(slip, normal);
-    for (int i = 0; i < 3; i++) slip[i] -= off * normal[i];
-    double drive = b->mu / sqrt(dot(slip, slip) + b->dither * b->dither), push[3], moment[3];
-    for (int i = 0; i < 3; i++) push[i] = normal[i] - drive * slip[i];
-    cross(r, push, moment);
-    for (int i = 0; i < 3; i++) jacobian[n][i] = normal[i], wrench[n][i] = push[i];
+    double push[WAYS][3] = {{normal[0], normal[1], normal[2]}, {1.0, 0.0, 0.0}}, moment[3];
+    if (n) cross(palms->normal[0], normal, push[1]);
+    cross(normal, push[1], push[2]);
+    for (int way = 0; way < WAYS; way++) {
+      memcpy(wrench[n][way], push[way], sizeof push[way]);
+      cross(r, push[way], moment);
+      times(J_inverse, moment, wrench[n][way] + 3);
+      if (way) slips[n][way - 1] = dot(slip, push[way]);
+    }
+    memcpy(jacobian[n], normal, sizeof push[0]);
     cross(r, normal, jacobian[n] + 3);
-    times(J_inverse, moment, wrench[n] + 3);
     cross(x->w, rate, w_rate);
     double gap = dot(normal, x->p) - h;
     double gap_rate = dot(normal, x->v) + dot(rate, x->p) + dot(r, turning);
@@ -136,19 +156,33 @@ static void rates(const Scene *b, const Palms *palms, const State *x, State *out
     wanted[n] = -bias - 2.0 * PULL * gap_rate - PULL * PULL * gap;
     wanted[n] -= dot(jacobian[n], free) + dot(jacobian[n] + 3, free + 3);
   }
-  double A[3][3], A_inverse[3][3];
+  double by[3][3][WAYS], push[3][WAYS] = {{0}}; /* what each push gives each gap; its mean */
   for (int n = 0; n < 3; n++)
-    for (int m = 0; m < 3; m++) A[n][m] = dot(jacobian[n], wrench[m]) + dot(jacobian[n] + 3, wrench[m] + 3);
-  inverse(A, A_inverse);
-  times(A_inverse, wanted, touch->force);
+    for (int m = 0; m < 3; m++)
+      for (int way = 0; way < WAYS; way++)
+        by[n][m][way] = dot(jacobian[n], wrench[m][way]) + dot(jacobian[n] + 3, wrench[m][way] + 3);
+  for (int k = 0; k < count; k++) {
+    double A[3][3], A_inverse[3][3], force[3], rubs[3][2];
+    for (int m = 0; m < 3; m++) direction(slips[m][0], slips[m][1], 2.0 / PI * b->dither, instants[k][m], rubs[m]);
+    for (int n = 0; n < 3; n++)
+      for (int m = 0; m < 3; m++) A[n][m] = by[n][m][0] - b->mu * (by[n][m][1] * rubs[m][0] + by[n][m][2] * rubs[m][1]);
+    inverse(A, A_inverse);
+    times(A_inverse, wanted, force);
+    for (int m = 0; m < 3; m++) {
+      push[m][0] += force[m] / count;
+      for (int way = 1; way < WAYS; way++) push[m][way] -= b->mu * rubs[m][way - 1] * force[m] / count;
+    }
+  }
+  for (int m = 0; m < 3; m++) touch->force[m] = push[m][0];
   for (int i = 0; i < 3; i++) {
     out->p[i] = x->v[i];
     out->v[i] = free[i];
     out->w[i] = free[3 + i];
-    for (int n = 0; n < 3; n++) {
-      out->v[i] += touch->force[n] * wrench[n][i];
-      out->w[i] += touch->force[n] * wrench[n][3 + i];
-    }
+    for (int n = 0; n < 3; n++)
+      for (int way = 0; way < WAYS; way++) {
+        out->v[i] += push[n][way] * wrench[n][way][i];
+        out->w[i] += push[n][way] * wrench[n][way][3 + i];
+      }
   }
   for (int j = 0; j < 3; j++) {
     double column[3] = {x->R[0][j], x->R[1][j], x->R[2][j]}, moved[3];
@@ -165,22 +199,9 @@ static State moved(const State *x, const State *by, double dt) {
   return out;
 }
 
-/* palms: at the beginning, midway and at the end. Leaves the state after dt (s), and the touch then. */
-void three_palms_step(const Scene *scene, const Palms *palms, double dt, State *state, Touch *touch) {
-  State k[4], at, mean;
-  Touch later;
-  rates(scene, &palms[0], state, &k[0], &later);
-  at = moved(state, &k[0], 0.5 * dt);
-  rates(scene, &palms[1], &at, &k[1], &later);
-  at = moved(state, &k[1], 0.5 * dt);
-  rates(scene, &palms[1], &at, &k[2], &later);
-  at = moved(state, &k[2], dt);
-  rates(scene, &palms[2], &at, &k[3], &later);
-  double *sum = (double *)&mean;
-  for (unsigned i = 0; i < sizeof(State) / sizeof(double); i++)
-    sum[i] = (((double *)&k[0])[i] + 2.0 * ((double *)&k[1])[i] + 2.0 * ((double *)&k[2])[i] + ((double *)&k[3])[i]) / 6.0;
-  *state = moved(state, &mean, dt);
-  double gram[3][3], R[3][3]; /* one step of Newton's towards the nearest rotation */
+/* one step of Newton's towards the nearest rotation */
+static void straighten(State *state) {
+  double gram[3][3], R[3][3];
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) {
       gram[i][j] = 1.5 * (i == j);
@@ -191,9 +212,67 @@ void three_palms_step(const Scene *scene, const Palms *palms, double dt, State *
       R[i][j] = 0.0;
       for (int m = 0; m < 3; m++) R[i][j] += state->R[i][m] * gram[m][j];
     }
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) state->R[i][j] = R[i][j];
-  rates(scene, &palms[2], state, &mean, touch);
+  memcpy(state->R, R, sizeof R);
+}
+
+/* palms: at the beginning, midway and at the end. lattice, shift: phases (rad) at `INSTANTS`, over which all is averaged.
+   Leaves the state after dt (s), and the touch then. */
+void three_palms_step(const Scene *scene, const Palms *palms, const double (*lattice)[3], const double *shift, double dt,
+                      State *state, Touch *touch) {
+  State k[4], at, mean;
+  Touch later;
+  Instant instants[INSTANTS];
+  for (int n = 0; n < INSTANTS; n++)
+    for (int m = 0; m < 3; m++) instants[n][m] = cos(lattice[n][m] + shift[m]);
+  rates(scene, &palms[0], state, instants, INSTANTS, &k[0], &later);
+  at = moved(state, &k[0], 0.5 * dt);
+  rates(scene, &palms[1], &at, instants, INSTANTS, &k[1], &later);
+  at = moved(state, &k[1], 0.5 * dt);
+  rates(scene, &palms[1], &at, instants, INSTANTS, &k[2], &later);
+  at = moved(state, &k[2], dt);
+  rates(scene, &palms[2], &at, instants, INSTANTS, &k[3], &later);
+  double *sum = (double *)&mean;
+  for (unsigned i = 0; i < sizeof(State) / sizeof(double); i++)
+    sum[i] = (((double *)&k[0])[i] + 2.0 * ((double *)&k[1])[i] + 2.0 * ((double *)&k[2])[i] + ((double *)&k[3])[i]) / 6.0;
+  *state = moved(state, &mean, dt);
+  straighten(state);
+  rates(scene, &palms[2], state, instants, INSTANTS, &mean, touch);
+}
+
+/* The palms a share of the way from palms[0] to palms[2], by the parabola through all three. */
+static void palms_between(const Palms *palms, double share, Palms *out) {
+  const double w[3] = {(1 - share) * (1 - 2 * share), 4 * share * (1 - share), share * (2 * share - 1)};
+  const double *at[3] = {(const double *)&palms[0], (const double *)&palms[1], (const double *)&palms[2]};
+  double *to = (double *)out;
+  for (unsigned i = 0; i < sizeof(Palms) / sizeof(double); i++) to[i] = w[0] * at[0][i] + w[1] * at[1][i] + w[2] * at[2][i];
+}
+
+/* The same with the vibrations themselves, in `count` steps of the midpoint rule: phase is that of each palm, which goes
+   on at its rate (rad/s). force: of a sensor that falls behind by `slow` (s). */
+void three_palms_vibrate(const Scene *scene, const Palms *palms, double *phase, const double *rate, double slow, long count,
+                         double dt, State *state, Touch *touch) {
+  const double h = dt / count, kept = exp(-h / slow);
+  double force[3];
+  memcpy(force, touch->force, sizeof force);
+  for (long n = 0; n < count; n++) {
+    State by, middle;
+    Palms at;
+    Instant now;
+    palms_between(palms, (double)n / count, &at);
+    for (int i = 0; i < 3; i++) now[i] = cos(phase[i]);
+    rates(scene, &at, state, (const Instant *)&now, 1, &by, touch);
+    middle = moved(state, &by, 0.5 * h);
+    palms_between(palms, (n + 0.5) / count, &at);
+    for (int i = 0; i < 3; i++) now[i] = cos(phase[i] + 0.5 * h * rate[i]);
+    rates(scene, &at, &middle, (const Instant *)&now, 1, &by, touch);
+    *state = moved(state, &by, h);
+    for (int i = 0; i < 3; i++) {
+      phase[i] = fmod(phase[i] + h * rate[i], 2.0 * PI);
+      force[i] = force[i] > 0.0 ? kept * force[i] + (1.0 - kept) * touch->force[i] : touch->force[i];
+    }
+  }
+  straighten(state);
+  memcpy(touch->force, force, sizeof force);
 }
 
 /* One instant later: palms[2] and its pads' axes (a, b) of angles, rates and accelerations of beta, gamma2, gamma3. */

@@ -31,6 +31,7 @@ class Kind:
     """A kind of run: ranges of μ and drag (m²/s), the joints' amplitude (rad) and highest frequency (Hz).
 
     spin: one-sigma of the first spin (rad/s), from where the body lies in no equilibrium; 0: it starts at rest.
+    vibration_hz: range of the palms' frequencies where their vibration is resolved, else it is averaged.
     """
 
     mu: tuple[float, float]
@@ -38,10 +39,12 @@ class Kind:
     amplitude: float = 0.3
     frequency: float = 0.5
     spin: float = 0.0
+    vibration_hz: tuple[float, float] | None = None
 
 
 KINDS: Mapping[str, Kind] = {
     "friction": Kind((0.05, 0.2), (0.0, 0.0)),
+    "vibrating": Kind((0.05, 0.2), (0.0, 0.0), vibration_hz=(200.0, 280.0)),
     "large": Kind((0.05, 0.2), (0.0, 0.0), amplitude=0.55, frequency=0.3),
     "drag": Kind((0.0, 0.0), (1e-4, 4e-4)),
     "free": Kind((0.0, 0.0), (0.0, 0.0)),
@@ -103,7 +106,8 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     points, forces = np.empty((count, steps + 1, 3, 3)), np.empty((count, steps + 1, 3))
     states = np.empty((count, steps + 1, 18))
     for b, start in enumerate(started(bodies, rubbing, what, random, described.gravity)):
-        plant = _alone(bodies, rubbing, b, described.gravity)
+        frequencies = None if what.vibration_hz is None else tuple(random.uniform(*what.vibration_hz, len(PALMS)))
+        plant = _alone(bodies, rubbing, b, described.gravity, frequencies)
         palms = palm_rows(palms_at(*(each[:, b] for each in motion)))
         plant.state[:] = start
         for k in range(steps + 1):
@@ -113,10 +117,12 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     return _logs(described, bodies, rubbing, whole, points, forces, states[:, ::TRUTH_EVERY], random, (kind, seed))
 
 
-def _alone(bodies: Bodies, rubbing: Rubbing, which: int, gravity: float) -> BodyOnPalms:
+def _alone(
+    bodies: Bodies, rubbing: Rubbing, which: int, gravity: float, frequencies: tuple[float, ...] | None = None
+) -> BodyOnPalms:
     one = np.array([which])
     rubs = Rubbing(*(getattr(rubbing, name)[one] for name in Rubbing.__dataclass_fields__))
-    return BodyOnPalms(bodies.take(one), rubs, gravity)
+    return BodyOnPalms(bodies.take(one), rubs, gravity, frequencies=frequencies)
 
 
 def started(
@@ -185,7 +191,8 @@ def _logs(
             "directions": directions.tolist(),
             "h_m": bodies.take(np.array([b])).support(directions[None])[0][0].tolist(),
             "inertia_m2": bodies.inertia[b].tolist(), "mass_kg": mass,
-            "mu": float(rubbing.mu[b]), "dither_m_s": float(rubbing.dither[b]), "drag_m2_s": float(rubbing.drag[b]),
+            "mu": float(rubbing.mu[b]), "dither_m_s": float(rubbing.dither[b]),
+            "vibration_m_s": float(2.0 / np.pi * rubbing.dither[b]), "drag_m2_s": float(rubbing.drag[b]),
             "t": truth_t.tolist(),
             "rotation": R.tolist(),
             "omega_rad_s": kept[b, :, 15:].tolist(),
@@ -209,6 +216,7 @@ def header(rig: ThreePalmsRig) -> dict[str, Any]:
             "palm_angle_noise_rad": rig.angle_noise,
             "force_scale_std": rig.pad.force_scale_std,
             "calibration_sd": dict.fromkeys(names, 0.0),
+            "vibration": {"relation": "independent"},
         },
     }
 

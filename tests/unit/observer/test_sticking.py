@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
-from palmd.daemon.sticking import LIFTED_S, StickingWatch
 from palmd.events import PadSample, PalmMotion
+from palmd.observer.sticking import LIFTED_S, StickingWatch
+from palmd.system.vibration import DRY, Vibration
 
 SWING, RATE = 0.15, 3.0  # rad, rad/s: the opening's
 
@@ -70,3 +71,19 @@ def test_readings_without_force_say_nothing() -> None:
             watch.feed(PadSample(0.01 * i, pad, 0.02, None))
         watch.look(0.01 * i, PalmMotion((0.8, 1.6), (0.0, 0.05), (0.0, 0.0)))
     assert watch.contacts is None
+
+
+def test_what_vibrates_fast_and_hard_enough_never_sticks() -> None:
+    strong, weak = (Vibration(frequency=250.0, speed=speed) for speed in (0.02, 0.002))
+    for vibration, sticks in ((strong, False), (weak, True)):
+        watch = StickingWatch(vibration)
+        rocked(watch, lambda opens: math.copysign(0.2, opens))
+        assert (watch.contacts is not None) is sticks
+
+
+@pytest.mark.parametrize(("mu", "frictionless"), [(0.0, True), (0.05, False)])
+def test_forces_show_whether_there_is_friction_at_all(mu: float, frictionless: bool) -> None:
+    watch = StickingWatch(DRY)
+    assert not watch.frictionless
+    rocked(watch, lambda opens: math.copysign(mu, opens))
+    assert watch.frictionless is frictionless

@@ -5,7 +5,8 @@ they close. Friction then lowers or raises what both pads feel together, which w
 
     f1 + f2 = m g (sin φ12 + sin φ1)/sin φ2,
 
-so that the forces alone tell how much of it there is when palms turn slowly, whatever the object is and weighs.
+so that the forces alone tell how much of it there is when palms turn slowly, whatever the object is and weighs. Palms
+that are known to vibrate fast and hard enough let nothing stick (`system.excitation`).
 """
 
 from __future__ import annotations
@@ -13,18 +14,23 @@ from __future__ import annotations
 import math
 
 from palmd.events import PadSample, PalmMotion
+from palmd.system.excitation import MOST_FRICTION, Excitation, Regime, friction_acceleration, regime
 from palmd.system.mechanism import OPENING, PALMS, directions
+from palmd.system.vibration import INDEPENDENT, Vibration
 
 SLOWEST, SLOW = math.radians(0.5), math.radians(4.0)  # rad/s, of the opening
 FRESH_S, LIFTED_S = 0.04, 0.3  # a reading that counts; a pad silent for longer has let go
 ENOUGH, KEPT = 12.0, 60.0  # slow ticks of each sense before anything is said; over how many they are averaged
+LITTLE = 0.02  # of the same: a coefficient of friction of 0.01, whose friction moves no estimate
 STICKS, SLIPS = 0.15, 0.08  # ln(f1 + f2) as the palms close less that as they open: above sticks, below does not
 
 
 class StickingWatch:
     """Tells from both pads' forces whether an object sticks, and where its contacts are then. Safe in the loop."""
 
-    def __init__(self) -> None:
+    def __init__(self, vibration: Vibration = INDEPENDENT, gravity: float = 9.81) -> None:
+        """Of palms that vibrate so, under gravity (m/s²)."""
+        self._never = averages(vibration, gravity)
         self._last: dict[int, PadSample] = {}
         self._sticks = False
         self._ticks, self._mean = [0.0, 0.0], [0.0, 0.0]  # while the palms close, and while they open
@@ -33,6 +39,12 @@ class StickingWatch:
     def contacts(self) -> tuple[float, ...] | None:
         """Where they are (m from the hinge), palm 1 first; None of an object that does not stick, or may not."""
         return tuple(self._last[palm].s for palm in PALMS) if self._sticks else None
+
+    @property
+    def frictionless(self) -> bool:
+        """Whether the forces show that there is hardly any friction: then nothing sticks on dry palms either."""
+        closing, opening = self._mean
+        return min(self._ticks) >= ENOUGH and abs(closing - opening) < LITTLE
 
     def feed(self, sample: PadSample) -> None:
         """Take a reading; one without a force says nothing."""
@@ -58,4 +70,12 @@ class StickingWatch:
         self._mean[sense] += (math.log(share) - self._mean[sense]) / self._ticks[sense]
         closing, opening = self._mean
         if min(self._ticks) >= ENOUGH:
-            self._sticks = closing - opening > (SLIPS if self._sticks else STICKS)
+            self._sticks = not self._never and closing - opening > (SLIPS if self._sticks else STICKS)
+
+
+def averages(vibration: Vibration, gravity: float) -> bool:
+    """Whether palms are known to vibrate so that no contact sticks, whatever lies on them."""
+    if not vibration.vibrates or vibration.frequency is None or vibration.speed is None:
+        return False
+    shaken = Excitation(vibration.frequency, vibration.speed)
+    return regime(shaken, friction_acceleration(MOST_FRICTION, gravity)) is Regime.AVERAGED
