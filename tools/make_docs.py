@@ -64,7 +64,8 @@ def messages() -> str:
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
         "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing. `from`, printable text that may stand beside "
-        "them, says who asks: the log tells it.\n`client` is text by which the sender is one client over all its connections, "
+        "them, says who asks: the log tells it.\n"
+        "`client` is text by which the sender is one client over all its connections, "
         "and `lease_s` (60 at most) declares how long its control lasts after each request: "
         "[control](../operate/safety.md#control).\n\n"
     )

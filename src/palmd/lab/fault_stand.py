@@ -184,7 +184,7 @@ class Stand:
 
     def _number(self, process: Process) -> int:
         """Of a process of ours, or of the daemon's smoother."""
-        if process != "smoother":
+        if process in ("daemon", "recorder", "page"):
             return self._stack.children[process].number
         daemon = self._stack.children["daemon"].number
         for number in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
