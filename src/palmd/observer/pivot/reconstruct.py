@@ -31,6 +31,7 @@ from palmd.observer.pivot.fit import (
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
+from palmd.system.vibration import AVERAGED, INDEPENDENT
 
 STAGES = {
     "rigid": (Softening(heights=1e3), Softening(heights=30.0), SHARP),
@@ -98,20 +99,78 @@ class PivotReconstruction:
 
 @one_thread()
 def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruction:
-    """Fit the whole run. Deterministic; takes a few seconds. Never raises for what the readings say."""
+    """Fit the whole run. Deterministic; takes a few seconds. Never raises for what the readings say.
+
+    Where nothing is known of the pad's vibration, both laws of friction are hypotheses, weighed by their evidence.
+    """
     begun = time.perf_counter()
+    laws = (rig, replace(rig, vibration=AVERAGED)) if rig.vibration == INDEPENDENT else (rig,)
+    answer = _weighed([_by_one_law(events, each, begun) for each in laws])
+    return replace(answer, seconds=time.perf_counter() - begun)
+
+
+def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, begun: float) -> tuple[PivotReconstruction, float]:
+    """The answer under the rig's law of friction, and its cost, −2 log evidence but for a constant; inf without a fit."""
     try:
         told = _with_scatter(rig, events)
         arm = arm_motion(events, told)
         record = lay_out(events, arm, told)
         _worth_a_fit(record)
         fits, problem = _fitted(record)
-        answer = _answer(problem, fits)
+        return _answer(problem, fits), fits[0].cost
     except TooLittleError as error:
-        return _nothing(str(error), begun)
+        return _nothing(str(error), begun), math.inf
     except np.linalg.LinAlgError:
-        return _nothing("no motion of a body was found that explains the readings", begun)
-    return replace(answer, seconds=time.perf_counter() - begun)
+        return _nothing("no motion of a body was found that explains the readings", begun), math.inf
+
+
+def _weighed(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
+    """The answer of the most likely hypothesis; how far another one is off adds to its variances by its probability.
+
+    One that is accepted is no answer if another explains the readings better by `DOUBT` and is not.
+    """
+    ranked = sorted(hypotheses, key=lambda each: (not each[0].converged, each[1]))
+    (answer, cost), rivals = ranked[0], ranked[1:]
+    better = [rival for rival, its_cost in rivals if its_cost < cost - DOUBT]
+    if better or not answer.converged:
+        return better[0] if better else answer
+    for rival, its_cost in rivals:
+        share = 1.0 / (1.0 + math.exp(min((its_cost - cost) / 2.0, 700.0)))
+        if rival.converged:
+            answer = _widened(answer, rival, share)
+    return answer
+
+
+def _widened(answer: PivotReconstruction, rival: PivotReconstruction, share: float) -> PivotReconstruction:
+    """The answer with its one-sigmas as wide as a rival of this probability asks for."""
+    assert answer.h is not None
+    assert answer.h_sd is not None
+    assert answer.touched is not None
+    assert rival.h is not None
+    off = _apart(answer.theta, answer.h, rival.h, answer.touched)
+    root = math.sqrt(share)
+
+    def wide(sd: float, own: float, other: float) -> float:
+        return math.hypot(sd, root * (other - own)) if math.isfinite(other) else sd
+
+    com_sd = answer.com_sd
+    if answer.com is not None and com_sd is not None and rival.com is not None:
+        com_sd = np.hypot(com_sd, root * (rival.com - answer.com))
+    return replace(
+        answer,
+        h_sd=np.hypot(answer.h_sd, root * off),
+        mu_sd=wide(answer.mu_sd, answer.mu, rival.mu),
+        inertia_sd=wide(answer.inertia_sd, answer.inertia, rival.inertia),
+        mass_sd=wide(answer.mass_sd, answer.mass, rival.mass),
+        com_sd=com_sd,
+    )
+
+
+def _apart(theta: FloatArray, h: FloatArray, other: FloatArray, touched: npt.NDArray[np.bool_]) -> FloatArray:
+    """By how much another outline is off (m), turned as little as it may be: both have ψ = 0 at the first reading."""
+    off = h - other
+    slope = np.gradient(other, theta)
+    return off - slope * float(slope[touched] @ off[touched]) / max(float(slope[touched] @ slope[touched]), 1e-30)
 
 
 def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
@@ -291,11 +350,8 @@ def _of(record: PivotRecord, number: int) -> npt.NDArray[np.bool_]:
 
 
 def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
-    """Whether a rival's outline is another one, turned as little as it may be: both have ψ = 0 at the first reading."""
-    coefficients = rival.p[P.SHAPE :]
-    off = (h - shape.basis(theta, ORDER) @ coefficients)[touched]
-    slope = shape.tangential_basis(theta, ORDER)[touched] @ coefficients
-    off = off - slope * (slope @ off) / max(float(slope @ slope), 1e-30)
+    """Whether a rival's outline is another one."""
+    off = _apart(theta, h, shape.basis(theta, ORDER) @ rival.p[P.SHAPE :], touched)[touched]
     return float(np.sqrt(np.mean(off**2))) > SAME_M
 
 
