@@ -53,8 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     say_notes(recording.damage_notes)
     print(f"{target}: {_saved(layout)}")
-    missing = layout.damage.lost_bytes + layout.damage.torn_bytes + layout.damage.preface_bytes
-    return BAD_INPUT if missing else 0
+    damage = layout.damage
+    return BAD_INPUT if damage.lost or damage.torn_bytes or damage.preface_bytes or damage.cut else 0
 
 
 def _saved(layout: Layout) -> str:

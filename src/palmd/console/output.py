@@ -62,8 +62,8 @@ def _tolerant(descriptor: int, stream: io.TextIOWrapper | None) -> io.TextIOWrap
     if stream is None:
         return io.TextIOWrapper(raw, "utf-8", "replace")
     stream.flush()
-    how = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
-    return io.TextIOWrapper(raw, stream.encoding, "replace", **how)
+    lines, through = stream.line_buffering, stream.write_through
+    return io.TextIOWrapper(raw, stream.encoding, "replace", line_buffering=lines, write_through=through)
 
 
 def _raw(stream: Any) -> Any:

@@ -12,13 +12,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palmd.record import SUFFIX
+from palmd.record import MAGIC, SUFFIX
 
 NAME = ".palmd-runs.json"
 FORMAT = 2
 NOTE_SUFFIX = ".note"
 LIVE_S = 3.0
-"""A file that was written to so lately is being recorded: it is listed, and read when it is finished."""
+"""A file that was written to so lately and has no end is being recorded: it is listed, and read when it is finished."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def indexed(
     files = sorted(_files(folder), key=lambda each: each[0], reverse=True)
     stale = [each for each in files if not _is(known.get(each[0]), each)]
     for number, (name, size, mtime_ns) in enumerate(stale, 1):
-        live = time.time_ns() - mtime_ns < LIVE_S * 1e9
+        live = time.time_ns() - mtime_ns < LIVE_S * 1e9 and not _has_end(folder / name)
         summary = RunSummary(problem="is being recorded") if live else _read_through(folder / name)
         known[name] = IndexedRun(name, size, 0 if live else mtime_ns, summary)
         if progress is not None:
@@ -94,6 +94,14 @@ def annotate(recording: Path, note: str) -> Path:
     path = recording.with_suffix(NOTE_SUFFIX)
     path.write_text(f"{note.strip()}\n", encoding="utf-8")
     return path
+
+
+def _has_end(recording: Path) -> bool:
+    """Whether it ends as a finished one does, so that nobody writes to it any more."""
+    with contextlib.suppress(OSError), recording.open("rb") as stream:
+        stream.seek(max(0, stream.seek(0, 2) - len(MAGIC)))
+        return stream.read() == MAGIC
+    return False
 
 
 def _read_through(recording: Path) -> RunSummary:

@@ -150,7 +150,7 @@ class RunWriter:
         builder = RecordBuilder()
         for record in some:
             record.write(builder)
-        self._stream.write(builder.end())
+        self._stream.write(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _media_type(name: str) -> str:

@@ -18,7 +18,18 @@ from typing import NamedTuple, TypeVar
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import get_chunk_data_stream
 
 from palmd.payload import unpacked
@@ -37,7 +48,8 @@ SUMMARY = frozenset(
 _CHUNK_HEAD, _CHUNK_TIMES = struct.Struct("<QQQI"), 16
 _LENGTH, _LONG_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 _FIXED = {Opcode.DATA_END: 4, Opcode.FOOTER: 20, Opcode.SUMMARY_OFFSET: 17}
-_LEAST = {Opcode.CHUNK_INDEX: 60, Opcode.ATTACHMENT_INDEX: 48, Opcode.METADATA_INDEX: 20}
+_VOUCHED = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.FOOTER)
+"""What is found after damage by its contents alone; of others the next record has to follow."""
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{4}\x00{4})", re.DOTALL)
 
 Buffer = bytes | mmap
@@ -48,6 +60,9 @@ _PARTS: dict[int, type] = {
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
     Opcode.STATISTICS: Statistics,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
 }
 
 
@@ -149,7 +164,9 @@ def _next(data: Buffer, at: int, size: int) -> int:
     for found in _CANDIDATE.finditer(data, at, size):
         record = _record_at(data, found.start(), size)
         if record is not None and _fits(data, record) and _sound(data, record):
-            return record.begin
+            followed = record.end == size or _record_at(data, record.end, size) is not None
+            if followed or record.opcode in _VOUCHED:
+                return record.begin
     return size
 
 
@@ -166,7 +183,7 @@ def _fits(data: Buffer, record: Record) -> bool:
         return parsed(_PARTS[opcode], record.content(data)) is not None
     if opcode == Opcode.ATTACHMENT:
         return length >= 36
-    return length == _FIXED[Opcode(opcode)] if opcode in _FIXED else length >= _LEAST[Opcode(opcode)]
+    return length == _FIXED[Opcode(opcode)]
 
 
 def _chunk_length(data: Buffer, at: int, end: int) -> int | None:

@@ -70,12 +70,18 @@ class OutlineCurves:
 
 
 def drawing_of(
-    theta: FloatArray, h: FloatArray | None, h_sd: FloatArray | None, touched: Bools | None, **body: float
+    theta: FloatArray,
+    h: FloatArray | None,
+    h_sd: FloatArray | None,
+    touched: Bools | None,
+    *,
+    rho_m: float = math.nan,
+    mass_kg: float = math.nan,
 ) -> Callable[[str], OutlineCurves] | None:
     """`curves_of` but for the name; None where there is no outline."""
     if h is None or h_sd is None or touched is None:
         return None
-    return lambda name: curves_of(name, theta, h, h_sd, touched, **body)
+    return lambda name: curves_of(name, theta, h, h_sd, touched, rho_m=rho_m, mass_kg=mass_kg)
 
 
 def curves_of(

@@ -22,14 +22,15 @@ def surface_points(h: FloatArray, halvings: int) -> FloatArray:
     n, triangles = icosphere(halvings)
     i, j = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).T
     step = n[j] - n[i] * np.sum(n[i] * n[j], axis=1)[:, None]
-    rise = h[j] - h[i] * np.sum(n[i] * n[j], axis=1)
+    rise: FloatArray = h[j] - h[i] * np.sum(n[i] * n[j], axis=1)
     normal = np.zeros((len(n), 3, 3))
     right = np.zeros((len(n), 3))
     np.add.at(normal, i, step[:, :, None] * step[:, None, :])
     np.add.at(right, i, step * rise[:, None])
     normal += n[:, :, None] * n[:, None, :]  # the slope has no part along the normal
-    slope: FloatArray = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return h[:, None] * n + slope
+    slope = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    points: FloatArray = h[:, None] * n + slope
+    return points
 
 
 def shadow(values: FloatArray, halvings: int, plane: str) -> FloatArray:

@@ -39,7 +39,7 @@ class ThreePalmsRun(AnyRun):
         h, h_sd, touched = (
             shadow(np.array(shape[name], dtype=np.float64), halvings, SHADOW) for name in ("h_m", "h_sd_m", "touched")
         )
-        theta: FloatArray = np.arange(len(h)) * (math.tau / len(h))
+        theta: FloatArray = np.arange(len(h), dtype=np.float64) * (math.tau / len(h))
         name = f"{self.path.stem}, object {estimate['object']}: shadow of the body on the plane of its {SHADOW}"
         return curves_of(name, theta, h, np.maximum(h_sd, 0.0), touched > 0.5, mass_kg=estimate["mass_kg"])
 

@@ -11,7 +11,7 @@ from palmd.events import FloatArray
 from palmd.polygon import closed_outline
 from palmd.report.axes import BLUE, GREY
 from palmd.report.sections import Plate, Report, Section
-from palmd.report.series import Series
+from palmd.report.series import Bools, Series
 from palmd.report.system_report import system_report
 
 
@@ -30,7 +30,7 @@ def report_of(series: Series) -> Report:
     return system_report(series, (Section("Outline", (plate,)),))
 
 
-def _draw(figure: FigureBase, theta: FloatArray, h: FloatArray, touched: FloatArray) -> None:
+def _draw(figure: FigureBase, theta: FloatArray, h: FloatArray, touched: Bools) -> None:
     axes = figure.subplots()
     points = 1e3 * closed_outline(theta, h)
     axes.plot(points[:, 0], points[:, 1], color=GREY, linewidth=0.8)

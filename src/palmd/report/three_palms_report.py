@@ -13,7 +13,7 @@ from palmd.polygon import closed_outline
 from palmd.record.surface import NORMALS, PLANES, shadow, surface_points
 from palmd.report.axes import BLUE, GREY
 from palmd.report.sections import Plate, Report, Section
-from palmd.report.series import Series
+from palmd.report.series import Bools, Series
 from palmd.report.system_report import system_report
 
 
@@ -34,8 +34,8 @@ def report_of(series: Series) -> Report:
     return system_report(series, (Section("Surface", (plate,)),))
 
 
-def _draw(figure: FigureBase, h: FloatArray, felt: FloatArray, halvings: int) -> None:
-    theta: FloatArray = np.arange(NORMALS) * (math.tau / NORMALS)
+def _draw(figure: FigureBase, h: FloatArray, felt: Bools, halvings: int) -> None:
+    theta: FloatArray = np.arange(NORMALS, dtype=np.float64) * (math.tau / NORMALS)
     points = 1e3 * surface_points(h, halvings)[felt]
     for axes, (plane, (first, second)) in zip(figure.subplots(1, len(PLANES)), PLANES.items(), strict=True):
         outline = 1e3 * closed_outline(theta, shadow(h, halvings, plane))

@@ -6,12 +6,14 @@ import os
 import pytest
 import recorded
 
+from palmd.config.any_config import as_yaml, config_hash
 from palmd.messages import events_fields
-from palmd.quantities import EVENTS
+from palmd.quantities import CONFIG, EVENTS
 from palmd.record import recording as module
 from palmd.record import runfile
 from palmd.record.mcapread import read_layout, read_messages
 from palmd.record.recording import LONGEST_S, RETRY_S, SILENT_S, Recording
+from palmd.record.run import read_any_run
 
 T0 = recorded.T0
 
@@ -234,3 +236,35 @@ def test_the_names_of_one_second_are_different(tmp_path):
         "2026-11-21T22-30-05Z-3.mcap",
         "2026-11-21T22-30-05Z.mcap",
     ]
+
+
+def test_the_daemons_configuration_is_kept_and_not_the_recorders(disk, caplog):
+    config = recorded.config(disk.recording._directory)
+    other = config.model_copy(update={"rig": config.rig.model_copy(update={"gravity_m_s2": 1.6})})
+    told = {"config_hash": config_hash(other), "yaml": as_yaml(other)}
+    disk.recording.take(recorded.frames("palm/state", {"state": "idle"}, 0), T0)
+    disk.recording.take(recorded.frames(CONFIG.name, told, 0), T0)
+    disk.recording.take(recorded.frames("palm/state", {"state": "idle"}, 1), T0 + 0.1)
+    disk.recording.flush(T0 + 0.1)
+    path = disk.recording.path
+    run = read_any_run(path)
+    assert run.config.rig.gravity_m_s2 == 1.6
+    assert run.metadata["config_hash"] == config_hash(other)
+    assert disk.numbers(path) == [0, 0, 1]
+    assert "rig.gravity_m_s2" in caplog.text
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_file_begins_with_any_systems_first_message(disk):
+    disk.recording.take(recorded.frames("palm3/estimate", {}, 0), T0)
+    disk.recording.flush(T0)
+    assert disk.numbers(disk.recording.path) == [0]
+
+
+def test_a_stamp_of_1970_is_the_time_of_its_arrival(disk):
+    frames = recorded.frames("palm/state", {}, 0, -T0)
+    disk.recording.take(frames, T0)
+    disk.recording.flush(T0)
+    (message,) = read_messages(disk.recording.path)
+    assert message.publish_time_ns == message.log_time_ns == round(T0 * 1e9)
+    assert message.payload == frames[1]

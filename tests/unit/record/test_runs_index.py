@@ -129,7 +129,10 @@ def test_the_index_is_rebuilt_whatever_has_become_of_it(folder: Path, damage: st
 
 def test_what_is_being_recorded_is_listed_and_read_later(tmp_path: Path) -> None:
     path = recording(tmp_path, *told(), old=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])  # it has no end yet
     (now,) = indexed(tmp_path)
+    path.write_bytes(whole)
     assert now.summary.problem == "is being recorded"
     os.utime(path, (1e9, 1e9))
     (later,) = indexed(tmp_path)
