@@ -110,7 +110,7 @@ def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruct
 
 
 def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, begun: float) -> tuple[PivotReconstruction, float]:
-    """The answer under the rig's law of friction, and its cost (−2 log evidence, less a constant), inf without a fit."""
+    """The answer by the rig's law of friction, and its cost (−2 log evidence less a constant; inf without a fit)."""
     try:
         told = _with_scatter(rig, events)
         arm = arm_motion(events, told)
