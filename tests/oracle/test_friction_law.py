@@ -47,7 +47,7 @@ def _motion(
     one, two = (Contact(*map(ca.SX, _ellipse(theta))) for theta in thetas)
     motion = newton_euler(
         Palms(*ca.vertsplit(inputs[:6])), inputs[6], one, two, BodyConstants(*ca.vertsplit(inputs[7:])),
-        ca.SX([9.81, 0, 0, 0, 0, 0, 0, *law]),
+        ca.SX([9.81, 0, 0, 0, 0, 0, 0, *law, 0, 0]),
     )  # fmt: skip
     found = ca.Function("motion", [inputs], [ca.vertcat(motion.alpha0, motion.f1, motion.f2)])
     return np.asarray(found([*palms, omega0, *body])).ravel()
@@ -66,7 +66,7 @@ def test_the_law_gives_the_reference_values_to_six_digits(row: str, law: str, mo
     expected = list(map(float, dict(zip(LAWS, values, strict=True))[law].split()))
     mu, speed, damping = constants[0], constants[1] * 1e-3, constants[2] * 1e-4
     rho = math.sqrt((0.022**2 + 0.017**2) / 4 + 0.52e-6)
-    found = _motion(motion[:6], motion[6], motion[7], [rho, mu, speed, damping], LAWS[law])
+    found = _motion(motion[:6], motion[6], motion[7], [rho, mu, math.pi * speed / 2, damping], LAWS[law])
     assert found[: len(expected)] == pytest.approx(expected, rel=1e-5, abs=5e-6)
 
 

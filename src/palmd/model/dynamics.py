@@ -13,8 +13,8 @@ from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_norm
 from palmd.model.friction import Vibrated, directions, normal_forces
 from palmd.model.symbolic import SX, ca
 
-VIBRATION_INPUTS = slice(7, 10)
-"""Where κ, λ and whether the old law holds are among what the kernels are told of the rig."""
+VIBRATION_INPUTS, VIBRATION_OFF_INPUTS = slice(7, 10), slice(10, 12)
+"""Where what the kernels are told of the rig has κ, λ and whether the old law holds, and by how much κ, λ are off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,12 @@ class Palms:
 class BodyConstants:
     """Radius of gyration ρ (m), friction coefficient μ (the palms' mean), damping c (m²/s).
 
-    speed: V, amplitude of the speed of the palms' vibration along themselves (m/s).
+    dither: u_d = πV/2 (m/s), V the amplitude of the speed of the palms' vibration along themselves.
     """
 
     rho: SX
     mu: SX
-    speed: SX
+    dither: SX
     damping: SX
 
 
@@ -90,13 +90,21 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
     return ca.vertcat(0, -rig[0]) + rig[1] * (palms.alpha1 * n1 - palms.omega1**2 * t1)
 
 
+def vibrated_of(dither: SX, rig: SX) -> Vibrated:
+    """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
+    kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
+    kappa_off, transmission_off = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
+    return Vibrated(dither, kappa, transmission + transmission_off, averaged)
+
+
 def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> Motion:
     """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
-    `rig` is (g, L1, x, y, a, …, κ, λ, averaged): μ1 = (1 + a) μ, μ2 = (1 − a) μ; the last are of `Vibrated`. Where a palm is curved its tangent at the contact
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ. Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0.
     """
@@ -136,7 +144,7 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     A = [[ca.dot(normals[i], normals[j]) + contacts[i].d * contacts[j].d / rho2 for j in range(2)] for i in range(2)]
     B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * contacts[j].r / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
-    sigma = directions(A, B, b, friction, slips, Vibrated(body.speed, *ca.vertsplit(rig[VIBRATION_INPUTS])))
+    sigma = directions(A, B, b, friction, slips, vibrated_of(body.dither, rig))
     along = [mu * each for mu, each in zip(friction, sigma, strict=True)]
     f1, f2 = normal_forces(A, B, b, along)
     torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
