@@ -104,7 +104,8 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
-    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ. Where a palm is curved its tangent at the contact
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0.
     """

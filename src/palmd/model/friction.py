@@ -26,7 +26,7 @@ SLOPE = math.pi / 2
 class Vibrated:
     """The palms' vibration as the equations need it.
 
-    dither: u_d = πV/2, V the amplitude of a palm's speed along itself (m/s). kappa: E[s1 s2] at rest, 0 where both palms
+    dither: u_d = πV/2, V the amplitude of a palm's speed along itself (m/s). kappa: E[s1 s2] at rest, 0 where they
     vibrate independently, −1 in phase (both move away from the hinge at the same time), 1 in antiphase. transmission:
     λ, the share of the alternating friction that the normal forces follow. averaged: 1 for the old law, else 0.
     """

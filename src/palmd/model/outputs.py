@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.contact import Contact, centre_of_mass, readings, tangent
-from palmd.model.dynamics import VIBRATION_INPUTS, VIBRATION_OFF_INPUTS, BodyConstants, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Palms, newton_euler
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
@@ -27,8 +27,8 @@ RIG_INPUTS = VIBRATION_OFF_INPUTS.stop
 
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
-    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures, κ,
-    λ, whether the old law of friction holds, and by how much κ, λ are off (0).
+    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures,
+    κ, λ, whether the old law of friction holds, and by how much κ, λ are off (0).
 
     Inputs rather than constants, so that one compiled library serves every rig, and a second one all with curved palms.
     """

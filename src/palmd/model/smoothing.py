@@ -34,7 +34,7 @@ class C(IntEnum):
     """Index of each constant; SI units, logarithms of SI units.
 
     DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²), u_d = πV/2 of palms that vibrate at speed V. Readings
-    determine B, the slope of friction in slow slip, linearly: records that determine little of w add up without bending.
+    determine B, the slope of friction in slow slip, linearly: records that hardly determine w add up without bending.
     """
 
     LN_RHO = 0

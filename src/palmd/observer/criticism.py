@@ -52,7 +52,7 @@ _SHARED = (R.ZERO, R.LAG)
 CAUSES: FloatArray = np.vstack(
     [np.diag(LEFT)[LEFT > 0.0], *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)]
 )
-"""How far each cause moves each constant (n, constants), about: one by one, then those of both pads that hang on one thing."""
+"""How far each cause moves each constant (n, all), about: one by one, then both pads' that hang on one thing."""
 FREE_SD: FloatArray = TIMES[-1] * LEFT
 """One-sigma of constants that are not what they were taken for, nobody knows by how much."""
 
@@ -65,7 +65,7 @@ class RigBelief:
     """How well the rig's constants are taken to be known, in the order of `model.smoothing.R`; SI units.
 
     told: their one-sigmas by the rig's description. contradicted: by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: mean products (constants, constants) of what they may
+    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: mean products (all, all) of what they may
     be off by beyond those, while nothing is contradicted.
     """
 
@@ -79,6 +79,11 @@ class RigBelief:
         """What its description says."""
         told = np.maximum(prior_sds(rig), KNOWN)
         return cls(told, np.zeros(RIG_CONSTANTS), told)
+
+    @property
+    def opened_nats(self) -> float:
+        """What a log evidence under this belief lacks: a prior opened from `told` to `sd` is as much less dense."""
+        return float(np.log(self.sd / self.told).sum())
 
     def suspended(self) -> RigBelief:
         """For the moment nothing is taken at its word."""
@@ -177,8 +182,8 @@ def _sets(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def _explanations(
     K: FloatArray, q: FloatArray, believed: FloatArray
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
-    """Which constants are in each explanation (n, constants), its log odds to be named and doubted (n,), and mean products
-    of what it says they are off by (n, constants, constants).
+    """Which constants are in each explanation (n, all), its log odds to be named and doubted (n,), and mean products
+    of what it says they are off by (n, all, all).
 
     None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """

@@ -18,6 +18,8 @@ AVERAGED_SPEED_M_S = 0.012 / (math.pi / 2)
 SHAKER_SD, LEAST_LN_SD = 0.10, 1e-3
 """One sigma of ln V of a shaker whose speed is given without one; and the least that there is."""
 UNKNOWN_KAPPA_SD = 0.7
+RIGID_SD = 0.10
+"""One sigma of λ where it is not given: mounts and contacts give a little."""
 _KAPPA: Mapping[Relation, float] = {
     "independent": 0.0, "in_phase": -1.0, "antiphase": 1.0, "unknown": 0.0, "none": 0.0
 }  # fmt: skip
@@ -70,7 +72,7 @@ class Vibration:
         """One sigma of λ."""
         if self.averaged:
             return 0.0
-        return self.transmission_sd or 0.0
+        return RIGID_SD if self.transmission is None else self.transmission_sd or 0.0
 
     @property
     def ln_speed(self) -> tuple[float, float]:
