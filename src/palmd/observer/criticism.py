@@ -47,7 +47,8 @@ LITTLE = 0.1  # nor those that are less of what calibration leaves
 MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
-"""One-sigma of the constants of a calibrated rig."""
+"""One-sigma of the constants of a calibrated rig; 0 of the vibration's, which no calibration of the geometry leaves."""
+LEFT[R.KAPPA :] = 0.0
 _SHARED = (R.ZERO, R.LAG)
 CAUSES: FloatArray = np.vstack(
     [np.diag(LEFT)[LEFT > 0.0], *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)]
