@@ -15,10 +15,10 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, alongs, readings, tangent_joints
-from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import Kernel, of_columns, single
-from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, VIBRATION_OFF_INPUTS, touch_on
+from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
 from palmd.model.symbolic import SX, ca

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
-from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
 from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD, S
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits

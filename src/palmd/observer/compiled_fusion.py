@@ -16,7 +16,8 @@ import numpy as np
 from palmd.events import Event, FloatArray, PadLift, PadSample, PalmMotion, PalmSample
 from palmd.model import shape_map
 from palmd.model.compiled import EXPORTED, Library
-from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, VIBRATION_OFF_INPUTS
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.observer.filters.base import pad_update
 from palmd.observer.history import EVENTS

@@ -55,6 +55,8 @@ def mixture(answers: Sequence[Reconstruction], rigs: Sequence[RigDescription]) -
     rig, covariance = best.rig.copy(), best.rig_covariance.copy()
     rig[R.KAPPA] = kappa = float(weights @ kappas)
     covariance[R.KAPPA, R.KAPPA] += float(weights @ (kappas - kappa) ** 2)
-    scalars = {name: float(told[name][0]) for name in ("rho", "mu", "mass")}
-    sds = {f"{name}_sd": float(told[name][1]) for name in ("rho", "mu", "mass")}
-    return replace(best, h_sd=told["h"][1], rig=rig, rig_covariance=covariance, **scalars, **sds)
+    (rho, rho_sd), (mu, mu_sd), (mass, mass_sd) = (map(float, told[name]) for name in ("rho", "mu", "mass"))
+    return replace(
+        best, h_sd=told["h"][1], rig=rig, rig_covariance=covariance,
+        rho=rho, rho_sd=rho_sd, mu=mu, mu_sd=mu_sd, mass=mass, mass_sd=mass_sd,
+    )  # fmt: skip

@@ -18,7 +18,7 @@ from palmd.observer.search import Attempt, Search
 from palmd.observer.smoother import Smoother
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
-from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.description import AS_CALIBRATED
 from palmd.system.rig_constants import RIG_NAMES
 
 CALIBRATED = np.where(LEFT > 0.0, LEFT, KNOWN)  # the vibration is as described
@@ -97,7 +97,9 @@ def test_doubt_is_in_the_answer_before_anything_is_named():
 @pytest.mark.parametrize("known", [0.001, 0.5, 1.0], ids=["all but exactly", "to half", "as calibrated"])
 def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
     """Against the mixture's second moments about what is believed: of a zero, and of what readings tell with it."""
-    sd = np.where(np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * CALIBRATED)  # only the first zero can be contradicted
+    sd = np.where(
+        np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * CALIBRATED
+    )  # only the first zero can be contradicted
     scale = np.concatenate([np.ones(C.RIG), CALIBRATED, [1.0]])  # constants before the rig's, the rig's, something else
     readings = np.zeros((2, len(scale)))
     readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]

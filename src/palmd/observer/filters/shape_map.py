@@ -9,7 +9,8 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
-from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, VIBRATION_OFF_INPUTS, rig_inputs
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
 from palmd.observer.bank import SCORE_MEMORY_S, Bank, Belief
