@@ -12,6 +12,7 @@ from palmd.model.contact import Contact, offsets, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 
 GRAVITY = 9.81
+AVERAGED = (0, 0, 0, 0, 0, 0, 1, 1, 0, 0)  # of what follows (g, L1): friction by the averaged law, as in the plant
 
 
 class Lump:
@@ -37,7 +38,7 @@ def _model(rig: tuple[float, float]) -> ca.Function:
     palms = Palms(*(p[i] for i in range(6)))
     motion = newton_euler(
         palms, w, Contact(c[0], c[1], c[2]), Contact(c[3], c[4], c[5]),
-        BodyConstants(*(body[i] for i in range(4))), ca.SX([*rig, 0, 0, 0]),
+        BodyConstants(*(body[i] for i in range(4))), ca.SX([*rig, *AVERAGED]),
     )  # fmt: skip
     return ca.Function("m", [p, w, c, body], [motion.alpha0, motion.f1, motion.f2])
 

@@ -10,7 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
+from palmd.model.friction import Vibrated, directions, normal_forces
 from palmd.model.symbolic import SX, ca
+
+VIBRATION_INPUTS, VIBRATION_OFF_INPUTS = slice(7, 10), slice(10, 12)
+"""Where what the kernels are told of the rig has κ, λ and whether the old law holds, and by how much κ, λ are off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,10 @@ class Palms:
 
 @dataclass(frozen=True, slots=True)
 class BodyConstants:
-    """Radius of gyration ρ (m), friction coefficient μ (the palms' mean), dither speed u_d (m/s), damping c (m²/s)."""
+    """Radius of gyration ρ (m), friction coefficient μ (the palms' mean), damping c (m²/s).
+
+    dither: u_d = πV/2 (m/s), V the amplitude of the speed of the palms' vibration along themselves.
+    """
 
     rho: SX
     mu: SX
@@ -83,12 +90,22 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
     return ca.vertcat(0, -rig[0]) + rig[1] * (palms.alpha1 * n1 - palms.omega1**2 * t1)
 
 
+def vibrated_of(dither: SX, rig: SX) -> Vibrated:
+    """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
+    kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
+    kappa_off, transmission_off = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
+    return Vibrated(dither, kappa, transmission + transmission_off, averaged)
+
+
 def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> Motion:
     """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
-    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ(u_i) t_i and σ(u) = u/√(u² + u_d²).
-    `rig` is (g, L1, x, y, a, …): μ1 = (1 + a) μ, μ2 = (1 − a) μ. Where a palm is curved its tangent at the contact
+    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
+    one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0.
     """
@@ -105,14 +122,12 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     c_dot = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, *along)
 
     g_eff = effective_gravity(palms, rig)
-    forces, needed, torques = [], [], []
-    for k, mu, w, a, t, n in zip(contacts, friction, rates, accelerations, tangents, normals, strict=True):
+    slips, needed = [], []
+    for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):
         slip = ca.dot(t, c_dot) + omega0 * k.r + w * k.above
         bending = k.curvature * (slip + k.v * (w - omega0)) / (1 - k.curvature * k.v)  # ± κ ṡ
         turning = w + bending
-        sigma = slip / ca.sqrt(slip**2 + body.dither**2)
-        forces.append(n - mu * sigma * t)
-        torques.append(-(k.r * mu * sigma + k.d))
+        slips.append(slip)
         # n_i·a without its α0 term, less what gravity already gives
         needed.append(
             (k.v - k.r) * (turning - omega0) ** 2
@@ -125,12 +140,14 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
             - bending * (slip + k.v * (turning - omega0))
         )
 
-    # [n_i·F_j − d_i x_j×F_j/ρ²] f = needed_i − d_i c ω0/ρ², after α0 is eliminated by the torque equation
+    # (A − B diag(μσ)) f = b, after α0 is eliminated by the torque equation
     rho2 = body.rho**2
-    m = [[ca.dot(normals[i], forces[j]) - contacts[i].d * torques[j] / rho2 for j in range(2)] for i in range(2)]
+    A = [[ca.dot(normals[i], normals[j]) + contacts[i].d * contacts[j].d / rho2 for j in range(2)] for i in range(2)]
+    B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * contacts[j].r / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
-    det = m[0][0] * m[1][1] - m[0][1] * m[1][0]
-    f1 = (b[0] * m[1][1] - b[1] * m[0][1]) / det
-    f2 = (m[0][0] * b[1] - m[1][0] * b[0]) / det
+    sigma = directions(A, B, b, friction, slips, vibrated_of(body.dither, rig))
+    along = [mu * each for mu, each in zip(friction, sigma, strict=True)]
+    f1, f2 = normal_forces(A, B, b, along)
+    torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
     alpha0 = (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2
     return Motion(alpha0, f1, f2)

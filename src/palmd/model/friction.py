@@ -26,12 +26,12 @@ SLOPE = math.pi / 2
 class Vibrated:
     """The palms' vibration as the equations need it.
 
-    speed: V, amplitude of the palm's speed along itself (m/s). kappa: E[s1 s2] at rest, 0 where both palms vibrate
-    independently, −1 in phase (both move away from the hinge at the same time), 1 in antiphase. transmission: λ, the
-    share of the alternating friction that the normal forces follow. averaged: 1 for the old law, else 0.
+    dither: u_d = πV/2, V the amplitude of a palm's speed along itself (m/s). kappa: E[s1 s2] at rest, 0 where they
+    vibrate independently, −1 in phase (both move away from the hinge at the same time), 1 in antiphase. transmission:
+    λ, the share of the alternating friction that the normal forces follow. averaged: 1 for the old law, else 0.
     """
 
-    speed: SX
+    dither: SX
     kappa: SX
     transmission: SX
     averaged: SX
@@ -116,7 +116,7 @@ def directions(
     vibrated: Vibrated,
 ) -> tuple[SX, SX]:
     """The direction of friction at each contact, of slips u_i (m/s), whichever law the vibration asks for."""
-    old = [averaged_direction(u, SLOPE * vibrated.speed) for u in slip]
-    new = [mean_direction(u / vibrated.speed) for u in slip]
+    old = [averaged_direction(u, vibrated.dither) for u in slip]
+    new = [mean_direction(SLOPE * u / vibrated.dither) for u in slip]
     sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, old, strict=True)]
     return effective_directions(A, B, b, mu, sigma, vibrated.kappa, vibrated.transmission * (1 - vibrated.averaged))

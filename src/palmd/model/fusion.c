@@ -14,16 +14,18 @@
 
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
-#define RIG_INPUTS 7
+#define RIG_INPUTS 12
 #define FRICTION_INPUT 4
+#define VIBRATION_OFF_INPUTS 10 /* two: of kappa and of the transmission */
 #define NAMED 18
 #define MOST_STATES 64
 #define EVENTS 24 /* that can be undone */
 #define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
-enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, CONSTANTS = 15 };
+enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 17 };
 
-const long fusion_sizes[] = {JOINTS,   RIG_INPUTS, FRICTION_INPUT, NAMED, MOST_STATES, EVENTS,   RADIUS, ZERO, SCALE,
-                             SAGITTA,  LAG,        STANDOFF,       TILT,  TURN,        FRICTION, FORCE,  CONSTANTS};
+const long fusion_sizes[] = {JOINTS,  RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS, NAMED, MOST_STATES, EVENTS,
+                             RADIUS,  ZERO,       SCALE,          SAGITTA,              LAG,   STANDOFF,    TILT,
+                             TURN,    FRICTION,   FORCE,          KAPPA,                CONSTANTS};
 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
@@ -219,11 +221,16 @@ static long best_of(const Bank *bank) {
   return best;
 }
 
+static void friction_of(const Bank *bank, const RigError *rig) {
+  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  for (int i = 0; i < 2; i++) bank->rig[VIBRATION_OFF_INPUTS + i] = rig->values[KAPPA + i];
+}
+
 static void prediction_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double dt, double *u) {
   u[0] = dt;
   surfaces_at(palms, rig, t, u + 1);
   for (int j = 0; j < JOINTS; j++) u[1 + MOTION + j] = palms->jerk[j];
-  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  friction_of(bank, rig);
   memcpy(u + 1 + MOTION + JOINTS, bank->rig, RIG_INPUTS * sizeof *u);
 }
 
@@ -398,7 +405,7 @@ long lift(Bank *bank, long block, const double *rows, long count) {
 /* last input of the kernels that tell NAMED at `t`: MOTION + RIG_INPUTS */
 static void named_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double *v) {
   surfaces_at(palms, rig, t, v);
-  bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
+  friction_of(bank, rig);
   memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
 }
 

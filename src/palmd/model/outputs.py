@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.contact import Contact, centre_of_mass, readings, tangent
-from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Palms, newton_euler
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
@@ -23,16 +23,19 @@ NAMED = (
 
 FRICTION_INPUT, CURVATURE_INPUTS = 4, slice(5, 7)
 """Where the friction asymmetry and the palms' curvatures are among what the kernels are told of the rig."""
-RIG_INPUTS = 7
+RIG_INPUTS = VIBRATION_OFF_INPUTS.stop
 
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
-    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures.
+    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures,
+    κ, λ, whether the old law of friction holds, and by how much κ, λ are off (0).
 
     Inputs rather than constants, so that one compiled library serves every rig, and a second one all with curved palms.
     """
     base, arm = rig.arc
-    return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures])
+    vibration = rig.vibration
+    law = vibration.kappa, vibration.likeliest_transmission, float(vibration.averaged)
+    return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures, *law, 0.0, 0.0])
 
 
 def touch_on(rig: SX, curved: bool, near: Sequence[SX] = ()) -> Touch:

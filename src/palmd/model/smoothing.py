@@ -15,10 +15,10 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, alongs, readings, tangent_joints
-from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import Kernel, of_columns, single
-from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT, RIG_INPUTS, touch_on
+from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
 from palmd.model.shape_map import PALM_INPUTS, palms_after
 from palmd.model.symbolic import SX, ca
@@ -33,8 +33,8 @@ NODE = 2  # ψ, ω0
 class C(IntEnum):
     """Index of each constant; SI units, logarithms of SI units.
 
-    Friction is B u/√(1 + w u²) of slip u: DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²). Readings tell B at
-    slow slip and B w at faster slip, both in straight lines: records that tell little of w add up without bending.
+    DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²), u_d = πV/2 of palms that vibrate at speed V. Readings
+    determine B, the slope of friction in slow slip, linearly: records that hardly determine w add up without bending.
     """
 
     LN_RHO = 0
@@ -43,7 +43,7 @@ class C(IntEnum):
     DAMPING = 3
     LN_MASS = 4
     RIG = 5
-    SHAPE = 20
+    SHAPE = 22
 
 
 class R(IntEnum):
@@ -52,7 +52,8 @@ class R(IntEnum):
     A pad reads ZERO + FORCE f + (1 + SCALE) s of a contact at s under a force f (N), as it was LAG ago. Its surface
     lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
     than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
-    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. Where each pad has its own, pad 2's follows pad 1's.
+    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are what κ and λ of the
+    palms' vibration are off by (`model.friction`). Where each pad has its own, pad 2's follows pad 1's.
     `system.rig_constants` has their names.
     """
 
@@ -65,6 +66,8 @@ class R(IntEnum):
     TURN = 11
     FRICTION = 12
     FORCE = 13
+    KAPPA = 15
+    TRANSMISSION = 16
 
 
 RIG_CONSTANTS = len(RIG_NAMES)
@@ -156,7 +159,10 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) ->
     felt = _felt(palms.phi1, palms.phi2, psi, p, lying)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    rig = ca.vertcat(rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[CURVATURE_INPUTS])
+    off = p[RIG][R.KAPPA], p[RIG][R.TRANSMISSION]
+    rig = ca.vertcat(
+        rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[FRICTION_INPUT + 1 : VIBRATION_OFF_INPUTS.start], *off
+    )
     phi1, phi2 = felt.joints
     return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *felt.contacts, body, rig)
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
 from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD, S
 from palmd.model.smoothing import R
@@ -140,6 +141,7 @@ class RolloutPredictor:
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
         self._rig[FRICTION_INPUT] = off[R.FRICTION]
+        self._rig[VIBRATION_OFF_INPUTS] = off[[R.KAPPA, R.TRANSMISSION]]
         self._angles = off[[R.TILT, R.TURN]]
 
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:

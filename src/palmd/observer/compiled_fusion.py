@@ -16,6 +16,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, PadLift, PadSample, PalmMotion, PalmSample
 from palmd.model import shape_map
 from palmd.model.compiled import EXPORTED, Library
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.observer.filters.base import pad_update
@@ -101,8 +102,10 @@ class Routines:
     def __init__(self, library: Library):
         """Raises RuntimeError where their sizes are not the model's."""
         self.library = ctypes.CDLL(str(library.path))
-        constants = (R.ZERO, R.SCALE, R.SAGITTA, R.LAG, R.STANDOFF, R.TILT, R.TURN, R.FRICTION, R.FORCE, RIG_CONSTANTS)
-        sizes = (_JOINTS, RIG_INPUTS, FRICTION_INPUT, len(NAMED), MOST_STATES, EVENTS, shape_map.Z.SHAPE, *constants)
+        of_pads = (R.ZERO, R.SCALE, R.SAGITTA, R.LAG, R.STANDOFF)
+        constants = (*of_pads, R.TILT, R.TURN, R.FRICTION, R.FORCE, R.KAPPA, RIG_CONSTANTS)
+        inputs = (RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS.start)
+        sizes = (_JOINTS, *inputs, len(NAMED), MOST_STATES, EVENTS, shape_map.Z.SHAPE, *constants)
         if tuple((ctypes.c_long * len(sizes)).in_dll(self.library, "fusion_sizes")) != sizes:
             raise RuntimeError("model/fusion.c has other sizes than the model")
         pointer, number, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_long

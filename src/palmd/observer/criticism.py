@@ -47,10 +47,13 @@ LITTLE = 0.1  # nor those that are less of what calibration leaves
 MOST_REVISIONS = 4  # of what is believed of the rig, in one answer
 NOTHING: FloatArray = np.zeros(RIG_CONSTANTS)
 LEFT: FloatArray = prior_sds(RigDescription().known_to(AS_CALIBRATED))
-"""One-sigma of the constants of a calibrated rig."""
+"""One-sigma of the constants of a calibrated rig; 0 of the vibration's, which no calibration of the geometry leaves."""
+LEFT[R.KAPPA :] = 0.0
 _SHARED = (R.ZERO, R.LAG)
-CAUSES: FloatArray = np.vstack([np.diag(LEFT), *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)])
-"""How far each cause moves each constant (n, 15), about: one by one, then those of both pads that hang on one thing."""
+CAUSES: FloatArray = np.vstack(
+    [np.diag(LEFT)[LEFT > 0.0], *(np.diag(LEFT)[of : of + len(PALMS)].sum(axis=0) for of in _SHARED)]
+)
+"""How far each cause moves each constant (n, all), about: one by one, then both pads' that hang on one thing."""
 FREE_SD: FloatArray = TIMES[-1] * LEFT
 """One-sigma of constants that are not what they were taken for, nobody knows by how much."""
 
@@ -63,7 +66,7 @@ class RigBelief:
     """How well the rig's constants are taken to be known, in the order of `model.smoothing.R`; SI units.
 
     told: their one-sigmas by the rig's description. contradicted: by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: mean products (15, 15) of what they may
+    0 where nothing speaks against that. sd: their one-sigmas to go by. doubt: mean products (all, all) of what they may
     be off by beyond those, while nothing is contradicted.
     """
 
@@ -77,6 +80,11 @@ class RigBelief:
         """What its description says."""
         told = np.maximum(prior_sds(rig), KNOWN)
         return cls(told, np.zeros(RIG_CONSTANTS), told)
+
+    @property
+    def opened_nats(self) -> float:
+        """What a log evidence under this belief lacks: a prior opened from `told` to `sd` is as much less dense."""
+        return float(np.log(self.sd / self.told).sum())
 
     def suspended(self) -> RigBelief:
         """For the moment nothing is taken at its word."""
@@ -109,7 +117,7 @@ class RigBelief:
 
     def beyond_all(self, guess: Guess) -> bool:
         """Whether a guess has a constant further off than the widest explanation foresees: something else is wrong."""
-        return bool((np.abs(guess.p[RIG]) > NO_SUCH_RIG * np.maximum(self.told, FREE_SD)).any())
+        return bool((np.abs(guess.p[RIG]) > NO_SUCH_RIG * np.maximum(self.told, FREE_SD))[LEFT > 0.0].any())
 
     def within(self, guess: Guess) -> Guess:
         """A guess with no constant of the rig beyond its one-sigma, to go on from under this belief."""
@@ -158,7 +166,7 @@ def criticised(
 
 
 def _expected(log_weights: FloatArray, squares: FloatArray) -> FloatArray:
-    """Mean of `squares` (n, 15, 15), by how likely each is; of no cause, whose weight is 1, it is 0."""
+    """Mean of `squares` (n, constants, constants), by how likely each is; of no cause, whose weight is 1, it is 0."""
     odds = float(np.logaddexp.reduce(log_weights))
     mean: FloatArray = np.tensordot(np.exp(log_weights - np.logaddexp(odds, 0.0)), squares, 1)
     return mean
@@ -175,8 +183,8 @@ def _sets(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 def _explanations(
     K: FloatArray, q: FloatArray, believed: FloatArray
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
-    """Which constants are in each explanation (n, 15), its log odds to be named and doubted (n,), and mean products
-    of what it says they are off by (n, 15, 15).
+    """Which constants are in each explanation (n, all), its log odds to be named and doubted (n,), and mean products
+    of what it says they are off by (n, all, all).
 
     None that readings would rather have with one cause less, by the ratio of densities at 0 (Dickey 1971).
     """

@@ -18,6 +18,7 @@ from palmd.observer.factor import Prior
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.normal_equations import Guess
 from palmd.system.description import RigDescription
+from palmd.system.vibration import Vibration
 
 BANK = 64
 SPACING_S = 0.01  # of the remembered trajectories
@@ -77,7 +78,7 @@ def blind_starts(
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
-def prior_of(radius: float, rig_sd: FloatArray) -> Prior:
+def prior_of(radius: float, rig_sd: FloatArray, vibration: Vibration) -> Prior:
     """The blind belief about the smoother's constants; `rig_sd` is that of the rig's.
 
     `radius` is that of the circle of the first readings (m): about how large the object is.
@@ -85,7 +86,7 @@ def prior_of(radius: float, rig_sd: FloatArray) -> Prior:
     mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
     mean[C.LN_RHO], sd[C.LN_RHO] = math.log(prior.GYRATION), LN_GYRATION_SD
     mean[C.DRAG], sd[C.DRAG] = prior.FRICTION, prior.FRICTION_SD
-    mean[C.SATURATION], sd[C.SATURATION] = math.log(prior.DITHER), prior.LN_DITHER_SD
+    mean[C.SATURATION], sd[C.SATURATION] = prior.ln_dither_of(vibration)
     mean[C.DAMPING], sd[C.DAMPING] = prior.DAMPING, prior.DAMPING_SD
     mean[C.LN_MASS], sd[C.LN_MASS] = math.log(MASS_KG), LN_MASS_SD
     sd[C.SHAPE :] = shape.prior_sd(radius, ORDER)

@@ -21,6 +21,7 @@ from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
 from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
+from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
@@ -73,7 +74,10 @@ class IncrementalSmoother:
         self._events += events
         self._hint = None if session.hint is None else constants_of(session.hint)
         if session.begun != self._session.begun:
-            self._end(data_segments([event for event in self._events if event.t_sample < session.begun]))
+            try:
+                self._end(data_segments([event for event in self._events if event.t_sample < session.begun]))
+            except NUMERICAL_FAILURES:  # what was felt of it is lost
+                self._seek()
             self._drop_before(session.begun)
         if math.isinf(session.begun) and self._events:
             self._drop_before(self._events[-1].t_sample)
@@ -87,7 +91,18 @@ class IncrementalSmoother:
         return answer
 
     def answer(self) -> Improvement | None:
-        """What everything so far tells about the state at the last reading; None while that is in doubt."""
+        """What everything so far tells about the state at the last reading; None while that is in doubt.
+
+        Where numbers fail, the hypothesis at hand is dropped and the object is sought anew: nothing is explained then.
+        """
+        try:
+            return self._answer()
+        except NUMERICAL_FAILURES:
+            self._unexplained = True
+            self._seek()
+            return None
+
+    def _answer(self) -> Improvement | None:
         self._unexplained = False
         found = data_segments(self._events)
         if not found or math.isinf(self._session.begun):

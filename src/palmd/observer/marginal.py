@@ -30,12 +30,16 @@ NEAR = 0.3  # of the cost: what promises to fall by less is where its linearisat
 
 @dataclass(frozen=True, slots=True)
 class Marginal:
-    """Means of nodes and constants, the covariance of (constants, last node), and μ with its one-sigma."""
+    """Means of nodes and constants, the covariance of (constants, last node), and μ with its one-sigma.
+
+    evidence: log marginal likelihood of the record, up to a constant of its contact readings.
+    """
 
     mean: Guess
     covariance: FloatArray
     mu: float
     mu_sd: float
+    evidence: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +71,9 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
             bent = last.bent
             if last.log_weight < max(step.log_weight for step in steps) - NEGLIGIBLE_NATS:
                 break
-    weights = np.exp([step.log_weight - max(each.log_weight for each in steps) for step in steps])
+    most = max(step.log_weight for step in steps)
+    weights = np.exp([step.log_weight - most for step in steps])
+    evidence = most + math.log(weights.sum() * stride) - 0.5 * float(np.log(record.force_variance).sum())
     weights /= weights.sum()
     x = sum(weight * step.posterior.beyond.x for weight, step in zip(weights, steps, strict=True))
     p = sum(weight * step.posterior.beyond.p for weight, step in zip(weights, steps, strict=True))
@@ -79,7 +85,7 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     between = max(stride**2 - sd**2, 0.0) / 12  # sums over steps no longer than the one-sigma are exact
     covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION]) ** 2 * between
     mu, mu_sd = _friction(steps, weights, between)
-    return Marginal(Guess(x, p), covariance, mu, mu_sd)
+    return Marginal(Guess(x, p), covariance, mu, mu_sd, evidence)
 
 
 def _friction(steps: Sequence[_Step], weights: FloatArray, between: float) -> tuple[float, float]:

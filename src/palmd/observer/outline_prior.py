@@ -26,6 +26,7 @@ from palmd.observer.object_memory import (
 )
 from palmd.outlinefile import Outline
 from palmd.system.description import RigDescription
+from palmd.system.vibration import INDEPENDENT
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
@@ -110,11 +111,12 @@ def _belief(outline: Outline) -> tuple[FloatArray, FloatArray]:
     Z = shape_map.Z
     x, P = np.zeros(shape_map.N), np.zeros((shape_map.N, shape_map.N))
     x[Z.LN_RHO], x[Z.MU] = math.log(outline.rho), prior.FRICTION
-    x[Z.LN_DITHER], x[Z.DAMPING] = math.log(prior.DITHER), prior.DAMPING
+    ln_dither, ln_dither_sd = prior.ln_dither_of(INDEPENDENT)
+    x[Z.LN_DITHER], x[Z.DAMPING] = ln_dither, prior.DAMPING
     x[_OUTLINE] = shape.coefficients_of(outline.h)
     P[Z.PSI, Z.PSI], P[Z.OMEGA0, Z.OMEGA0] = PSI_SD**2, SPIN_SD**2
     P[Z.LN_RHO, Z.LN_RHO] = max(outline.rho_sd / outline.rho, LEAST_RHO_SD) ** 2
-    P[Z.MU, Z.MU], P[Z.LN_DITHER, Z.LN_DITHER] = prior.FRICTION_SD**2, prior.LN_DITHER_SD**2
+    P[Z.MU, Z.MU], P[Z.LN_DITHER, Z.LN_DITHER] = prior.FRICTION_SD**2, ln_dither_sd**2
     P[Z.DAMPING, Z.DAMPING] = prior.DAMPING_SD**2
     P[_OUTLINE, _OUTLINE] = outline_covariance(outline)
     return x, P

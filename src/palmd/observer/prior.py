@@ -10,7 +10,9 @@ import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
+from palmd.model.friction import SLOPE
 from palmd.system.arcs import FLAT, circle_radius
+from palmd.system.vibration import INDEPENDENT, LN_SPEED_SD, SPEED_M_S, Vibration
 
 # Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
 SCATTER = 0.7
@@ -21,7 +23,7 @@ SPIN_AT_REST_SD, SPIN_MOVING_SD = 0.25, 1.5  # rad/s
 # A uniform convex body has ρ = 0.70…0.72 mean radii, a ring 1: most objects are near the first.
 GYRATION, GYRATION_SD = 0.707, 0.04
 FRICTION, FRICTION_SD = 0.10, 0.10
-DITHER, LN_DITHER_SD = 0.012, 0.35  # m/s
+DITHER, LN_DITHER_SD = SPEED_M_S * SLOPE, LN_SPEED_SD  # m/s: u_d = πV/2 of a shaker of which nothing is known
 DAMPING, DAMPING_SD = 2e-4, 3e-4  # m²/s
 
 
@@ -45,6 +47,12 @@ class BlindStart:
     own_damping_sd: float
 
 
+def ln_dither_of(vibration: Vibration) -> tuple[float, float]:
+    """ln u_d (m/s), u_d = πV/2, and its one-sigma."""
+    ln_speed, sd = vibration.ln_speed
+    return ln_speed + math.log(SLOPE), sd
+
+
 def blind_start(
     contacts: Sequence[float],
     palms: PalmMotion,
@@ -53,12 +61,14 @@ def blind_start(
     random: np.random.Generator,
     order: int = shape.HARMONICS,
     curvatures: Sequence[float] = FLAT,
+    vibration: Vibration = INDEPENDENT,
 ) -> BlindStart:
     """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings `contacts` (m).
 
     `at_rest` says that the object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the
-    start. `curvatures` of the palms (1/m).
+    start. `curvatures` (1/m) and `vibration` of the palms.
     """
+    ln_dither, ln_dither_sd = ln_dither_of(vibration)
     mean_radius = circle_radius(palms.angles, contacts, curvatures)
     shape_sd = shape.prior_sd(mean_radius, order)
     shape_sd[0] = RADIUS_SD * mean_radius
@@ -72,13 +82,13 @@ def blind_start(
         omega0=SCATTER * spin_sd * random.standard_normal(size),
         rho=GYRATION * coefficients[:, 0],
         mu=np.abs(FRICTION + SCATTER * FRICTION_SD * random.standard_normal(size)),
-        ln_dither=np.full(size, math.log(DITHER)),
+        ln_dither=np.full(size, ln_dither),
         damping=np.abs(DAMPING + SCATTER * DAMPING_SD * random.standard_normal(size)),
         own_shape_sd=OWN * shape_sd,
         own_omega0_sd=OWN * spin_sd,
         own_rho_sd=GYRATION_SD * GYRATION * mean_radius,
         own_mu_sd=OWN * FRICTION_SD,
-        own_ln_dither_sd=LN_DITHER_SD,
+        own_ln_dither_sd=ln_dither_sd,
         own_damping_sd=OWN * DAMPING_SD,
     )
 
@@ -88,6 +98,6 @@ def shape_map_sd(start: BlindStart) -> FloatArray:
     Z = shape_map.Z
     sd = np.zeros(shape_map.N)
     sd[Z.OMEGA0], sd[Z.LN_RHO] = SPIN_MOVING_SD, math.hypot(GYRATION_SD, RADIUS_SD)
-    sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = FRICTION_SD, LN_DITHER_SD, DAMPING_SD
+    sd[Z.MU], sd[Z.LN_DITHER], sd[Z.DAMPING] = FRICTION_SD, start.own_ln_dither_sd, DAMPING_SD
     sd[Z.SHAPE :] = start.shape_sd[: shape.COEFFICIENTS]
     return sd

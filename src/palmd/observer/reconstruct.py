@@ -30,9 +30,11 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
+from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lasting, lay_out
+from palmd.observer.relations import mixture, with_each_relation
 from palmd.observer.search import (
     AMBIGUOUS,
     DOUBT,
@@ -78,6 +80,7 @@ STICKS = (
     " palms, or turn them slowly and by more"
 )
 NO_ANSWER = "no motion of an object was found that explains the readings"
+NO_NUMBERS = "the readings lead beyond the range of numbers: check the log's units, and record the run again"
 
 
 @one_thread()
@@ -92,6 +95,29 @@ def reconstruct(
     with `converged` False and the reason. `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
+    rigs = with_each_relation(rig)
+    if len(rigs) > 1:
+        told = mixture([_reconstructed(events, each, seed, begun, None, unlike=False) for each in rigs], rigs)
+        if told is not None:
+            return replace(told, seconds=time.perf_counter() - begun)
+    return _reconstructed(events, rigs[0], seed, begun, say)
+
+
+def _reconstructed(
+    events: Sequence[Event], rig: RigDescription, seed: int, begun: float, say: Callable[[str], None] | None,
+    *, unlike: bool = True,
+) -> Reconstruction:  # fmt: skip
+    """As `reconstruct`, for palms whose vibration is described; not `unlike`: smooth outlines alone are looked for."""
+    try:
+        return _of_segments(events, rig, seed, begun, say, unlike)
+    except NUMERICAL_FAILURES as error:
+        return _nothing(f"{NO_NUMBERS} ({error})", begun)
+
+
+def _of_segments(
+    events: Sequence[Event], rig: RigDescription, seed: int, begun: float, say: Callable[[str], None] | None,
+    wanted: bool,
+) -> Reconstruction:  # fmt: skip
     found = _by_length(data_segments(events), rig)
     if not found:
         return _nothing("there is no second in which both pads and the arm report", begun)
@@ -105,7 +131,7 @@ def reconstruct(
         shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S), rig)
         swapped = shorter if shorter and shorter[0].lasts < found[0].lasts else []  # perhaps, in a gap
         apart = _search(swapped[0], rig) if swapped else None
-        unlike = _Unlike(search, found, rig, seed, begun, say)
+        unlike = _Unlike(search, found, rig, seed, begun, say, wanted)
         told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
         if isinstance(told, Reconstruction):
             return told
@@ -158,8 +184,9 @@ class _Unlike:
 
     def __init__(
         self, search: Search, found: Sequence[DataSegment], rig: RigDescription, seed: int, begun: float,
-        say: Callable[[str], None] | None,
+        say: Callable[[str], None] | None, wanted: bool,
     ):  # fmt: skip
+        self._wanted = wanted
         self._search, self._found, self._rig = search, found, rig
         self._seed, self._begun, self._say = seed, begun, say
 
@@ -169,9 +196,9 @@ class _Unlike:
 
     @cached_property
     def told(self) -> Reconstruction | None:
-        """A dry one, else one with flat sides; None if neither, and on palms that are not flat."""
+        """A dry one, else one with flat sides; None if neither, on palms that are not flat, or if not wanted."""
         search, seed, begun = self._search, self._seed, self._begun
-        if search.rig.curved:
+        if search.rig.curved or not self._wanted:
             return None
         told = dry_reconstruction(search, seed, begun)
         return told or sharp_reconstruction(search, seed, begun, self._say, self._others)
@@ -275,8 +302,11 @@ def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None =
     doubting = believing.believing(believing.belief.suspended())
     for number, attempt in attempts:
         search = doubting if attempt.free else believing
-        finding = search.blind(attempt, seed)
-        part = None if finding is None else _refined(search, finding)
+        try:
+            finding = search.blind(attempt, seed)
+            part = None if finding is None else _refined(search, finding)
+        except NUMERICAL_FAILURES:  # of this attempt alone
+            continue
         if part is not None and (best is None or part.deviance < best.deviance):
             best = part
         if best is None or best.reason:
@@ -418,6 +448,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         reason=reason, seconds=time.perf_counter() - begun,
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
         rig_by_prior=by_prior,
+        evidence=answered.evidence - main.belief.opened_nats,
         likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
 

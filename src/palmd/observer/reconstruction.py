@@ -29,7 +29,8 @@ class Reconstruction:
     t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
     why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
     sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).
-    likeness: which simple form the outline is of, if any.
+    likeness: which simple form the outline is of, if any. evidence: log marginal likelihood of the readings under this
+    description of the rig, up to a constant of them; NaN where nobody has worked it out.
     """
 
     converged: bool
@@ -59,6 +60,7 @@ class Reconstruction:
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     likeness: Likeness = UNTOLD
     rig_by_prior: tuple[FloatArray, FloatArray] | None = None
+    evidence: float = math.nan
 
     @property
     def spans(self) -> list[tuple[float, float]]:

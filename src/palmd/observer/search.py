@@ -157,10 +157,12 @@ class Search:
         first = [sample for sample in segment.pads if sample.t_sample < segment.start + FIRST_LOOK_S]
         opening = self.path.at(np.array([sample.t_sample for sample in first]))[:, OPENING]
         if not self.rig.curved:
-            return prior_of(float(np.mean([sample.s for sample in first] * np.tan(opening / 2))), self.belief.sd)
+            radius = float(np.mean([sample.s for sample in first] * np.tan(opening / 2)))
+            return prior_of(radius, self.belief.sd, self.rig.vibration)
         mean = [float(np.mean([sample.s for sample in first if sample.pad == palm])) for palm in PALMS]
         joints = self.path.at(np.array([segment.start + FIRST_LOOK_S / 2]))[0, : len(PALMS)]
-        return prior_of(circle_radius(joints.tolist(), mean, self.rig.curvatures), self.belief.sd)
+        radius = circle_radius(joints.tolist(), mean, self.rig.curvatures)
+        return prior_of(radius, self.belief.sd, self.rig.vibration)
 
     def rested(self, t: float) -> float:
         """For how long the palms have rested at `t` (s)."""

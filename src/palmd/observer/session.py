@@ -78,7 +78,7 @@ class ObjectSession:
         contacts = [sample.s for sample in self._contacts.all()]
         start = blind_start(
             contacts, palms, filters.bank.full_size, self._starts == 1,
-            np.random.default_rng([self._seed, self._starts]), filters.order, rig.curvatures,
+            np.random.default_rng([self._seed, self._starts]), filters.order, rig.curvatures, rig.vibration,
         )  # fmt: skip
         fusion.begin(filters, start, self, t)
         track = self.track = Track(

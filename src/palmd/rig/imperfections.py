@@ -87,6 +87,8 @@ class Imperfections:
         } | {
             **{f"{joint}_rad": off for joint, off in zip(JOINTS, self._off, strict=True)},
             "friction_asymmetry": self.friction,
+            "vibration_kappa": 0.0,  # that of the rig's description
+            "vibration_transmission": 0.0,
         }
 
 

@@ -70,6 +70,10 @@ RIG_TABLE: tuple[RigConstant, ...] = (
     *_of_each_pad(RigConstant("pad{}_force_m_per_n", "m/N", "by how much a reading of pad {} moves with its force",
                               "pad {}'s reading", " mm/N", 1e3, "off with the contact's force",
                               "see that nothing gives under it")),
+    RigConstant("vibration_kappa", "", "by how much the mean product of both palms' slip signs is more than described",
+                "the relation κ of the palms' vibrations", "", 1.0, "off", "set rig.vibration.relation"),
+    RigConstant("vibration_transmission", "", "by how much more of friction's alternation the normal forces follow",
+                "the transmission λ of the vibration", "", 1.0, "off", "set rig.vibration.transmission"),
 )  # fmt: skip
 RIG_NAMES = tuple(constant.name for constant in RIG_TABLE)
 
@@ -78,7 +82,16 @@ def prior_sds(rig: RigDescription) -> FloatArray:
     """One-sigma of each constant before any reading, in the order of `RIG_TABLE`."""
     of_pads = [[pad.zero_sd, pad.scale_sd, pad.sagitta_sd, pad.lag_sd, pad.standoff_sd] for pad in rig.pads]
     of_angles = math.hypot(rig.angle_sd, rig.gravity_sd), rig.angle_sd
-    return np.array([*np.transpose(of_pads).ravel(), *of_angles, rig.friction_sd, *(pad.force_sd for pad in rig.pads)])
+    of_vibration = rig.vibration.kappa_sd, rig.vibration.likeliest_transmission_sd
+    return np.array(
+        [
+            *np.transpose(of_pads).ravel(),
+            *of_angles,
+            rig.friction_sd,
+            *(pad.force_sd for pad in rig.pads),
+            *of_vibration,
+        ]
+    )
 
 
 def declared_exact(rig: RigDescription) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,6 +11,18 @@ Relation = Literal["independent", "in_phase", "antiphase", "unknown", "none"]
 """Between the palms: `in_phase` moves both away from the hinge at the same time; `none`: palms do not vibrate."""
 VibrationLaw = Literal["sign_pairs", "averaged"]
 """`sign_pairs`: the contact equations averaged over the signs of slip; `averaged`: friction alone, old logs' law."""
+
+SPEED_M_S, LN_SPEED_SD = 0.014, 0.35
+"""A shaker's speed V where it is not given, and one sigma of its logarithm."""
+AVERAGED_SPEED_M_S = 0.012 / (math.pi / 2)
+SHAKER_SD, LEAST_LN_SD = 0.10, 1e-3
+"""One sigma of ln V of a shaker whose speed is given without one; and the least that there is."""
+UNKNOWN_KAPPA_SD = 0.7
+RIGID_SD = 0.10
+"""One sigma of λ where it is not given: mounts and contacts give a little."""
+_KAPPA: Mapping[Relation, float] = {
+    "independent": 0.0, "in_phase": -1.0, "antiphase": 1.0, "unknown": 0.0, "none": 0.0
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +46,42 @@ class Vibration:
     def vibrates(self) -> bool:
         """Whether the palms vibrate at all; where they do not, friction is dry Coulomb friction."""
         return self.relation != "none"
+
+    @property
+    def averaged(self) -> bool:
+        """Whether friction is that of the averaged law; of dry palms it stands for sticking, smoothly."""
+        return self.law == "averaged" or not self.vibrates
+
+    @property
+    def kappa(self) -> float:
+        """κ, the mean product of both slips' signs at rest; 0 where it is not known."""
+        return _KAPPA[self.relation]
+
+    @property
+    def kappa_sd(self) -> float:
+        """One sigma of κ."""
+        return UNKNOWN_KAPPA_SD if self.relation == "unknown" and not self.averaged else 0.0
+
+    @property
+    def likeliest_transmission(self) -> float:
+        """λ; 1, rigid palms and a rigid body, where it is not given."""
+        return 1.0 if self.transmission is None else self.transmission
+
+    @property
+    def likeliest_transmission_sd(self) -> float:
+        """One sigma of λ."""
+        if self.averaged:
+            return 0.0
+        return RIGID_SD if self.transmission is None else self.transmission_sd or 0.0
+
+    @property
+    def ln_speed(self) -> tuple[float, float]:
+        """ln V (m/s) and its one sigma."""
+        if self.speed is None:
+            return math.log(AVERAGED_SPEED_M_S if self.averaged else SPEED_M_S), LN_SPEED_SD
+        return math.log(self.speed), SHAKER_SD if self.speed_sd is None else max(
+            self.speed_sd / self.speed, LEAST_LN_SD
+        )
 
 
 INDEPENDENT = Vibration()

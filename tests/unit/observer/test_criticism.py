@@ -18,10 +18,10 @@ from palmd.observer.search import Attempt, Search
 from palmd.observer.smoother import Smoother
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
-from palmd.system.description import AS_CALIBRATED, RigDescription
-from palmd.system.rig_constants import RIG_NAMES, prior_sds
+from palmd.system.description import AS_CALIBRATED
+from palmd.system.rig_constants import RIG_NAMES
 
-CALIBRATED = prior_sds(RigDescription().known_to(AS_CALIBRATED))
+CALIBRATED = np.where(LEFT > 0.0, LEFT, KNOWN)  # the vibration is as described
 EXACT = np.full(RIG_CONSTANTS, 1e-7)
 
 
@@ -51,7 +51,7 @@ def test_a_rig_drawn_from_its_prior_contradicts_it_hardly_ever(sd):
 def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     """By the densities of the readings themselves, of all sets of causes in which zeros are off."""
     linear = Linear(4, readings=20)
-    sd = np.where(np.arange(RIG_CONSTANTS) < 2, EXACT, 30 * LEFT)  # only zeros can be contradicted
+    sd = np.where(np.arange(RIG_CONSTANTS) < 2, EXACT, 30 * CALIBRATED)  # only zeros can be contradicted
     true = np.where(np.arange(RIG_CONSTANTS) == 0, 2.0 * CALIBRATED, 0.0)
     heard = linear.design @ true + linear.random.standard_normal(20)
 
@@ -78,10 +78,10 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
 
 def test_doubt_is_in_the_answer_before_anything_is_named():
     """Of readings that tell each constant to a third of what calibration leaves; the first is z of that from 0."""
-    precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
+    precision = (3.0 / CALIBRATED) ** 2 + EXACT**-2.0
 
     def found(z):
-        values = np.where(np.arange(RIG_CONSTANTS) == 0, z * (3.0 / LEFT) / precision, 0.0)
+        values = np.where(np.arange(RIG_CONSTANTS) == 0, z * (3.0 / CALIBRATED) / precision, 0.0)
         return criticised(values, np.diag(1.0 / precision), EXACT, EXACT)
 
     none, some, sure = map(found, (1.0, 2.8, 6.0))
@@ -97,8 +97,10 @@ def test_doubt_is_in_the_answer_before_anything_is_named():
 @pytest.mark.parametrize("known", [0.001, 0.5, 1.0], ids=["all but exactly", "to half", "as calibrated"])
 def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
     """Against the mixture's second moments about what is believed: of a zero, and of what readings tell with it."""
-    sd = np.where(np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * LEFT)  # only the first zero can be contradicted
-    scale = np.concatenate([np.ones(C.RIG), LEFT, [1.0]])  # constants before the rig's, the rig's, something else
+    sd = np.where(
+        np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * CALIBRATED
+    )  # only the first zero can be contradicted
+    scale = np.concatenate([np.ones(C.RIG), CALIBRATED, [1.0]])  # constants before the rig's, the rig's, something else
     readings = np.zeros((2, len(scale)))
     readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]
     readings /= scale
@@ -147,7 +149,7 @@ def test_a_score_is_standard_normal_where_the_prior_is_true():
 
 
 @pytest.mark.parametrize("sd", [CALIBRATED, EXACT], ids=["calibrated", "exact"])
-@pytest.mark.parametrize("wrong", range(RIG_CONSTANTS), ids=RIG_NAMES)
+@pytest.mark.parametrize("wrong", range(R.KAPPA), ids=RIG_NAMES[: R.KAPPA])
 def test_the_one_that_is_off_is_named_alone(sd, wrong):
     linear = Linear(100 + wrong)
     true = linear.random.standard_normal(RIG_CONSTANTS) * sd
@@ -159,12 +161,12 @@ def test_the_one_that_is_off_is_named_alone(sd, wrong):
 
 def test_both_zeros_that_are_off_alike_are_one_cause():
     """Readings that tell each to a third of what calibration leaves are enough; of unlike ones they are not."""
-    precision = (3.0 / LEFT) ** 2 + EXACT**-2.0
+    precision = (3.0 / CALIBRATED) ** 2 + EXACT**-2.0
 
     def found(one, other):
         off = np.zeros(RIG_CONSTANTS)
         off[[R.ZERO, R.ZERO + 1]] = one, other
-        return criticised(off * LEFT * (3.0 / LEFT) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT)
+        return criticised(off * LEFT * (3.0 / CALIBRATED) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT)
 
     assert np.flatnonzero(found(1.0, 1.0).contradicted).tolist() == [R.ZERO, R.ZERO + 1]
     assert not found(1.0, -1.0).contradicted.any()

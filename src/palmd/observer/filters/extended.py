@@ -112,10 +112,10 @@ class ExtendedFilters:
         mean, sd = np.zeros((self.bank.size, extended.N)), np.zeros(extended.N)
         curvature = shape.curvature_rows()
         mean[:, X.RHO] = prior.GYRATION * self.bank.x[:, X.CURVATURE]
-        mean[:, X.MU], mean[:, X.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
+        mean[:, X.MU], mean[:, X.LN_DITHER] = prior.FRICTION, start.ln_dither[0]
         mean[:, X.DAMPING], mean[:, X.CURVATURE] = prior.DAMPING, start.mean_radius
         sd[X.RHO], sd[X.MU] = prior.GYRATION_SD * prior.GYRATION * start.mean_radius, prior.FRICTION_SD
-        sd[X.LN_DITHER], sd[X.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
+        sd[X.LN_DITHER], sd[X.DAMPING] = start.own_ln_dither_sd, prior.DAMPING_SD
         sd[X.CURVATURE :] = np.abs(curvature) @ start.shape_sd
         return Belief(slice(X.RHO, extended.N), mean, sd)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
+from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
@@ -159,10 +160,10 @@ class ShapeFilters:
         """But for ρ, of which each filter's goes with its mean radius."""
         Z = shape_map.Z
         mean, sd = np.zeros((self.bank.full_size, self.bank.n)), np.zeros(self.bank.n)
-        mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, math.log(prior.DITHER)
+        mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, start.ln_dither[0]
         mean[:, Z.DAMPING], mean[:, Z.SHAPE] = prior.DAMPING, start.mean_radius
         sd[Z.LN_RHO], sd[Z.MU] = prior.GYRATION_SD, prior.FRICTION_SD
-        sd[Z.LN_DITHER], sd[Z.DAMPING] = prior.LN_DITHER_SD, prior.DAMPING_SD
+        sd[Z.LN_DITHER], sd[Z.DAMPING] = start.own_ln_dither_sd, prior.DAMPING_SD
         sd[Z.SHAPE :] = start.shape_sd
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
@@ -246,6 +247,7 @@ class ShapeFilters:
 
     def _rig_now(self) -> FloatArray:
         self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
+        self._rig[VIBRATION_OFF_INPUTS] = self.rig_error.values[[R.KAPPA, R.TRANSMISSION]]
         return self._rig
 
     def _palms_at(self, t: float, palms: TrackedPalms) -> FloatArray:
