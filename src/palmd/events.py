@@ -25,7 +25,8 @@ class PadSample:
     """One contact reading: the object touches palm `pad` at distance `s` (m, > 0) from the hinge.
 
     `force` is the contact's normal force in N, None when the pad gives none. `across` is the contact's other coordinate
-    (m), None from pads of which one is read.
+    (m), None from pads of which one is read. `at_least`: the pad's full scale (N) where the reading is saturated:
+    the force is no less, and `force` is None.
     """
 
     t_sample: float
@@ -33,6 +34,7 @@ class PadSample:
     s: float
     force: float | None = None
     across: float | None = None
+    at_least: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -285,9 +285,12 @@ def motion_fields(
     progress: float,
     arm_state: str,
     naming: Naming = NAMING,
+    following_errors: Sequence[float] = (),
+    following_limits: Sequence[float] = (),
 ) -> Fields:
-    """`palm/motion` of a system's joints."""
+    """`palm/motion` of a system's joints; following errors and their limits are unknown (NaN) where left out."""
     none = (math.nan,) * len(naming.joints)
+    error, limit = naming.following
     angles = (none if each is None else each.angles for each in (commanded, actual))
     return {
         **dict(zip(_joint_names(naming), chain.from_iterable(angles), strict=True)),
@@ -295,6 +298,8 @@ def motion_fields(
         "segment": segment,
         "progress": progress,
         "arm_state": arm_state,
+        error: [*(following_errors or none)],
+        limit: [*(following_limits or none)],
     }
 
 

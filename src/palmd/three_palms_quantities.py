@@ -93,7 +93,7 @@ PALM3_MOTION = Topic(
           for joint in JOINTS),
         *(Quantity(f"{joint}_rad", "number", "rad", f"{joint} as it is, from the arm's last report")
           for joint in JOINTS),
-        *MOTION.quantities[-4:],
+        *MOTION.quantities[-6:],
     ),
 )  # fmt: skip
 PALM3_EVENTS = Topic(
