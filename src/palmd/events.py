@@ -97,6 +97,8 @@ class LiveEstimate:
     object_count: int
     nis: float
     sd: dict[str, float] = field(default_factory=dict, kw_only=True)
+    invalid_reasons: tuple[str, ...] = field(default=(), kw_only=True)
+    """Codes of what speaks against it, empty when it is valid."""
 
 
 @dataclass(frozen=True)

@@ -342,6 +342,12 @@ FAULTS: tuple[Fault, ...] = (
         "until then no estimate is called valid",
     ),
     Fault(
+        "pads-mirrored",
+        Severity.DEGRADE,
+        "the contacts move the wrong way along the palms as these open: the sign of a pad is wrong",
+        "give the pads that are named the other sign in the configuration; until then no estimate is valid",
+    ),
+    Fault(
         "estimate-lost",
         Severity.DEGRADE,
         "the palms move and both pads feel the object, but there is no valid estimate",
@@ -433,8 +439,8 @@ class FaultMonitor:
         """Take the codes whose condition holds at `t` (s); return whether `active` has changed.
 
         `evidence` tells what speaks for a code, with numbers; it is asked once, when the fault comes up.
-        `armed` says whether the arm is commanded, on which some rows' latching depends; what is `sure` need not hold for
-        any time first. Raises KeyError for a code that is not in the table.
+        `armed` says whether the arm is commanded, on which some rows' latching depends; what is `sure` need not hold
+        for any time first. Raises KeyError for a code that is not in the table.
         """
         since = self._since
         for code in [code for code in since if code not in present]:

@@ -12,6 +12,7 @@ PIVOT = Topic(
     100.0,
     "every tick, of a pivoting grasp",
     (
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
         Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains readings",
                  source="valid"),
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),

@@ -21,6 +21,7 @@ PALM3 = Topic(
     100.0,
     "every tick, of three palms in space",
     (
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
         Quantity("valid", "bool", "", "whether to trust it: one motion explains the readings, and goes on to"),
         Quantity("observer", "text", "", "which observer it comes from"),
         Quantity("object", "number", "", "counts up when a new object is begun"),

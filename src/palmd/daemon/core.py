@@ -54,6 +54,9 @@ log = logging.getLogger(__name__)
 SLOW_TOPIC_S = 1.0 / STATE.rate_hz
 _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 
+_MISWIRED = frozenset({"pads-swapped", "pads-mirrored"})
+"""Faults of the pads with which no estimate is valid."""
+
 
 def _always() -> bool:
     return True
@@ -263,11 +266,12 @@ class Core:
             self._passing.add("tick-error")
             self._estimate = self._system.unknown(t, self._observer)
         self._of_system = frozenset(self._system.conditions(t, self.arm.actual))
-        if self._estimate.valid and "pads-swapped" in self._of_system:
-            self._estimate = dataclasses.replace(self._estimate, valid=False)
+        if self._estimate.valid and self._of_system & _MISWIRED:
+            reasons = tuple(sorted(self._of_system & _MISWIRED))
+            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=reasons)
         if self._estimate.valid and not self._system.sound(self._estimate):
             self._passing.add("estimate-not-finite")
-            self._estimate = dataclasses.replace(self._estimate, valid=False)
+            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=("not-finite",))
 
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
@@ -504,7 +508,7 @@ class Core:
         """What speaks for a guard's fault, in words with numbers."""
         if code in ("force-limit", "force-excess"):
             return self._forces.evidence()
-        return self.arm.guards.evidence().get(code, "")
+        return self.arm.guards.evidence().get(code, "") or self._system.evidence(code)
 
     def _said_off(self) -> list[str]:
         return said_off(self._rig, self._rig_sds, self._rig_priors, self._contradicted)

@@ -135,7 +135,8 @@ class SetPoints:
     def jog(self, steps: Angles, t: float, whole: Angles | None = None) -> str:
         """Shift the palms by small steps (rad) at `t` (s); returns which limits clipped the step, in words.
 
-        Raises MotionError when it cannot be done at all, and changes nothing. whole: what this step and those to come add up to (rad), where it is known: then all of it must be possible.
+        Raises MotionError when it cannot be done at all, and changes nothing. whole: what this step and those to come
+        add up to (rad), where it is known: then all of it must be possible.
         """
         if self.commanded is None or self._off_path or self._frozen:
             raise MotionError("the arm does not follow yet")

@@ -115,6 +115,11 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Codes of the fault table that hold by what only this system knows."""
 
+    def evidence(self, code: str) -> str:
+        """What speaks for one of these codes, in words with numbers; empty where there is no more to say."""
+        del code
+        return ""
+
     @property
     def sticking(self) -> tuple[float, ...] | None:
         """Where the contacts of an object are that friction without dither holds (m); None: of none that is known."""

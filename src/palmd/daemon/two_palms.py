@@ -17,6 +17,7 @@ from palmd.daemon.exploring import Exploring
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import arc_contradiction, no_contradiction
+from palmd.daemon.guards.signs import SignWatch
 from palmd.daemon.poses import ArcPoses, Poses, make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
@@ -49,6 +50,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
         self._swap, self._sticking = SwapWatch(), StickingWatch()
+        self._signs = SignWatch([pad.zero_mm * 1e-3 for pad in config.pads.each()])
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
         """As configured."""
@@ -90,17 +92,28 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 
     def felt(self, sample: PadSample) -> None:
-        """Are the pads swapped, does the object stick?"""
+        """Are the pads swapped, their signs right, does the object stick?"""
         self._swap.feed(sample)
+        self._signs.feed(sample)
         self._sticking.feed(sample)
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """Pads that are swapped. Whether the object sticks is judged as well, and is no fault."""
+        """Pads that are swapped or mirrored. Whether the object sticks is judged as well, and is no fault."""
         self._swap.look(t, actual)
         if not self._rig.curved:  # there the normals that forces press along are not the palms'
             self._sticking.look(t, actual)
+            self._signs.look(t, actual)
         if self._swap.swapped:
             yield "pads-swapped"
+        if self._signs.wrong:
+            yield "pads-mirrored"
+
+    def evidence(self, code: str) -> str:
+        """Which pads are mirrored."""
+        if code != "pads-mirrored":
+            return ""
+        keys = " and ".join(f"pads.palm{pad}.sign" for pad in self._signs.wrong)
+        return f"the sign of {keys} is wrong by odds of e^{self._signs.log_odds:.0f}"
 
     @property
     def sticking(self) -> tuple[float, ...] | None:

@@ -31,6 +31,7 @@ _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 def answer(
     t: float, valid: bool, observer: str, object_count: int,
     y: list[float], sd: list[float], mass: MassEstimator, nis: float, observability: float, touched: float,
+    invalid_reasons: tuple[str, ...],
 ) -> Estimate:  # fmt: skip
     """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
     values, sds = dict(zip(NAMED, y, strict=True)), dict(zip(NAMED, sd, strict=True))
@@ -42,6 +43,7 @@ def answer(
     told = {
         "t": t, "valid": valid, "observer": observer, "object_count": object_count,
         "mass": m, "nis": nis, "observability": observability, "touched": touched, "sd": sds,
+        "invalid_reasons": invalid_reasons,
     }  # fmt: skip
     return Estimate.of(told | values)
 
@@ -50,7 +52,7 @@ def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | No
     """The estimate when nothing is known but, perhaps, the palms; NaN elsewhere."""
     known = {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     return Estimate(
-        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
+        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0, invalid_reasons=("no-object",),
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},
     )  # fmt: skip
 

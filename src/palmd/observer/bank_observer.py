@@ -36,7 +36,7 @@ from palmd.observer.session import ObjectSession
 from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.track import Track
-from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled
+from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, reasons, settled
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
@@ -223,6 +223,7 @@ class BankObserver:
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
+            () if valid else reasons(evidence, SETTLED),
         )  # fmt: skip
 
     def shape(self, t: float) -> ShapeEstimate | None:
