@@ -87,7 +87,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         values = {
             field.name: math.nan
             for field in dataclasses.fields(Estimate)
-            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+            if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
         }
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 

@@ -27,7 +27,7 @@ class LightObserver(SilentObserver):
         numbers = {
             field.name: 0.01
             for field in dataclasses.fields(Estimate)
-            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+            if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
         }
         self._estimate = Estimate(
             t=0.0, valid=True, observer="shape", object_count=0, sd=dict.fromkeys(NAMED_STATE, 1e-3), **numbers

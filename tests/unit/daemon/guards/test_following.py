@@ -38,7 +38,7 @@ def test_an_arm_that_follows_with_an_error_of_its_lag_is_not_named(rate):
 def test_a_blocked_arm_is_named_within_300_ms_of_passing_the_limit_and_500_of_the_block(rate):
     block = 0.5
     guard = FollowingGuard(LIMITS, SCALE)
-    named = drive(guard, rate, lambda t, c: min(c, math.radians(rate) * block))
+    named = drive(guard, rate, lambda _t, c: min(c, math.radians(rate) * block))
     assert named - block <= 0.5
     passed = LIMITS.joint(math.radians(rate)) / math.radians(rate)
     assert named - block <= passed + 0.3
