@@ -192,8 +192,12 @@ class SetPoints:
 
     @property
     def retreating(self) -> bool:
-        """Whether the set-point is on its way back to an arm that does not move."""
+        """Whether the set-point goes back to an arm that does not move, or is there, until the arm is stopped."""
         return self._retreat is not None and self.commanded is not None
+
+    def retreated(self, t: float) -> bool:
+        """Whether by `t` (s) it has had time enough for that."""
+        return self._retreat is None or t >= self._retreat[1]
 
     @property
     def moving(self) -> bool:
@@ -238,7 +242,7 @@ class SetPoints:
         if before is None:
             return None
         if self._retreat is not None:
-            return self._back(before, *self._retreat, t)
+            return self._back(before, self._retreat[0], t)
         wanted = self._executor.advance(t) if self._jog is None else self._jog.advance(t)
         self.violated |= _distance(self.nearest(wanted), wanted) > _ON_PATH
         dt = min(max(t - self._t_sent, 0.0), LONGEST_STEP_S) * (CATCH_UP_SHARE if self._off_path else 1.0)
@@ -258,11 +262,8 @@ class SetPoints:
         self._next = motion
         return pose
 
-    def _back(self, before: PalmMotion, goal: PalmMotion, t_end: float, t: float) -> Place | None:
-        """The set-point on the way back, which is over at `t_end` (s)."""
-        if t >= t_end:
-            self._retreat = None
-            goal = PalmMotion.at_rest(before.angles)
+    def _back(self, before: PalmMotion, goal: PalmMotion, t: float) -> Place | None:
+        """The set-point on the way back, or where that ends."""
         motion = self.limits.clamp_step(before, goal, min(max(t - self._t_sent, 0.0), LONGEST_STEP_S))
         self._next = motion
         return self._pose(motion)

@@ -514,7 +514,7 @@ class Supervisor:
     def _enforce(self, t: float) -> None:
         """Keep the arm to what the state allows, whatever has happened."""
         host = self._arm.host
-        if host.tracking and not self.armed and not self._setpoints.retreating:
+        if host.tracking and not self.armed and self._setpoints.retreated(t):
             host.want_stop()
         if host.tracking:
             self._setpoints.freeze(host.frozen(t))

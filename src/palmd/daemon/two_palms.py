@@ -7,7 +7,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from palmd import messages, observer
 from palmd.config.two_palms import Config, rig_description
@@ -84,7 +84,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
 
     def unknown(self, t: float, observer: LiveObserver) -> Estimate:
         """Without a number."""
-        values = {
+        values: dict[str, Any] = {
             field.name: math.nan
             for field in dataclasses.fields(Estimate)
             if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 from palmd.events import Estimate, Event, PadLift, PadSample
 from palmd.lab.silent_observer import SilentObserver
@@ -24,7 +25,7 @@ class LightObserver(SilentObserver):
         self.object_count = self.late_dropped = 0
         self._newest = -math.inf
         self._touched: dict[int, float] = {}
-        numbers = {
+        numbers: dict[str, Any] = {
             field.name: 0.01
             for field in dataclasses.fields(Estimate)
             if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
