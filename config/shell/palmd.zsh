@@ -184,7 +184,7 @@ _shtab_palmd_bench_explore_defaults_added=0
 _shtab_palmd_bench_faults_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--rig[an arm and VersaPads, or servos with strips or input devices (default\: adept)]:rig:(adept tabletop input)"
-  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, smoother-stopped, page-killed, page-stuck, address-taken, clock-step]:NAME:"
+  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-blocked, arm-frozen, arm-jump, arm-impossible, pad1-saturated, pad2-saturated, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, smoother-stopped, page-killed, page-stuck, address-taken, clock-step]:NAME:"
   "--times[how often each is provoked (default\: 1)]:N:"
   "--seed[which object and noise (default\: 3)]:seed:"
   {-o,--output}"[for runs.jsonl, which is overwritten, and the recordings (default\: faults)]:FOLDER:_files"
@@ -934,7 +934,7 @@ _shtab_palmd_rig_options=(
   "*--cylinder[a turned cylinder is the object\; given again\: it is exchanged for that one]:RADIUS_MM,MASS_G:"
   "--roller[it rolls down the gentler palm\; then there is no object]:roller:(ball cylinder)"
   "--by-hand[manual mode\: a hand swings the empty palms]"
-  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
+  "*--mischief[what goes wrong\; may be given again\; names\: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop, power_off, manual, block, freeze, jump, saturate, lift, swap, overload, overheat, undervoltage, brownout, overflow]:NAME[@PORT][,strength=X][,after=S][,for=S]:"
   "--uinput[emulated input devices are the kernel\'s own\; a desktop beside it takes them too until palmd does]"
   "--ports[where its ports are, made if need be\; default\: one of its own]:FOLDER:_files"
   "--sockets[serial ports are UNIX sockets, which no busy machine holds up]"

@@ -25,7 +25,8 @@ class PadSample:
     """One contact reading: the object touches palm `pad` at distance `s` (m, > 0) from the hinge.
 
     `force` is the contact's normal force in N, None when the pad gives none. `across` is the contact's other coordinate
-    (m), None from pads of which one is read.
+    (m), None from pads of which one is read. `at_least`: the pad's full scale (N) where the reading is saturated:
+    the force is no less, and `force` is None.
     """
 
     t_sample: float
@@ -33,6 +34,7 @@ class PadSample:
     s: float
     force: float | None = None
     across: float | None = None
+    at_least: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,8 @@ class LiveEstimate:
     object_count: int
     nis: float
     sd: dict[str, float] = field(default_factory=dict, kw_only=True)
+    invalid_reasons: tuple[str, ...] = field(default=(), kw_only=True)
+    """Codes of what speaks against it, empty when it is valid."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,6 @@ class Estimate(LiveEstimate):
     touched: float
     e_f: float = math.nan  # of the quasistatic observer: (3.36), m
     e_c: float = math.nan  # and the length of (3.37), m
-    invalid_reasons: tuple[str, ...] = field(default=(), kw_only=True)  # codes
 
     @classmethod
     def of(cls, fields: dict[str, Any]) -> Self:

@@ -7,8 +7,8 @@ The documentation's table is generated from `FAULTS`.
 
 from __future__ import annotations
 
-from collections.abc import Set
-from dataclasses import dataclass
+from collections.abc import Callable, Set
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -138,6 +138,31 @@ FAULTS: tuple[Fault, ...] = (
         debounce_s=0.03,
         latch="armed",
         clears="reset",
+    ),
+    Fault(
+        "following-error",
+        Severity.STOP,
+        "the arm does not follow its set-points",
+        "see what blocks the arm, and whether its encoders tell the truth; then reset, arm and start: the motion "
+        "begins where the arm is",
+        latch="always",
+        clears="reset",
+    ),
+    Fault(
+        "pose-implausible",
+        Severity.STOP,
+        "the arm reports a pose that cannot be",
+        "compare the pose with where the arm is; check its encoders, its calibration and its cable, then reset",
+        latch="always",
+        clears="reset",
+    ),
+    Fault(
+        "pose-contradicts-rig",
+        Severity.STOP,
+        "the pose that the arm reports cannot be one of the rig as configured",
+        "run palmd doctor, then palmd calibrate arm: check rig.base_mm, the palms' lengths, arm.base_x_mm, base_y_mm "
+        "and base_yaw_deg",
+        debounce_s=0.05,
     ),
     Fault(
         "loop-overruns",
@@ -273,8 +298,17 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         "force-limit",
         Severity.HOLD,
-        "a body in a pivoting gripper presses harder on the pad than limits.force_n",
-        "stop, raise the gripper with the pendant, see what it is set down on; then arm and start",
+        "something presses harder on a pad than limits.force_n, or than the pad can tell",
+        "see what lies on the pads or presses on them; stop, raise a pivoting gripper with the pendant or take the "
+        "object off; then arm and start",
+    ),
+    Fault(
+        "force-excess",
+        Severity.STOP,
+        "something presses on a pad with more than 1.5 times limits.force_n",
+        "take the object off or free the gripper, see what pressed; then reset",
+        latch="always",
+        clears="reset",
     ),
     Fault(
         "plan-refused",
@@ -306,6 +340,12 @@ FAULTS: tuple[Fault, ...] = (
         "the pressures move the wrong way between the pads as the palms turn: the pads are swapped",
         f"exchange {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)} in the configuration, or the plugs; "
         "until then no estimate is called valid",
+    ),
+    Fault(
+        "pads-mirrored",
+        Severity.DEGRADE,
+        "the contacts move the wrong way along the palms as these open: the sign of a pad is wrong",
+        "give the pads that are named the other sign in the configuration; until then no estimate is valid",
     ),
     Fault(
         "estimate-lost",
@@ -369,6 +409,11 @@ FAULTS: tuple[Fault, ...] = (
 TABLE: dict[str, Fault] = {fault.code: fault for fault in FAULTS}
 
 
+def _none(code: str) -> str:
+    del code
+    return ""
+
+
 class FaultMonitor:
     """Says which faults stand, given the conditions that hold. Pure, and safe in the loop.
 
@@ -380,10 +425,20 @@ class FaultMonitor:
         self._since: dict[str, float] = {}
         self._latched: set[str] = set()
         self._shown: set[str] = set()
+        self._told: dict[str, Fault] = {}  # with what spoke for them when they came up
 
-    def update(self, present: Set[str], t: float, *, armed: bool, sure: Set[str] = frozenset()) -> bool:
+    def update(
+        self,
+        present: Set[str],
+        t: float,
+        *,
+        armed: bool,
+        sure: Set[str] = frozenset(),
+        evidence: Callable[[str], str] = _none,
+    ) -> bool:
         """Take the codes whose condition holds at `t` (s); return whether `active` has changed.
 
+        `evidence` tells what speaks for a code, with numbers; it is asked once, when the fault comes up.
         `armed` says whether the arm is commanded, on which some rows' latching depends; what is `sure` need not hold
         for any time first. Raises KeyError for a code that is not in the table.
         """
@@ -397,6 +452,10 @@ class FaultMonitor:
                 standing.add(code)
                 if row.latch == "always" or (armed and row.latch == "armed"):
                     self._latched.add(code)
+        for code in standing - self._shown:
+            told = evidence(code)
+            if told:
+                self._told[code] = replace(TABLE[code], text=f"{TABLE[code].text}: {told}")
         return self._show(standing | self._latched)
 
     def reset(self) -> bool:
@@ -416,5 +475,7 @@ class FaultMonitor:
         if shown == self._shown:
             return False
         self._shown = shown
-        self.active = tuple(fault for fault in FAULTS if fault.code in shown)
+        for code in [code for code in self._told if code not in shown]:
+            del self._told[code]
+        self.active = tuple(self._told.get(fault.code, fault) for fault in FAULTS if fault.code in shown)
         return True

@@ -8,6 +8,7 @@ loop.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -95,10 +96,18 @@ def estimate_fields(estimate: Estimate) -> Fields:
     """`palm/estimate`."""
     fields: Fields = dict(zip(_TOLD, _told_of(estimate), strict=True))
     fields["valid"] = bool(estimate.valid)
-    fields["invalid_reasons"] = list(estimate.invalid_reasons)
+    fields["invalid_reasons"] = invalid_reasons(estimate)
     fields["sd"] = {_SD_NAMES[source]: sd for source, sd in estimate.sd.items()}
     fields.update(zip(_UNCERTAIN, _uncertain_of(estimate), strict=True))
     return fields
+
+
+def invalid_reasons(estimate: LiveEstimate, reason: str = "") -> list[str]:
+    """Codes of what speaks against an estimate: its own, else one made of its `reason` in words."""
+    if estimate.valid:
+        return []
+    code = "-".join(re.findall("[a-z]+", reason.lower()))
+    return [*estimate.invalid_reasons] or [code or "no-answer"]
 
 
 def estimate_at_a_glance(estimate: Estimate) -> Fields:
@@ -286,9 +295,12 @@ def motion_fields(
     progress: float,
     arm_state: str,
     naming: Naming = NAMING,
+    following_errors: Sequence[float] = (),
+    following_limits: Sequence[float] = (),
 ) -> Fields:
-    """`palm/motion` of a system's joints."""
+    """`palm/motion` of a system's joints; following errors and their limits are unknown (NaN) where left out."""
     none = (math.nan,) * len(naming.joints)
+    error, limit = naming.following
     angles = (none if each is None else each.angles for each in (commanded, actual))
     return {
         **dict(zip(_joint_names(naming), chain.from_iterable(angles), strict=True)),
@@ -296,6 +308,8 @@ def motion_fields(
         "segment": segment,
         "progress": progress,
         "arm_state": arm_state,
+        error: [*(following_errors or none)],
+        limit: [*(following_limits or none)],
     }
 
 

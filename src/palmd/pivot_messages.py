@@ -24,6 +24,7 @@ _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
 def estimate_fields(estimate: PivotEstimate) -> Fields:
     """`palm/pivot`."""
     fields: Fields = {name: getattr(estimate, source) for name, source in _TOLD}
+    fields["invalid_reasons"] = messages.invalid_reasons(estimate, estimate.reason)
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 

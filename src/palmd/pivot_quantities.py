@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from palmd.quantities import MOTION, TICK, Quantity, SystemTopics, Topic
+from palmd.quantities import MOTION, TICK, Quantity, SystemTopics, Topic, following
 from palmd.system.pivot import AXES
 
 PIVOT = Topic(
@@ -12,6 +12,7 @@ PIVOT = Topic(
     100.0,
     "every tick, of a pivoting grasp",
     (
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
         Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains readings",
                  source="valid"),
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),
@@ -70,7 +71,8 @@ PIVOT_MOTION = Topic(
     (
         *(Quantity(f"{axis}_cmd_m", "number", "m", "the pivot as commanded; none unless tracking") for axis in AXES),
         *(Quantity(f"{axis}_m", "number", "m", "the pivot as it is, from the arm's last report") for axis in AXES),
-        *MOTION.quantities[-4:],
+        *MOTION.quantities[-6:-2],
+        *following("m"),
     ),
 )
 PIVOT_EVENTS = Topic(

@@ -174,6 +174,15 @@ def drawn(topic: Topic, *, tab: Tab | None = None, chart: str | None = None) -> 
             yield from (quantity for quantity in topic.quantities if quantity.chart == each.name)
 
 
+def following(unit: str) -> tuple[Quantity, Quantity]:
+    """The following error of all joints, and its limit."""
+    return (
+        Quantity(f"following_error_{unit}", "numbers", unit,
+                 "actual less delayed set-point of each joint at the last report; NaN where not judged"),
+        Quantity(f"following_limit_{unit}", "numbers", unit, "of each joint, where the arm is stopped; NaN likewise"),
+    )  # fmt: skip
+
+
 def of_each_palm(*rows: Quantity) -> Iterator[Quantity]:
     """The rows for one palm after the other: `{}` is its number, `{sub}` a small one, `{angle}` its joint in words."""
     for palm, angle in zip(PALMS, JOINT_MEANINGS, strict=True):
@@ -197,6 +206,7 @@ ESTIMATE = Topic(
     100.0,
     "every tick",
     (
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
         Quantity("valid", "bool", "", "whether to trust it: settled, consistent, finite", "valid", "touched",
                  source="valid"),
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),
@@ -231,8 +241,6 @@ ESTIMATE = Topic(
                  source="observability", digits=2),
         Quantity("touched", "number", "", "fraction of normals that have been in contact", "touched", "touched",
                  source="touched"),
-        Quantity("invalid_reasons", "texts", "", "codes: `sticks`, dry friction holds the object, or may",
-                 source="invalid_reasons"),
         Quantity("e_f_m", "number", "m", "error of balance (3.36), of the quasistatic observer", source="e_f"),
         Quantity("e_c_m", "number", "m", "error of contact (3.37), of the quasistatic observer", source="e_c"),
     ),
@@ -274,6 +282,7 @@ CONTACT = Topic(
         *of_each_palm(Quantity("batch{}", "bool", "", "whether pad {}'s last packet came with others in one read")),
     ),
 )  # fmt: skip
+FOLLOWING_RAD = following("rad")
 MOTION = Topic(
     "palm/motion",
     100.0,
@@ -287,6 +296,7 @@ MOTION = Topic(
         Quantity("progress", "number", "",
                  "of the plan, 0 to 1; of the round when it runs forever, of touching when it explores"),
         Quantity("arm_state", "text", "", "the controller's state letter, empty while unknown"),
+        *FOLLOWING_RAD,
     ),
 )  # fmt: skip
 STATE = Topic(

@@ -27,6 +27,7 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
     """`palm3/estimate`."""
     return {
         "valid": estimate.valid,
+        "invalid_reasons": messages.invalid_reasons(estimate, estimate.reason),
         "observer": estimate.observer,
         "object": estimate.object_count,
         "quat_xyzw": list(estimate.quaternion),

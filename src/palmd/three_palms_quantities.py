@@ -21,6 +21,7 @@ PALM3 = Topic(
     100.0,
     "every tick, of three palms in space",
     (
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
         Quantity("valid", "bool", "", "whether to trust it: one motion explains the readings, and goes on to"),
         Quantity("observer", "text", "", "which observer it comes from"),
         Quantity("object", "number", "", "counts up when a new object is begun"),
@@ -93,7 +94,7 @@ PALM3_MOTION = Topic(
           for joint in JOINTS),
         *(Quantity(f"{joint}_rad", "number", "rad", f"{joint} as it is, from the arm's last report")
           for joint in JOINTS),
-        *MOTION.quantities[-4:],
+        *MOTION.quantities[-6:],
     ),
 )  # fmt: skip
 PALM3_EVENTS = Topic(

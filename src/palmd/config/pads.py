@@ -107,6 +107,11 @@ class VersaPadConfig(PadBase):
     """Where the pressure is in a packet."""
 
     @property
+    def full_scale_n(self) -> float:
+        """The force at which its readings saturate."""
+        return (self.pressure.mask >> self.pressure.shift) * self.newtons_per_count
+
+    @property
     def across(self) -> tuple[float, int] | None:
         """Of a pad that is read both ways, its other coordinate where it counts 0 (mm) and its sign."""
         return None
@@ -115,6 +120,10 @@ class VersaPadConfig(PadBase):
     def report_s(self) -> float:
         """How long a report of six bytes takes on the line (s)."""
         return 6 * (10.0 / self.baud)
+
+
+_STRIP_FORCE_MAX = 4095
+"""Counts: twelve bits of the firmware's report."""
 
 
 class StripConfig(PadBase):
@@ -134,6 +143,11 @@ class StripConfig(PadBase):
     """Of the serial line; without meaning on a board whose own USB it is."""
 
     @property
+    def full_scale_n(self) -> float:
+        """The force at which its readings saturate."""
+        return _STRIP_FORCE_MAX * self.newtons_per_count
+
+    @property
     def report_s(self) -> float:
         """How far apart reports are (s)."""
         return 0.01
@@ -150,6 +164,11 @@ class EvdevConfig(PadBase):
     """What one count of pressure is worth; left out, it is as the device reports it, else there is no force."""
     pressure: bool = True
     """Whether the device's pressure is a force; `false`: no mass and no forces are estimated."""
+
+    @property
+    def full_scale_n(self) -> float:
+        """Only the device itself knows."""
+        return math.inf
 
     @property
     def report_s(self) -> float:

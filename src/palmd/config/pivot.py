@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, Tag, ValidationInfo, fi
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import AdeptConfig
 from palmd.config.fields import NotNegative, Pair, Plausible, Positive, Strict
+from palmd.config.guards import AxisFollowingError
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import AnyPlanSpec, ExploreSpec, one_key_of
 from palmd.config.two_palms import Drawn
@@ -94,6 +95,8 @@ class PivotLimitsConfig(Strict):
     """Along each of them when the motion is held."""
     force_n: Annotated[Positive, Field(le=50), Plausible(0.3, 20)] = 2.0
     """What the body may press on the pad, a slide's carriage included; an exploration turns back well before."""
+    following_error: AxisFollowingError = AxisFollowingError()
+    """How far the gripper may be from its delayed set-point; beyond it the arm is stopped."""
 
     @property
     def ranges_mm(self) -> tuple[tuple[float, float], ...]:

@@ -10,6 +10,7 @@ from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
+from palmd.config.guards import ForceLimits, JointFollowingError
 from palmd.config.pads import AnyPads, VersaPadConfig
 from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
 from palmd.config.vibration import VibrationConfig, vibration_of
@@ -98,6 +99,10 @@ class ThreePalmsLimitsConfig(Strict):
     """Of each joint."""
     stop_deceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 5000)] | None = 400.0
     """Of each joint when the motion is held: harder, and the body leaves the palms."""
+    following_error: JointFollowingError = JointFollowingError()
+    """How far the joints may be from their delayed set-points; beyond it the arm is stopped."""
+    force_n: ForceLimits | None = None
+    """What may press on each pad before the motion is held; left out: nine tenths of the pad's full scale."""
 
     @property
     def ranges_deg(self) -> tuple[tuple[float, float], ...]:

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Tag, Va
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
+from palmd.config.guards import ForceLimits, PadForces, PalmFollowingError
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -142,6 +143,17 @@ class LimitsConfig(Strict):
     """Of each palm angle."""
     stop_deceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(100, 20000)] | None = None
     """Of each palm angle when the motion is held, never more than the arm itself allows; left out: as much as that."""
+    following_error: PalmFollowingError = PalmFollowingError()
+    """How far the arm may be from its delayed set-point; beyond it the arm is stopped."""
+    force_n: ForceLimits | None = None
+    """What may press on each pad before the motion is held; left out: nine tenths of the pad's full scale."""
+
+    @field_validator("force_n")
+    @classmethod
+    def _two_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
+        if isinstance(force_n, PadForces) and force_n.palm3 is not None:
+            raise ValueError("there is no palm3: name palm1, palm2 or both")
+        return force_n
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:

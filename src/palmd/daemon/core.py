@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Protocol
@@ -33,7 +33,7 @@ from palmd.daemon.supervisor import Supervisor
 from palmd.daemon.systems import AnySystem, live_system
 from palmd.devices.actuator import ArmState
 from palmd.devices.port import DevicePort
-from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadSample, ShapeEstimate
+from palmd.events import Event, Improvement, LiveEstimate, ObjectEstimate, PadLift, PadSample, ShapeEstimate
 from palmd.faults import FaultMonitor, Severity
 from palmd.messages import (
     Fields,
@@ -53,6 +53,9 @@ log = logging.getLogger(__name__)
 
 SLOW_TOPIC_S = 1.0 / STATE.rate_hz
 _EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
+
+_MISWIRED = frozenset({"pads-swapped", "pads-mirrored"})
+"""Faults of the pads with which no estimate is valid."""
 
 
 def _always() -> bool:
@@ -89,7 +92,8 @@ class Core:
         """
         self._system = system = system or live_system(config)
         self.pads = system.pads()
-        self.arm = ArmDriver(config.arm, system.poses, system.free)
+        self.arm = ArmDriver(config.arm, system.poses, system.guards, system.free)
+        self._forces = system.force_guard()
         self.setpoints = SetPoints(system.poses, system.limits, system.free)
         self.faults = FaultMonitor()
         self.journal = Journal()
@@ -173,12 +177,12 @@ class Core:
         if end == "arm":
             self.arm.lost()
         else:
-            self._events += self.pads[end].lost(t)
+            self._take(self.pads[end].lost(t))
 
     def receive(self, end: EndName, data: bytes, t: float) -> None:
         """Bytes have been read at `t` (s)."""
         if end != "arm":
-            self._events += self.pads[end].feed(data, t)
+            self._take(self.pads[end].feed(data, t))
             return
         self._events += self.arm.feed(data, t)
 
@@ -190,9 +194,15 @@ class Core:
         if self.state is not State.TRACKING:
             return
         for pad in self.pads.values():
-            self._events += pad.poll(t)
+            self._take(pad.poll(t))
         if self._touching() != self._felt:
             self.decide(t)
+
+    def _take(self, events: Sequence[PadSample | PadLift]) -> None:
+        """What pads have told."""
+        self._events += events
+        for event in events:
+            self._forces.feed(event)
 
     def due(self) -> float:
         """When (s) `transmit` wants to be called next."""
@@ -209,6 +219,7 @@ class Core:
             setpoints.stand(actual, host.pose, t)
         if host.state is ArmState.HOLD:
             setpoints.displaced(actual, host.pose)
+            self.arm.guards.part(t)
         target = setpoints.target(t)
         sent = host.poll(t, target)
         if target is not None and sent.setpoint == target:
@@ -229,7 +240,7 @@ class Core:
             self.journal.add("palmd", "begun", f"palmd {__version__} begins, state {self.state}")
         turning = max(map(abs, self.arm.actual.rates)) if self.arm.actual else 0.0
         for pad in self.pads.values():
-            self._events += pad.poll(t, turning)
+            self._take(pad.poll(t, turning))
         events, self._events = sorted(self._events, key=_sample_time), []
         self._fed, self._answered = [], None
         try:
@@ -256,11 +267,12 @@ class Core:
             self._passing.add("tick-error")
             self._estimate = self._system.unknown(t, self._observer)
         self._of_system = frozenset(self._system.conditions(t, self.arm.actual))
-        if self._estimate.valid and "pads-swapped" in self._of_system:
-            self._estimate = dataclasses.replace(self._estimate, valid=False)
+        if self._estimate.valid and self._of_system & _MISWIRED:
+            reasons = tuple(sorted(self._of_system & _MISWIRED))
+            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=reasons)
         if self._estimate.valid and not self._system.sound(self._estimate):
             self._passing.add("estimate-not-finite")
-            self._estimate = dataclasses.replace(self._estimate, valid=False)
+            self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=("not-finite",))
 
     def handle(self, request: Request, t: float) -> None:
         """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
@@ -277,7 +289,9 @@ class Core:
         present = self._conditions(t, under_way)
         lifted = {f"{name}-lifted" for name in self.pads}
         sure = lifted if lifted <= present else frozenset[str]()  # both pads say so
-        self.faults.update(present, t, armed=self.supervisor.armed, sure=sure)
+        self.faults.update(present, t, armed=self.supervisor.armed, sure=sure, evidence=self._guard_evidence)
+        if self.arm.guards.following.stands and self.arm.actual is not None:
+            self.setpoints.retreat(self.arm.actual, t)
         self._fault_notes.look(self.faults.active, t, self._evidence)
         self._passing.clear()
         self.supervisor.settle(t, up=self._rig_up(t))
@@ -304,6 +318,8 @@ class Core:
             0.0 if place is None else place.progress,
             str(arm.state or ""),
             system.naming,
+            self.arm.guards.following.errors,
+            self.arm.guards.following.limits,
         )
         pads = [pad.view(t) for pad in self.pads.values()]
         messages = [
@@ -443,6 +459,9 @@ class Core:
         present.update(self._nis_watch.conditions(self._estimate.nis, self.setpoints.moving, t))
         if commanded and (self.setpoints.violated or self._outside()):
             present.add("limits-violated")
+        present.update(self.arm.guards.conditions(t))
+        if commanded:
+            present.update(self._forces.conditions(under_way=under_way))
         present |= self._of_system
         if self._is_contradicted:
             present.add("rig-contradicted")
@@ -488,6 +507,12 @@ class Core:
                 return self.supervisor.recorder.evidence(code, t)
         return self.arm.host.evidence(condition, t) if end == "arm" else ""
 
+    def _guard_evidence(self, code: str) -> str:
+        """What speaks for a guard's fault, in words with numbers."""
+        if code in ("force-limit", "force-excess"):
+            return self._forces.evidence()
+        return self.arm.guards.evidence().get(code, "") or self._system.evidence(code)
+
     def _said_off(self) -> list[str]:
         return said_off(self._rig, self._rig_sds, self._rig_priors, self._contradicted)
 
@@ -510,7 +535,7 @@ class Core:
             self.arm.is_open
             and all(pad.is_open for pad in self.pads.values())
             and self.arm.host.linked(t)
-            and self.arm.actual is not None
+            and self.arm.linked_since_open
         )
 
 

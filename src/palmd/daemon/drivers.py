@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection
 
 from palmd.config.arms import ArmConfig
+from palmd.daemon.guards.arm import ArmGuards, GuardLimits
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.daemon.poses import Poses
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, make_actuator
@@ -24,14 +25,16 @@ STANDS_S, STANDS_RAD = 0.05, 1e-3
 
 
 class ArmDriver:
-    """The arm's line. `actual` are the palm angles of the last report, None before; rates are the plan's.
+    """The arm's line. `actual` are the palm angles of the last report, rates are the plan's.
 
-    free: joints that need not go where they are commanded.
+    `actual` is None before, and where no palm angles belong to what the arm reports for long. guards: what its reports
+    are judged by. free: joints that need not go where they are commanded.
     """
 
-    def __init__(self, config: ArmConfig, poses: Poses, free: Collection[int] = ()) -> None:
+    def __init__(self, config: ArmConfig, poses: Poses, guards: GuardLimits, free: Collection[int] = ()) -> None:
         self.host = make_actuator(config)
         self.lag = LatencyEstimator()
+        self.guards = ArmGuards(guards, poses, free)
         self.is_open = False
         self.linked_since_open = False
         self.actual: PalmMotion | None = None
@@ -49,6 +52,7 @@ class ArmDriver:
         self.is_open = False
         self.linked_since_open = False
         self.lag.forget()
+        self.guards.lost()
         self.host.disconnected()
 
     def feed(self, data: bytes, t: float) -> list[PalmSample]:
@@ -62,14 +66,21 @@ class ArmDriver:
         return samples
 
     def _sample(self, report: ArmReport) -> PalmSample | None:
-        """The palms at a report; rates and accelerations are the plan's, zero at rest, None where unknown."""
+        """The palms at a report that can be true; rates and accelerations are the plan's, None where unknown."""
+        t, impossible = report.t_sample, ""
+        angles: Joints | None = None
         try:
             angles = self._poses.angles(report.pose)
-        except PoseError:
+        except PoseError as error:
+            impossible = str(error)
+        accepted = self.guards.accepts(report, angles, impossible, self.lag, self.host.reach)
+        if angles is None or not accepted:
             self.bad_poses += 1
+            if self.guards.plausible.reason or report.state in RESTING:
+                self.actual = None if angles is None else PalmMotion.at_rest(angles)
             return None
-        t = report.t_sample
-        self.lag.observe(t, angles, self._free)
+        if not self.guards.following.reason:  # a blocked arm is not late
+            self.lag.observe(t, angles, self._free)
         meant = self._meant(t, angles, report.state)
         if meant is None:
             self.actual = PalmMotion.at_rest(angles)

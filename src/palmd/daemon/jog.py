@@ -45,15 +45,31 @@ class Jog:
         check_way(tuple(self._goal), end, self._limits)
 
     def step(self, steps: Joints, t: float) -> list[str]:
-        """Shift the goal (rad) at `t` (s); returns what speaks against it, and then changes nothing."""
+        """Shift the goal (rad) at `t` (s) as far as the limits allow; returns which of them clipped the step.
+
+        A step that the limits allow nothing of changes nothing.
+        """
         goal = [
             min(max(goal + step, q - LEAD), q + LEAD) for goal, step, q in zip(self._goal, steps, self._q, strict=True)
         ]
         problems = self._limits.violations(tuple(goal))
-        if not problems:
+        if problems:
+            goal = self._clipped(goal)
+        if goal != self._goal or not problems:
             self._goal = goal
             self._t_alive = t
         return problems
+
+    def _clipped(self, goal: list[float]) -> list[float]:
+        """As far from the present goal towards this one as the limits allow, to 1/256 of the way."""
+        inside, share = self._goal, 0.5
+        reached = 0.0
+        for _ in range(8):
+            tried = [a + (reached + share) * (b - a) for a, b in zip(self._goal, goal, strict=True)]
+            if not self._limits.violations(tuple(tried)):
+                inside, reached = tried, reached + share
+            share *= 0.5
+        return list(inside)
 
     def advance(self, t: float) -> PalmMotion:
         """The motion at `t` (s)."""
@@ -61,7 +77,16 @@ class Jog:
         alive = t - self._t_alive <= DEAD_MAN_S
         for i in range(len(self._q)):
             self._advance_one(i, dt, alive)
+        self._keep_inside()
         return self.motion
+
+    def _keep_inside(self) -> None:
+        """What brakes near a limit stands at it."""
+        motion = self.motion
+        inside = self._limits.clamp_step(motion, motion, math.inf).angles
+        for i, (at, kept) in enumerate(zip(motion.angles, inside, strict=True)):
+            if at != kept:
+                self._q[i], self._v[i] = kept, 0.0
 
     def _advance_one(self, i: int, dt: float, alive: bool) -> None:
         most = self._acceleration * dt

@@ -49,6 +49,16 @@ class LatencyEstimator:
         self._information = max(FORGETTING * self._information, PRIOR_INFORMATION) + speed
         self.lag_s = min(max(self.lag_s - misfit / self._information, 0.0), LONGEST_S)
 
+    def fastest(self, since: float, joints: int) -> list[float]:
+        """The largest rate of each joint, without its sign, that has been commanded since then (s)."""
+        most = [0.0] * joints
+        for t, motion in reversed(self._sent):
+            for joint, rate in enumerate(motion.rates):
+                most[joint] = max(most[joint], abs(rate))
+            if t < since:
+                break
+        return most
+
     def _commanded(self, t: float) -> PalmMotion | None:
         """Linear between set-points, the last one from then on; None before the first."""
         after: tuple[float, PalmMotion] | None = None

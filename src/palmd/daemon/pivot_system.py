@@ -12,6 +12,9 @@ from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.daemon.dragging import Dragging
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.exploring import Explores
+from palmd.daemon.guards.arm import GuardLimits
+from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
+from palmd.daemon.guards.rig_contradiction import pivot_contradiction
 from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
@@ -28,7 +31,6 @@ from palmd.quantities import Topic
 from palmd.system.pivot import AXES, NAMING, PAD, PivotAnswer, PivotEstimate
 
 OUTSIDE_M = 2e-3
-FORCE_MEAN = 0.2  # share of a new reading in the mean of the force
 
 
 class PivotPoses:
@@ -79,9 +81,9 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     def __init__(self, config: PivotConfig) -> None:
         super().__init__(config)
         self.poses = PivotPoses.of(config)
+        self.guards = _guard_limits(config, self.poses)
         if config.rig.vertical == "float":
             self.free = (AXES.index("z"),)  # commanded is the slide's stop
-        self._force = 0.0
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
         """With its smoother, without which it knows nothing; there are no stored outlines."""
@@ -105,16 +107,12 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         )  # fmt: skip
 
     def felt(self, sample: PadSample) -> None:
-        """How hard does it press? A pad that tells forces tells none beyond its scale, which reaches past the limit."""
-        beyond = 2.0 * self._config.limits.force_n if self._force else 0.0
-        force = beyond if sample.force is None else sample.force
-        self._force += FORCE_MEAN * (force - self._force)
+        """No more than the observer is told."""
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """A force over its limit."""
+        """None but what every system has."""
         del t, actual
-        if self._force > self._config.limits.force_n:
-            yield "force-limit"
+        return iter(())
 
     def excused(self, exploring: Explores) -> Collection[str]:
         """A gripper lifts the body off as it must; an exploration tells what leaves the pad by itself."""
@@ -138,3 +136,18 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
 
 
 _AWAY = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})
+
+
+def _guard_limits(config: PivotConfig, poses: PivotPoses) -> GuardLimits:
+    """Of the configured gripper, whose joints are its axes (m)."""
+    error = config.limits.following_error
+    return GuardLimits(
+        FollowingLimits(
+            at_rest=error.at_rest_mm * 1e-3,
+            at_full_rate=error.at_full_rate_mm * 1e-3,
+            rate=config.limits.speed_mm_s * 1e-3,
+            noise=noise_of_difference(config.rig.arm_noise_mm * 1e-3),
+        ),
+        JointScale(AXES, " mm", 1e3),
+        pivot_contradiction(poses.angles, config.arm.base_yaw_deg),
+    )

@@ -26,6 +26,12 @@ LONGEST_STEP_S = 0.032
 """Two cycles: what one set-point may make up for when the one before was not sent."""
 
 CATCH_UP_SHARE = 0.25
+NEAR_M, NEAR_RAD = 0.005, math.radians(3.0)
+"""How near to the arm a set-point may be left that does not follow: as near as a controller resumes from."""
+
+RETREAT_S = 0.2
+"""How long the set-point takes back and stands there, so that the controller's own path comes to rest behind it."""
+
 _ON_PATH = 1e-6  # rad: less than the wire's micrometre
 _OUTSIDE = math.radians(0.03)  # how far outside the limits a pose may be for its noise alone
 
@@ -45,6 +51,8 @@ class SetPoints:
         self._off_path = False
         self._twist = 0.0  # of the tool against palm 2 (rad), as found; it is taken back gently
         self._t_sent = -math.inf
+        self._retreat: tuple[PalmMotion, float] | None = None  # where to, and until when (s)
+        self._may_retreat = False  # once in each tracking
         self._next = PalmMotion.at_rest(limits.unknown)
         self._jog: Jog | None = None
         self.limits = limits
@@ -77,10 +85,12 @@ class SetPoints:
         self._begin_at(actual, pose)
         self._t_sent = t
         self._jog = None
+        self._may_retreat = True
         self._frozen = self._held = self._paused = self._off_path = self.violated = False
 
     def leave(self) -> None:
         """The arm no longer follows; the plan is put away."""
+        self._retreat = None
         if self.commanded is not None:
             self._executor.stand(self.limits.unknown)
             self.commanded = None
@@ -122,10 +132,11 @@ class SetPoints:
         """Forget the plan that is held."""
         self._executor.stop()
 
-    def jog(self, steps: Angles, t: float, whole: Angles | None = None) -> None:
-        """Shift the palms by small steps (rad) at `t` (s); raises MotionError when that cannot be, and changes nothing.
+    def jog(self, steps: Angles, t: float, whole: Angles | None = None) -> str:
+        """Shift the palms by small steps (rad) at `t` (s); returns which limits clipped the step, in words.
 
-        whole: what this step and those to come add up to (rad), where it is known: then all of it must be possible.
+        Raises MotionError when it cannot be done at all, and changes nothing. whole: what this step and those to come
+        add up to (rad), where it is known: then all of it must be possible.
         """
         if self.commanded is None or self._off_path or self._frozen:
             raise MotionError("the arm does not follow yet")
@@ -137,12 +148,14 @@ class SetPoints:
                 jog.check(whole)
             problems = jog.step(steps, t)
         except PoseError as error:
-            problems = [str(error)]
-        if problems:
-            raise MotionError("; ".join(problems))
+            raise MotionError(str(error)) from None
+        clipped = "; ".join(problems)
+        if clipped and not jog.moving:
+            raise MotionError(clipped)
         if self._jog is None:
             self._executor.stop()
             self._jog = jog
+        return clipped
 
     def displaced(self, actual: PalmMotion, pose: Place) -> None:
         """The arm did not follow: begin again where it is, its tool as in its `pose`."""
@@ -152,7 +165,39 @@ class SetPoints:
         self._off_path = True
         self._settle()
 
+    def retreat(self, actual: PalmMotion, t: float) -> None:
+        """The arm does not move: bring the set-point back near to its `actual` pose from `t` (s) on.
+
+        Else an arm that is released would spring to it. Not all the way, for an encoder that is frozen looks alike.
+        """
+        if self.commanded is None or not self._may_retreat:
+            return
+        self._may_retreat = False
+        share = min(NEAR_M / max(self._apart(actual, self.commanded), NEAR_M), 1.0)
+        goal = tuple(a + share * (c - a) for a, c in zip(actual.angles, self.commanded.angles, strict=True))
+        self._retreat = PalmMotion.at_rest(goal), t + RETREAT_S
+
+    def _apart(self, actual: PalmMotion, commanded: PalmMotion) -> float:
+        """How far two poses are apart (m); turned by `NEAR_RAD` counts as `NEAR_M`."""
+        turned = _distance(actual, commanded) * NEAR_M / NEAR_RAD
+        try:
+            one, other = self.poses.pose(actual.angles), self.poses.pose(commanded.angles)
+        except PoseError:
+            return turned
+        if isinstance(one, Pose) and isinstance(other, Pose):
+            return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+        return turned
+
     # What is being done
+
+    @property
+    def retreating(self) -> bool:
+        """Whether the set-point goes back to an arm that does not move, or is there, until the arm is stopped."""
+        return self._retreat is not None and self.commanded is not None
+
+    def retreated(self, t: float) -> bool:
+        """Whether by `t` (s) it has had time enough for that."""
+        return self._retreat is None or t >= self._retreat[1]
 
     @property
     def moving(self) -> bool:
@@ -196,6 +241,8 @@ class SetPoints:
         before = self.commanded
         if before is None:
             return None
+        if self._retreat is not None:
+            return self._back(before, self._retreat[0], t)
         wanted = self._executor.advance(t) if self._jog is None else self._jog.advance(t)
         self.violated |= _distance(self.nearest(wanted), wanted) > _ON_PATH
         dt = min(max(t - self._t_sent, 0.0), LONGEST_STEP_S) * (CATCH_UP_SHARE if self._off_path else 1.0)
@@ -214,6 +261,12 @@ class SetPoints:
             pose = self._pose(motion, anywhere=True)
         self._next = motion
         return pose
+
+    def _back(self, before: PalmMotion, goal: PalmMotion, t: float) -> Place | None:
+        """The set-point on the way back, or where that ends."""
+        motion = self.limits.clamp_step(before, goal, min(max(t - self._t_sent, 0.0), LONGEST_STEP_S))
+        self._next = motion
+        return self._pose(motion)
 
     def sent(self, t: float) -> PalmMotion:
         """The last target went out at `t` (s); returns its motion."""

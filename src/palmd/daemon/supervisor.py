@@ -25,7 +25,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import AnySystem
 from palmd.devices.actuator import ArmState, Reach
 from palmd.events import LiveEstimate
-from palmd.faults import Fault, FaultMonitor, Severity
+from palmd.faults import TABLE, Fault, FaultMonitor, Severity
 from palmd.messages import log_fields
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles
@@ -300,6 +300,8 @@ class Supervisor:
     def _start_arming(self, request: Request, t: float) -> None:
         host, actual = self._arm.host, self._arm.actual
         self._refuse_while_closing()
+        if self.state not in COMMANDED:
+            self._refuse_contradiction()
         if self.state is not State.READY or actual is None:
             raise RefusedError(f"the state is {self.state}, it must be ready")
         if self._arming is not None:
@@ -390,8 +392,8 @@ class Supervisor:
         if not self._system.jogs:
             raise RefusedError("jogging turns palms, and there are none: load a plan with a move")
         told = any(name.startswith("whole_") for name in request.args)
-        self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
-        return self._told()
+        clipped = self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
+        return self._told() | ({"clipped": clipped} if clipped else {})
 
     def taken_notes(self) -> list[tuple[float, str]]:
         """What was noted since the last call, and when (s)."""
@@ -421,6 +423,12 @@ class Supervisor:
     def _refuse_unless_commanded(self) -> None:
         if self.state not in COMMANDED or self._setpoints.commanded is None:
             raise RefusedError(f"the state is {self.state}, it must be tracking or hold: arm first")
+
+    def _refuse_contradiction(self) -> None:
+        """An arm that cannot be this rig's is not armed, whatever else is missing."""
+        contradiction, row = self._arm.guards.contradiction, TABLE["pose-contradicts-rig"]
+        if contradiction:
+            raise RefusedError(f"{row.code}: {row.text}: {contradiction}: {row.hint}")
 
     def _refuse_faults(self, severity: Severity) -> None:
         faults = self._faults.standing(severity)
@@ -496,9 +504,11 @@ class Supervisor:
     def _stand_down(self, reason: str) -> None:
         """Planned stop, as far as the arm is commanded; an `arm` under way comes to nothing."""
         host = self._arm.host
-        if host.tracking or self._arming is not None:
+        if self._setpoints.retreating:
+            pass  # `_enforce` stops the arm when the set-point is back
+        elif host.tracking or self._arming is not None:
             host.want_stop()
-        self._setpoints.leave()
+            self._setpoints.leave()
         if self._arming is not None:
             wait, self._arming = self._arming, None
             self._answer(wait.request, f"arm refused: {reason}")
@@ -515,7 +525,7 @@ class Supervisor:
     def _enforce(self, t: float) -> None:
         """Keep the arm to what the state allows, whatever has happened."""
         host = self._arm.host
-        if host.tracking and not self.armed:
+        if host.tracking and not self.armed and self._setpoints.retreated(t):
             host.want_stop()
         if host.tracking:
             self._setpoints.freeze(host.frozen(t))

@@ -14,10 +14,13 @@ import numpy as np
 
 from palmd import __version__
 from palmd.config.any_config import AnyConfig
+from palmd.config.guards import force_limits
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Explores
+from palmd.daemon.guards.arm import GuardLimits
+from palmd.daemon.guards.force import ForceGuard
 from palmd.daemon.poses import Poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
@@ -41,6 +44,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     """See the module. Everything is safe in the loop, but for what is there to start it."""
 
     poses: Poses
+    guards: GuardLimits
+    """What the arm's reports are judged by."""
     says: ClassVar[Says]
     """Its messages."""
     naming: ClassVar[Naming]
@@ -83,6 +88,11 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         pads = zip(self.naming.pads, self._config.pads.each(), strict=True)
         return {f"pad{number}": make_pad(number, pad) for number, pad in pads}
 
+    def force_guard(self) -> ForceGuard:
+        """What watches the forces that the pads tell."""
+        full = tuple(pad.full_scale_n for pad in self._config.pads.each())
+        return ForceGuard(force_limits(self._config.limits.force_n, full), self.naming.pads)
+
     @abstractmethod
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
         """The loop's side of explorations."""
@@ -104,6 +114,11 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     @abstractmethod
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Codes of the fault table that hold by what only this system knows."""
+
+    def evidence(self, code: str) -> str:
+        """What speaks for one of these codes, in words with numbers; empty where there is no more to say."""
+        del code
+        return ""
 
     @property
     def sticking(self) -> tuple[float, ...] | None:

@@ -12,6 +12,9 @@ from palmd.config.three_palms import ThreePalmsConfig, three_palms_rig
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Exploring
+from palmd.daemon.guards.arm import GuardLimits
+from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
+from palmd.daemon.guards.rig_contradiction import no_contradiction
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
@@ -64,6 +67,17 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     def __init__(self, config: ThreePalmsConfig) -> None:
         super().__init__(config)
         self.poses = TiltPoses()
+        error = config.limits.following_error
+        self.guards = GuardLimits(
+            FollowingLimits(
+                at_rest=math.radians(error.at_rest_deg),
+                at_full_rate=math.radians(error.at_full_rate_deg),
+                rate=math.radians(config.limits.rate_deg_s),
+                noise=noise_of_difference(math.radians(config.rig.angle_noise_deg)),
+            ),
+            JointScale(JOINTS, "°", math.degrees(1.0)),
+            no_contradiction,
+        )
         self._latest: BodyEstimate | None = None
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, BodySmootherProcess]:

@@ -14,7 +14,11 @@ from palmd.config.two_palms import Config, rig_description
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
 from palmd.daemon.exploring import Exploring
-from palmd.daemon.poses import make_poses
+from palmd.daemon.guards.arm import GuardLimits
+from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
+from palmd.daemon.guards.rig_contradiction import arc_contradiction, no_contradiction
+from palmd.daemon.guards.signs import SignWatch
+from palmd.daemon.poses import ArcPoses, Poses, make_poses
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
@@ -42,9 +46,11 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
     def __init__(self, config: Config) -> None:
         super().__init__(config)
         self.poses = make_poses(config)
+        self.guards = _guard_limits(config, self.poses)
         self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
         self._swap, self._sticking = SwapWatch(), StickingWatch(self._rig.vibration, self._rig.gravity)
+        self._signs = SignWatch([pad.zero_mm * 1e-3 for pad in config.pads.each()])
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
         """As configured."""
@@ -86,17 +92,28 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 
     def felt(self, sample: PadSample) -> None:
-        """Are the pads swapped, does the object stick?"""
+        """Are the pads swapped, their signs right, does the object stick?"""
         self._swap.feed(sample)
+        self._signs.feed(sample)
         self._sticking.feed(sample)
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """Pads that are swapped. Whether the object sticks is judged as well, and is no fault."""
+        """Pads that are swapped or mirrored. Whether the object sticks is judged as well, and is no fault."""
         self._swap.look(t, actual)
         if not self._rig.curved:  # there the normals that forces press along are not the palms'
             self._sticking.look(t, actual)
+            self._signs.look(t, actual)
         if self._swap.swapped:
             yield "pads-swapped"
+        if self._signs.wrong:
+            yield "pads-mirrored"
+
+    def evidence(self, code: str) -> str:
+        """Which pads are mirrored."""
+        if code != "pads-mirrored":
+            return ""
+        keys = " and ".join(f"pads.palm{pad}.sign" for pad in self._signs.wrong)
+        return f"the sign of {keys} is wrong by odds of e^{self._signs.log_odds:.0f}"
 
     @property
     def sticking(self) -> tuple[float, ...] | None:
@@ -116,7 +133,26 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In degrees."""
         deg = math.degrees
-        return ", ".join(
+        each = [
             f"{joint} is {deg(angle):.1f}°, its limits are {deg(low):g}° and {deg(high):g}°"
             for joint, angle, (low, high) in zip(JOINTS, angles, limits, strict=True)
-        )
+        ]
+        return ", ".join([*each, f"phi12 is {deg(sum(angles)):.1f}°, it must stay below {deg(self.limits.top):.1f}°"])
+
+
+def _guard_limits(config: Config, poses: Poses) -> GuardLimits:
+    """Of the configured rig; a tool is watched where an arm holds palm 2."""
+    error, arm = config.limits.following_error, config.arm
+    held = poses if isinstance(poses, ArcPoses) else None
+    play = 2.0 * math.radians(arm.play_sd_deg)
+    return GuardLimits(
+        FollowingLimits(
+            at_rest=math.radians(error.at_rest_deg),
+            at_full_rate=math.radians(error.at_full_rate_deg),
+            rate=math.radians(config.limits.rate_deg_s),
+            noise=noise_of_difference(arm.angle_noise_rad) + arm.goal_rounding_rad + play,
+            tool=(error.at_rest_mm * 1e-3, error.at_full_rate_mm * 1e-3) if held else None,
+        ),
+        JointScale(JOINTS, "°", math.degrees(1.0)),
+        arc_contradiction(held.geometry) if held else no_contradiction,
+    )

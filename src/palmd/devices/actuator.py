@@ -59,11 +59,15 @@ Place = Pose | JointPose
 
 @dataclass(frozen=True, slots=True)
 class ArmReport:
-    """The controller's state and the actual pose at `t_sample` (s), the first byte's arrival."""
+    """The controller's state and the actual pose at `t_sample` (s), the first byte's arrival.
+
+    fresh: it came within a few cycles of what it answers, so that `t_sample` is when the arm was there.
+    """
 
     t_sample: float
     state: ArmState
     pose: Place
+    fresh: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,6 +130,7 @@ class ArmHost:
         self.refusal: str | None = None
         self.unlinked = "the controller has not answered yet"
         self._bytes_at_ack = self._lines_at_ack = 0
+        self._latency_s = 0.0  # of the last answer
         self._t_ack = -math.inf
         self._t_alive = -math.inf
         self._t_hello = -math.inf
@@ -221,7 +222,8 @@ class ArmHost:
             match reply:
                 case Ack():
                     if self._acknowledged(reply, line.t_first, alone=len(lines) == 1):
-                        reports.append(ArmReport(line.t_first, reply.state, reply.pose))
+                        fresh = self._latency_s <= REQUEST_RETRY_S
+                        reports.append(ArmReport(line.t_first, reply.state, reply.pose, fresh))
                 case Refusal():
                     self._refused(reply)
                 case HelloReply():
@@ -233,9 +235,9 @@ class ArmHost:
         if kind is None or self.hello is None:
             self.counters.unmatched += 1
             return False
-        latency_ms = (t_first - t_sent) * 1e3
+        self._latency_s = t_first - t_sent
         self.counters.acks += 1
-        self.counters.ack_latency_max_ms = max(self.counters.ack_latency_max_ms, latency_ms)
+        self.counters.ack_latency_max_ms = max(self.counters.ack_latency_max_ms, self._latency_s * 1e3)
         self.state, self.pose = ack.state, ack.pose
         self._t_ack = self._t_alive = t_first
         self._bytes_at_ack, self._lines_at_ack = self.counters.line.bytes, self.counters.line.lines

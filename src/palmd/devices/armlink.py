@@ -40,6 +40,7 @@ ERROR_TEXT: dict[int, str] = {
     -611: "set-point step too large: start again from the arm's actual position",
     -620: "the controller is in the wrong state for this: it must be READY to start",
     -621: "emergency stop: release it at the arm and bring the controller back to READY there",
+    -1006: "the arm does not follow its path: free what blocks it, check its encoders, then reset",
     -622: "arm power is off: enable power at the controller",
     -623: "the controller is in manual mode: switch it to automatic",
 }

@@ -279,13 +279,14 @@ class PadCalibration:
         s_mm = place_mm(self, counts)
         if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
             return None
-        force = packet.pressure * self.newtons_per_count if packet.pressure < self.pressure_max else None
+        told = packet.pressure * self.newtons_per_count
+        force, at_least = (told, None) if packet.pressure < self.pressure_max else (None, told)
         if self.across is None:
-            return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force)
+            return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, at_least=at_least)
         (middle_mm, sign), off_mm = self.across, beside / self.counts_per_mm
         if abs(off_mm) > 0.5 * self.length_mm + MARGIN_MM:
             return None
-        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * off_mm) * 1e-3)
+        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * off_mm) * 1e-3, at_least)
 
 
 class PadReceiver:

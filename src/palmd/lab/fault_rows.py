@@ -19,6 +19,9 @@ HOST_ALIVE_S = 0.060
 HOST_DEAD_S = 0.200
 """From the cause to the arm standing still: the goals with the daemon alive, and without it."""
 
+STOPPED_S = 0.5
+"""The same where it takes some reports or readings to know the cause."""
+
 
 @dataclass(frozen=True, slots=True)
 class RowFault:
@@ -179,6 +182,55 @@ ROWS: tuple[FaultRow, ...] = (
         "hold",
         ("lifted",),
         (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
+    ),
+    FaultRow(
+        "arm-blocked",
+        "something holds the arm for 2 s",
+        RowFault("block", "arm", for_s=2.0),
+        "fault",
+        ("not-followed",),
+        (("following-error", "stop"),),
+        goal_s=STOPPED_S,
+    ),
+    FaultRow(
+        "arm-frozen",
+        "the arm reports the same pose all the time",
+        RowFault("freeze", "arm", for_s=2.0),
+        "fault",
+        ("not-followed",),
+        (("following-error", "stop"),),
+        goal_s=STOPPED_S,
+    ),
+    FaultRow(
+        "arm-jump",
+        "the pose that the arm reports jumps by 20 mm",
+        RowFault("jump", "arm", 0.02, for_s=1.0),
+        "fault",
+        ("implausible",),
+        (("pose-implausible", "stop"),),
+        goal_s=STOPPED_S,
+    ),
+    FaultRow(
+        "arm-impossible",
+        "the arm reports a pose that no palm angles belong to",
+        RowFault("jump", "arm", 0.5, for_s=1.0),
+        "fault",
+        ("implausible",),
+        (("pose-implausible", "stop"),),
+        goal_s=STOPPED_S,
+    ),
+    *(
+        FaultRow(
+            f"{pad}-saturated",
+            "its pressure is eight times what it was",
+            RowFault("saturate", pad, for_s=3.0),
+            "hold",
+            ("pressed",),
+            (("force-limit", "hold"),),
+            ("force-excess", "pads-swapped", "estimate-lost"),
+            goal_s=STOPPED_S,
+        )
+        for pad in PADS
     ),
     _ARM_DEAD,
     FaultRow(

@@ -138,7 +138,13 @@ class MotionLimits:
         bounds[OPENING] = self._opening_bound()
         bounds.append(
             QuantityLimit(
-                " + ".join(JOINTS), "°", _DEGREES, 0.0, self.top - _BELOW, gain=2.0, high_words="it must stay below"
+                f"phi12 = {' + '.join(JOINTS)}",
+                "°",
+                _DEGREES,
+                0.0,
+                self.top - _BELOW,
+                gain=2.0,
+                high_words="it must stay below",
             )
         )
         for order, kind, unit, most in (

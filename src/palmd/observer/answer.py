@@ -32,7 +32,7 @@ _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 def answer(
     t: float, valid: bool, observer: str, object_count: int,
     y: list[float], sd: list[float], mass: MassEstimator, nis: float, observability: float, touched: float,
-    invalid_reasons: tuple[str, ...] = (),
+    invalid_reasons: tuple[str, ...],
 ) -> Estimate:  # fmt: skip
     """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
     values, sds = dict(zip(NAMED, y, strict=True)), dict(zip(NAMED, sd, strict=True))
@@ -55,7 +55,7 @@ def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | No
         {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     )
     return Estimate(
-        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0,
+        t=t, valid=False, observer=observer, object_count=object_count, touched=0.0, invalid_reasons=("no-object",),
         sd=dict(_UNKNOWN_SD), **{**_UNKNOWN, **known},
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.sticking import StickingWatch
 from palmd.observer.track import Track
-from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, settled, unmet
+from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, reasons, settled, unmet
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import FORCES, PALMS, RADII
@@ -260,8 +260,12 @@ class BankObserver:
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
-            () if valid or not self._dry or self._sticking.frictionless else STICKS,
+            () if valid else (*self._sticks(), *reasons(evidence, SETTLED)),
         )  # fmt: skip
+
+    def _sticks(self) -> tuple[str, ...]:
+        """The code of dry friction that holds the object, or may."""
+        return STICKS if self._dry and not self._sticking.frictionless else ()
 
     def shape(self, t: float) -> ShapeEstimate | None:
         """The outline of the most likely filter at `t` (s), None before anything is felt."""

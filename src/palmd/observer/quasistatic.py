@@ -31,7 +31,7 @@ from palmd.observer.multi_start import BLOCKS, MOST_RADIUS_M, MultiStart, Spread
 from palmd.observer.palms import STILL
 from palmd.observer.prior import RADIUS_SD
 from palmd.observer.quasistatic_answer import Leading, named, read_off
-from palmd.observer.validity import Evidence, Thresholds, settled, unmet
+from palmd.observer.validity import Evidence, Thresholds, reasons, settled, unmet
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
@@ -161,6 +161,7 @@ class QuasistaticObserver:
             math.nan,
             math.nan,
             self._marks.fraction,
+            () if valid else reasons(evidence, SETTLED),
         )
         return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
 

@@ -463,8 +463,17 @@ def most_lying(coefficients: FloatArray, normals: Sequence[FloatArray], curvatur
     return float(max((kappa * each).max() for kappa, each in zip(curvatures, v, strict=True)))
 
 
+CLIPPED_SHARE = 0.05
+"""Of saturated readings: below it what their absence shifts the mass by is less than the pads' gain is uncertain."""
+
+
 def _weighed(main: _Part, rig: RigDescription, answered: Marginal) -> tuple[float, float]:
-    """Mass and its one-sigma (kg), NaN without forces: from the fit, or afterwards where the forces were left out."""
+    """Mass and its one-sigma (kg): from the fit, or afterwards where the forces were left out.
+
+    NaN without forces, and where too many are saturated: those that are left are a biased choice.
+    """
+    if np.mean([sample.at_least is not None for sample in main.segment.pads]) > CLIPPED_SHARE:
+        return math.nan, math.nan
     if len(main.record.force_value):
         mass = math.exp(answered.mean.p[C.LN_MASS])
         return mass, mass * math.sqrt(answered.covariance[C.LN_MASS, C.LN_MASS])

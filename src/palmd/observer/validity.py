@@ -88,6 +88,23 @@ def _over(what: str, value_m: float, limit_m: float) -> str:
     return f"{what} {value_m * 1e3:.2f} mm (limit {limit_m * 1e3:.2f} mm)"
 
 
+def reasons(evidence: Evidence, least: Thresholds) -> tuple[str, ...]:
+    """The codes of what speaks against an answer; `not-settled` where none of the evidence does."""
+    against = {
+        "untouched": not evidence.touching,
+        "no-arm-reports": not evidence.palms_known,
+        "just-touched": not evidence.resumed_for_s > RESUMED_FOR_S,
+        "not-finite": not evidence.finite,
+        "inconsistent": not evidence.consistent,
+        "rig-unknown": not evidence.rig_known,
+        "unexplained": not evidence.explained,
+        "too-young": not evidence.age_s > least.age_s,
+        "not-sharp": not evidence.radius_sd_m < least.radius_sd_m,
+        "ambiguous": not evidence.disagreement_m < least.disagreement_m,
+    }
+    return tuple(code for code, holds in against.items() if holds) or ("not-settled",)
+
+
 def consistent(nis: float) -> bool:
     """Whether a filter's running mean of the normalised innovation squared is that of a right model."""
     return bool(NIS_RANGE[0] < nis < NIS_RANGE[1])

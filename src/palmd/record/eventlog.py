@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.devices.pad import MARGIN_MM
+from palmd.devices.versapad import PRESSURE_MAX
 from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.logreader import VERSION, LogForm, read_log_as
@@ -50,6 +51,10 @@ def read_log(path: Path) -> EventLog:
     return log
 
 
+TIES = 3
+"""So many readings at the last count are no chance: a force that is told in counts seldom ends just there."""
+
+
 def _two_palms(system: str | None) -> LogForm:
     if system is None:
         return TwoPalmsForm()
@@ -77,7 +82,7 @@ class TwoPalmsForm:
 
     def log(self, rig: RigDescription, events: tuple[Event, ...], notes: tuple[str, ...]) -> EventLog:
         """The run."""
-        return EventLog(rig, events, notes)
+        return EventLog(rig, _censored(events, rig), notes)
 
 
 def _pad_sample(t: float, line: Line) -> PadSample:
@@ -88,6 +93,29 @@ def _pad_sample(t: float, line: Line) -> PadSample:
     if abs(s) > _MAX_LENGTH_M:
         raise BadLineError(f"s_m is {s:g}, which is no place on a palm; it is in metres")
     return PadSample(t, pad, s, optional(line, "force_n"))
+
+
+def _censored(events: tuple[Event, ...], rig: RigDescription) -> tuple[Event, ...]:
+    """The events, readings at a pad's full scale as saturated: at least so much, instead of a force.
+
+    A pressure has 127 counts (CONTRACTS, section 1). A log whose forces end exactly there, with readings that lie on
+    that count, is of a pad that could tell no more.
+    """
+    found = {}
+    for pad, sensor in enumerate(rig.pads, 1):
+        forces = [e.force for e in events if isinstance(e, PadSample) and e.pad == pad and e.force is not None]
+        full, half = PRESSURE_MAX * sensor.force_resolution, 0.5 * sensor.force_resolution
+        at_full = sum(force > full - half for force in forces)
+        if half > 0.0 and at_full >= TIES and max(forces) <= full + half:
+            found[pad] = full, full - half
+    if not found:
+        return events
+    return tuple(
+        replace(e, force=None, at_least=found[e.pad][0])
+        if isinstance(e, PadSample) and e.pad in found and e.force is not None and e.force > found[e.pad][1]
+        else e
+        for e in events
+    )
 
 
 def _palm_sample(t: float, palms: Line) -> PalmSample:

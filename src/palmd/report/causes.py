@@ -25,6 +25,7 @@ CauseKind = Literal[
     "uncalibrated", "controller", "servo", "left", "late", "failed", "not-finite", "limits", "overruns", "command",
     "ended", "rig-gone", "rig-stalled", "fault", "before", "died", "cut", "goes-on", "over", "idle", "nothing",
     "damaged-file", "recorder-ended",
+    "not-followed", "implausible", "contradicts", "pressed",
 ]  # fmt: skip
 
 STALL_S = 0.1
@@ -71,6 +72,11 @@ _OWN: dict[str, tuple[CauseKind, str]] = {
     "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
     "estimate-not-finite": ("not-finite", "palmd's observer called an estimate valid that was not finite"),
     "limits-violated": ("limits", "the palms were outside their limits, or the motion wanted to leave them"),
+    "following-error": ("not-followed", "the arm did not follow its set-points: it was blocked, or its encoder fails"),
+    "pose-implausible": ("implausible", "the arm reported a pose that cannot be"),
+    "pose-contradicts-rig": ("contradicts", "the arm's pose cannot be one of the rig as configured"),
+    "force-limit": ("pressed", "something pressed on a pad harder than it may, or than the pad can tell"),
+    "force-excess": ("pressed", "something pressed on a pad with more than 1.5 times what it may"),
     "loop-overruns": ("overruns", "palmd's control loop kept missing its deadline"),
 }
 

@@ -120,6 +120,17 @@ class Servo:
         self._t = 0.0
         self._r, self._r_dot = position, 0.0
         self._rest, self._a, self._b = 0.0, 0.0, 0.0
+        self._blocked: float | None = None
+
+    def block(self, t: float) -> None:
+        """Something holds the axis where it is at t (s); the path goes on."""
+        self._blocked = self.at(t)[0]
+
+    def release(self, t: float) -> None:
+        """Nothing holds it any more at t (s): it goes after the path from where it stood."""
+        rate = self._r_dot
+        self.follow(t, rate)
+        self._blocked = None
 
     def follow(self, t: float, rate: float) -> None:
         """From t (s) on the path goes on from where it is at `rate` per second."""
@@ -136,6 +147,8 @@ class Servo:
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Position, velocity, acceleration at t (s), not before the last `follow`."""
+        if self._blocked is not None:
+            return self._blocked, 0.0, 0.0
         k, tau = self._k, t - self._t
         decay = math.exp(-k * tau)
         b = self._b * decay

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -153,7 +154,9 @@ class EmulatedRig(ABC, Generic[Arm]):
 
     def _presses(self, pad: PortName) -> list[Press]:
         finger = self.mischief.strength("touch", pad)
-        return self._felt(pad) + ([Press(_FINGER_M, finger)] if finger > 0.0 else [])
+        presses = self._felt(pad) + ([Press(_FINGER_M, finger)] if finger > 0.0 else [])
+        times = self.mischief.strength("saturate", pad)
+        return [replace(each, force=times * each.force) for each in presses] if times > 0.0 else presses
 
     def _say(self, port: PortName, data: bytes, t: float, messages: int = 1) -> None:
         """Sends what was measured at t (s); the first byte, which only says what follows, arrives then."""

@@ -43,6 +43,12 @@ INJECTABLE_FAULTS: dict[str, InjectableFault] = {
         InjectableFault("estop", "the emergency stop is pressed; off releases it and makes the arm ready", ARM),
         InjectableFault("power_off", "arm power goes; off restores it", ARM),
         InjectableFault("manual", "the operator takes the arm and jogs it a little; off gives it back", ARM),
+        InjectableFault("block", "something holds the arm where it is, its controller does not notice", ARM),
+        InjectableFault("freeze", "the arm goes on moving and reports the same pose all the time", ARM),
+        InjectableFault(
+            "jump", "the arm reports an x that is greater by so many metres, from one report to the next", ARM, 0.02
+        ),
+        InjectableFault("saturate", "the pad tells so many times the pressure, until its scale ends", PADS, 8.0),
         InjectableFault("lift", "the object is lifted off by hand; off puts it back in another pose"),
         InjectableFault("swap", "the object is exchanged for another one, at once"),
     )

@@ -39,6 +39,7 @@ PALM_KG, PALM_CENTRE_M = 0.040, 0.045
 RUB_N_M = 2e-3  # what friction in the joint holds against
 GREASE_S = 0.030  # in which a moment makes itself felt through the gears
 GRAVITY = 9.81
+_LEVER_M = 0.12  # at which a jump in metres is one of a palm's far end
 
 _RAD = math.tau / dxl.COUNTS_PER_TURN
 _TROUBLES = {
@@ -97,6 +98,8 @@ class EmulatedServo:
         self._t_there = -math.inf  # when the profile under way ends
         self._t_heard = t
         self._t_awake = t
+        self._frozen: float | None = None  # counts that the encoder goes on telling
+        self._jump = 0.0  # counts that it tells too many
         self._table = bytearray(servotable.TABLE_BYTES)
         self._start({dxl.ID: config.id, dxl.BAUD: baud_code})
 
@@ -157,6 +160,21 @@ class EmulatedServo:
         self._shaft.follow(t, 0.0)
         self._t_there = math.inf
 
+    def block(self, held: bool, t: float) -> None:
+        """Something holds the palm from t (s) on, or lets it go."""
+        if held:
+            self._shaft.block(t)
+        else:
+            self._shaft.release(t)
+
+    def freeze(self, frozen: bool, t: float) -> None:
+        """The encoder goes on telling what it tells at t (s), or the truth again."""
+        self._frozen = self._shaft.at(t)[0] if frozen else None
+
+    def jump(self, by_rad: float) -> None:
+        """The encoder tells so much more."""
+        self._jump = self._config.sign * by_rad / _RAD
+
     def hurt(self, error: HardwareError, t: float) -> None:
         """A hardware error; where the mask says so, it lets go."""
         self._set(dxl.HARDWARE_ERROR, self.get(dxl.HARDWARE_ERROR) | error)
@@ -206,6 +224,7 @@ class EmulatedServo:
     def read(self, address: int, size: int, t: float) -> bytes:
         """A stretch of the table as it is at t (s)."""
         x, v, _ = self._shaft.at(t)
+        x = (x if self._frozen is None else self._frozen) + self._jump
         self._set(dxl.POSITION, round(x + self._offset + float(self._rng.normal(0.0, FLICKER_COUNTS))))
         self._set(dxl.VELOCITY, round(v / dxl.COUNTS_PER_TURN * 60.0 / dxl.VELOCITY_UNIT_RPM))
         self._set(dxl.TICK, int(t * 1e3) % 32768)
@@ -355,6 +374,14 @@ class ServoArm:
                 self._servos[0].hurt(_TROUBLES[order.name], t)
             case "brownout", True:
                 self._servos[0].restart(t)
+            case "block", _:
+                for servo in self._servos:
+                    servo.block(begins, t)
+            case "freeze", _:
+                for servo in self._servos:
+                    servo.freeze(begins, t)
+            case "jump", _:
+                self._servos[0].jump(order.strength / _LEVER_M if begins else 0.0)
 
     def hold_by_hand(self, palms: Joints) -> None:  # noqa: ARG002
         """Servos are not swung by hand to be calibrated."""

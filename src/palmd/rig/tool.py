@@ -38,6 +38,9 @@ class DrivenTool:
         self._next_cycle = int(rng.integers(self._steps_per_cycle))
         self._in, self._host_lines = Wire(baud), HostLines(baud)
         self._led: Pose | None = None
+        self._now = 0.0
+        self._frozen: Pose | None = None  # what the encoders go on telling
+        self._jump_m = 0.0  # what they tell too much of x
 
     @property
     def state(self) -> ArmState:
@@ -52,6 +55,7 @@ class DrivenTool:
     def step(self, t: float) -> Sequence[Utterance]:
         """The controller hears what has arrived and runs its cycles; the servos follow the path of each for 16 ms."""
         self._steps += 1
+        self._now = t
         said = []
         if arrived := self._in.take(t):
             said.append(_said(self._controller.feed(arrived, t, self._actual_pose(t)), t))
@@ -81,6 +85,16 @@ class DrivenTool:
                 controller.make_ready()
             case "break", True:
                 controller.line_fault(BREAK_RECEIVED)
+            case "block", True:
+                for servo in self._servos:
+                    servo.block(self._now)
+            case "block", False:
+                for servo in self._servos:
+                    servo.release(self._now)
+            case "freeze", _:
+                self._frozen = self._actual_pose(self._now) if begins else None
+            case "jump", _:
+                self._jump_m = order.strength if begins else 0.0
 
     def status(self) -> dict[str, Any]:
         """The controller's counts and those of what it heard."""
@@ -107,8 +121,10 @@ class DrivenTool:
 
     def _actual_pose(self, t: float) -> Pose:
         """As the encoders tell it."""
+        if self._frozen is not None:
+            return self._frozen
         true, (off_x, off_y) = self._true_pose(t), self._rng.normal(0.0, _ENCODER_NOISE_M, 2).tolist()
-        return Pose(true.x_m + off_x, true.y_m + off_y, true.t_rad)
+        return Pose(true.x_m + off_x + self._jump_m, true.y_m + off_y, true.t_rad)
 
 
 def limits_round(poses: Sequence[Pose], *, v_max: float, a_max: float) -> ArmLimits:

@@ -27,3 +27,8 @@ class Naming:
     def commanded(self) -> tuple[str, ...]:
         """The fields of the joints as they are told to be."""
         return tuple(f"{joint}_cmd_{self.unit}" for joint in self.joints)
+
+    @property
+    def following(self) -> tuple[str, str]:
+        """The fields of the following error and of its limit, of all joints."""
+        return f"following_error_{self.unit}", f"following_limit_{self.unit}"

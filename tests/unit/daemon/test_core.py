@@ -61,7 +61,7 @@ class Fake(SilentObserver):
         values = {
             field.name: self.value
             for field in dataclasses.fields(Estimate)
-            if field.name not in ("t", "valid", "observer", "object_count", "sd")
+            if field.name not in ("t", "valid", "observer", "object_count", "sd", "invalid_reasons")
         }
         sd = dict.fromkeys(NAMED_STATE, 1e-3)
         return Estimate(t=t, valid=self.valid, observer="fake", object_count=1, sd=sd, **values)

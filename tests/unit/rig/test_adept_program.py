@@ -43,7 +43,7 @@ def started(text=TEXT, **functions):
         module.call(name)
     limits = zip(("xmin", "xmax", "ymin", "ymax", "vmax", "amax"), _limits_um(), strict=True)
     module.globals |= {f"pd.{name}": value for name, value in limits}
-    module.globals |= {"pd.wmax": 2e7, "pd.hw": 0.0}
+    module.globals |= {"pd.wmax": 2e7, "pd.hw": 0.0, "pd.dev": 1e9}
     return module
 
 
@@ -327,6 +327,27 @@ def test_a_break_and_a_stuck_motion_task_end_in_a_fault(cause, code):
     assert controller.state is ArmState.FAULT
     controller.globals[cause] = code if cause == "pd.lerr" else -1
     assert controller.cycle(0.0, HOME) == b""
+
+
+@pytest.mark.parametrize(("held", "code"), [(True, -1006), (False, None)])
+def test_an_arm_that_leaves_its_path_is_stopped_with_a_fault(held, code):
+    controller = VPlusController()
+    controller.globals["pd.dev"] = 15000.0
+    controller.feed(encode_command(parse_command("G00")), 0.0, HOME)
+    controller.cycle(0.0, HOME)
+    step = 0.2 * LIMITS.v_max * CYCLE_S
+    heard, errors, pose = LineReader(BAUD), [], HOME
+    for n in range(1, 60):
+        goal = Pose(HOME.x_m + min(n * step, 0.05), HOME.y_m, HOME.t_rad)
+        controller.feed(encode_command(SetPoint(n % 256, goal)), 0.0, pose)
+        said_now = controller.cycle(0.0, pose)
+        pose = HOME if held else controller.path
+        errors += [line.body for line in heard.feed(said_now, 0.01 * n) if line.body.startswith("E")]
+    if code is None:
+        assert not errors
+    else:
+        assert sum(body.endswith(f"{code:+05d}") for body in errors) == 1
+        assert controller.state is ArmState.FAULT
 
 
 def test_the_tools_rate_is_clamped_the_short_way_round():

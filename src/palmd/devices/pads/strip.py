@@ -134,8 +134,9 @@ class Strip:
             self._decoder.counters.out_of_range += 1
             return None
         bounded = packet.saturated or packet.pressure >= FORCE_MAX  # then it is only a lower bound
-        force = None if bounded else packet.pressure * config.newtons_per_count
-        return PadSample(packet.t_first, self._number, s_mm * 1e-3, force)
+        told = packet.pressure * config.newtons_per_count
+        force, at_least = (None, told) if bounded else (told, None)
+        return PadSample(packet.t_first, self._number, s_mm * 1e-3, force, at_least=at_least)
 
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
         self._s, self.parted = math.nan, how

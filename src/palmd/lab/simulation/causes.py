@@ -21,6 +21,9 @@ _ARM_LINE = frozenset(f"{what}@arm" for what in _LINE)
 _CONTROLLER = frozenset({"estop@arm", "power_off@arm", "manual@arm", "break@arm"})
 
 
+_PRESSED = frozenset(f"{what}@{pad}" for what in ("saturate", "touch") for pad in PADS)
+
+
 def _pad(pad: str) -> dict[str, frozenset[str]]:
     line, damaged = (frozenset(f"{what}@{pad}" for what in names) for names in (_LINE, _DAMAGED))
     return {
@@ -50,15 +53,22 @@ CAUSES: dict[str, frozenset[str]] = {
     "arm-late": _ARM_LINE | {"stall"},
     "arm-held": _ARM_LINE | {"stall"},
     "arm-garbled": frozenset(f"{what}@arm" for what in _DAMAGED),
+    "following-error": frozenset({"block@arm", "freeze@arm", "jump@arm"}),
+    "pose-implausible": frozenset({"jump@arm", "block@arm"}),
+    "limits-violated": frozenset({"jump@arm"}),
+    "pose-contradicts-rig": frozenset({"jump@arm"}),
+    "force-limit": _PRESSED,
+    "force-excess": _PRESSED,
     **_pad(PADS[0]),
     **_pad(PADS[1]),
     "plan-refused": frozenset({"told"}),
     "operator-lost": frozenset({"told"}),
     "smoother-silent": frozenset({"slow"}),
     "explorer-silent": frozenset({"slow", "broken", "told"}),
-    "pads-swapped": frozenset({f"touch@{pad}" for pad in PADS}),
-    "estimate-lost": frozenset({"broken", "told", *_BODY}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},
-    "estimate-inconsistent": frozenset({"broken", *_BODY, "touch@pad1", "touch@pad2"})
+    "pads-swapped": _PRESSED,
+    "estimate-lost": frozenset({"broken", "told", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
+    | {f"{what}@{pad}" for what in _LINE for pad in PADS},
+    "estimate-inconsistent": frozenset({"broken", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
     | {f"{what}@{end}" for what in _LINE for end in (*PADS, "arm")},
     "samples-too-late": frozenset({"stall", "restart"}) | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "recorder-failed": frozenset({"told"}),

@@ -25,7 +25,8 @@ from palmd.system.mechanism import directions
 STEP_S, COARSE_STEP_S = 1e-3, 4e-3
 """How finely it lives: a quarter of the controller's cycle is enough where times within one do not matter."""
 _WEIGHT_N = 0.8
-_MIDDLE_M, _SWAY_M = 0.025, 0.008
+_RADIUS_M, _SWAY_M = 0.022, 0.003
+_NEAREST_M, _FARTHEST_M = 0.005, 0.050
 _AWAY_S = 1.0
 
 
@@ -83,5 +84,6 @@ class LightRig(EmulatedRig[AdeptArm]):
             return []
         first, second = directions(self.palms().angles)
         share = math.sin(second) if pad == PADS[0] else math.sin(first)
-        s = _MIDDLE_M + _SWAY_M * math.sin(3.0 * (first if pad == PADS[0] else second) + self._phase)
-        return [Press(s, _WEIGHT_N * max(share, 0.1))]
+        round_body = _RADIUS_M / math.tan(0.5 * (second - first))
+        s = round_body + _SWAY_M * math.sin(3.0 * (first if pad == PADS[0] else second) + self._phase)
+        return [Press(min(max(s, _NEAREST_M), _FARTHEST_M), _WEIGHT_N * max(share, 0.1))]

@@ -23,14 +23,13 @@ _NEEDS_TRACKING = (
     *("arm-left-tracking", "arm-late", "arm-held", "estimate-lost", "estimate-inconsistent"),
 )
 _NEVER_CAUSED = {
-    "limits-violated": "set-points keep to the limits, and who takes the emulated arm by hand jogs it towards home",
+    "pads-mirrored": "the simulated pads have the signs that are configured",
     "arm-uncalibrated": "the emulated controller never loses its calibration",
     "arm-servo-": "only servos have it",
     "pad3-": "only three palms in space have such a pad",
     "-handshake": "the simulated pads are configured without a start-up that they would have to answer",
     "-foreign-clock": "only input devices stamp what they say",
     "rig-contradicted": "only a smoother tells it, and the simulation has none",
-    "force-limit": "only a pivoting grasp has it",
     "vm-backend": "it is told by the process round the loop, which the simulation does without",
     "no-realtime": "it is told by the process round the loop, which the simulation does without",
 }

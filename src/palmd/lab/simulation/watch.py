@@ -48,6 +48,9 @@ WRONG_LEAST = {"r1": 1e-4, "r2": 1e-4, "omega0": 0.5}
 """Of a comparison a tick apart: what the palms may move a body by meanwhile."""
 _COMPARED = {"r1": "r1_m", "r2": "r2_m", "omega0": "omega0_rad_s"}
 
+_MOVE_AN_ARM = ("manual@arm", "block@arm", "jump@arm")
+"""Somebody takes the arm or lets it go; it goes to where its encoders tell that it stands."""
+
 _TOPIC = {topic.name: topic for topic in TOPICS}
 
 
@@ -217,6 +220,9 @@ class Watch:
                 self._check_set_point(core, command.pose, t)
 
     def _check_set_point(self, core: Core, pose: Pose, t: float) -> None:
+        if core.setpoints.retreating:  # to an arm that does not follow, before it is stopped
+            self._last = pose
+            return
         if not self._asked_to_arm:
             self._break(t, "no set-point unless armed", f"{pose} in state {core.state}, stopped at {self._t_stopped}")
         stops = [fault.code for fault in core.faults.standing(Severity.STOP)]
@@ -313,7 +319,7 @@ class Watch:
             self._break(t, "a fault ends with its cause", f"{sorted(left)} in state {core.state}")
 
     def _look_at_palms(self, palms: PalmMotion, t: float) -> None:
-        if any(each.name == "manual@arm" and each.t_on <= t <= each.t_off + STOP_S for each in self._causes):
+        if any(each.name in _MOVE_AN_ARM and each.t_on <= t <= each.t_off + STOP_S for each in self._causes):
             self._t_still = max(self._t_still, t)
         turning = max(map(abs, palms.rates))
         if turning > STANDS_RAD_S and not self._may_move:

@@ -1,0 +1,90 @@
+"""Limits of the guards that watch the arm and the pads: following error and contact force."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
+
+from palmd.config.fields import Plausible, Positive, Strict
+
+Degrees = Annotated[FiniteFloat, Field(gt=0, le=90), Plausible(0.1, 30)]
+Millimetres = Annotated[FiniteFloat, Field(gt=0, le=500), Plausible(0.2, 100)]
+
+
+class FollowingError(Strict):
+    """How far the arm may be from its delayed set-point: at rest, and at the full rate; linear in between."""
+
+    @field_validator("at_full_rate_deg", "at_full_rate_mm", check_fields=False)
+    @classmethod
+    def _not_below_rest(cls, value: float, info: ValidationInfo) -> float:
+        rest_key = str(info.field_name).replace("full_rate", "rest")
+        at_rest = info.data.get(rest_key, 0.0)
+        if value < at_rest:
+            raise ValueError(f"must not be less than {rest_key}, which is {at_rest:g}; got {value:g}")
+        return value
+
+
+class JointFollowingError(FollowingError):
+    """Of joints that turn."""
+
+    at_rest_deg: Degrees = 1.0
+    """Of each joint angle at rest."""
+    at_full_rate_deg: Degrees = 6.0
+    """Of each joint angle at the largest rate that the limits allow."""
+
+
+class PalmFollowingError(JointFollowingError):
+    """Of two palms: their angles, and the gripper of an arm that holds palm 2."""
+
+    at_rest_mm: Millimetres = 4.0
+    """Of the gripper at rest."""
+    at_full_rate_mm: Millimetres = 24.0
+    """Of the gripper at the largest rate that the limits allow."""
+
+
+class AxisFollowingError(FollowingError):
+    """Of a gripper that is moved along axes."""
+
+    at_rest_mm: Millimetres = 1.0
+    """Along each axis at rest."""
+    at_full_rate_mm: Millimetres = 3.0
+    """Along each axis at the largest speed that the limits allow."""
+
+
+Newtons = Annotated[Positive, Field(le=50), Plausible(0.3, 20)]
+
+
+class PadForces(Strict):
+    """A limit for each pad by itself; a pad that is left out has its default."""
+
+    palm1: Newtons | None = None
+    """Of palm 1's pad."""
+    palm2: Newtons | None = None
+    """Of palm 2's pad."""
+    palm3: Newtons | None = None
+    """Of palm 3's pad, where there is one."""
+
+
+def _number_or_pads(value: Any) -> str:
+    return "<pads>" if isinstance(value, dict | PadForces) else "<number>"
+
+
+ForceLimits = Annotated[
+    Annotated[Newtons, Tag("<number>")] | Annotated[PadForces, Tag("<pads>")], Discriminator(_number_or_pads)
+]
+"""One number for all pads, or a number for each."""
+
+DEFAULT_SHARE = 0.9
+"""Of a pad's full scale: beyond it a reading can no longer tell by how much."""
+
+
+def force_limits(limits: float | PadForces | None, full_scales: tuple[float, ...]) -> tuple[float, ...]:
+    """What may press on each pad (N), by the forces at which the pads saturate (N)."""
+    defaults = tuple(DEFAULT_SHARE * full for full in full_scales)
+    if limits is None:
+        return defaults
+    if isinstance(limits, PadForces):
+        named = (limits.palm1, limits.palm2, limits.palm3)
+        return tuple(default if given is None else given for default, given in zip(defaults, named, strict=False))
+    return (limits,) * len(full_scales)

@@ -1,0 +1,1 @@
+"""Guards between observer and core: pure functions of what is commanded, reported and felt, and of time."""
