@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TextIO
 
 from palmd.devices.pad import MARGIN_MM
-from palmd.devices.versapad import PRESSURE_MAX
 from palmd.events import Event, Joints, PadSample, PalmSample
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.logreader import VERSION, LogForm, read_log_as
@@ -50,6 +49,9 @@ def read_log(path: Path) -> EventLog:
     log: EventLog = read_log_as(path, _two_palms)[1]
     return log
 
+
+FULL_SCALE_COUNTS = 127
+"""A pad's pressure has 7 bits; a log tells no pad's full scale otherwise."""
 
 TIES = 3
 """So many readings at the last count are no chance: a force that is told in counts seldom ends just there."""
@@ -104,7 +106,7 @@ def _censored(events: tuple[Event, ...], rig: RigDescription) -> tuple[Event, ..
     found = {}
     for pad, sensor in enumerate(rig.pads, 1):
         forces = [e.force for e in events if isinstance(e, PadSample) and e.pad == pad and e.force is not None]
-        full, half = PRESSURE_MAX * sensor.force_resolution, 0.5 * sensor.force_resolution
+        full, half = FULL_SCALE_COUNTS * sensor.force_resolution, 0.5 * sensor.force_resolution
         at_full = sum(force > full - half for force in forces)
         if half > 0.0 and at_full >= TIES and max(forces) <= full + half:
             found[pad] = full, full - half
