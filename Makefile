@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
+.PHONY: help demo check corpus test system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -16,6 +16,12 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 test: dev  ## all tests, linters, types and import contracts
 	@$(BIN)/palmd build --all
 	@$(BIN)/python tools/run_tests.py
+
+check: dev  ## the inner loop: linters, types, unit tests of what changed, a sample of the corpus
+	@$(BIN)/python tools/check.py
+
+corpus: dev  ## what estimate and reconstruct make of stored logs, compared with frozen results
+	@$(BIN)/python tests/corpus/corpus.py check
 
 system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
 	$(BIN)/python -m pytest -q -m system

@@ -1,4 +1,4 @@
-"""The law of friction on vibrating palms against values of an independent program (THEORY_DITHER.md, section 6)."""
+"""The law of friction on vibrating palms against values of an independent program (docs/theory/vibration.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rest between palms that vibrate against the reference values of THEORY_DITHER, sections 1, 2 and 6."""
+"""Rest between palms that vibrate against the reference values of docs/theory/vibration.md."""
 
 import math
 

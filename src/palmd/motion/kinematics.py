@@ -1,4 +1,4 @@
-"""The arc-hinge rig's kinematics: palm angles to arm position and back (frames: CONTRACTS, section 3).
+"""The arc-hinge rig's kinematics: palm angles to arm position and back (frames: docs/theory/theory.md).
 
 Palm 1's far end is hinged to the fixed base B, the arm holds palm 2's far end E:
 

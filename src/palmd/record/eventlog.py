@@ -100,7 +100,7 @@ def _pad_sample(t: float, line: Line) -> PadSample:
 def _censored(events: tuple[Event, ...], rig: RigDescription) -> tuple[Event, ...]:
     """The events, readings at a pad's full scale as saturated: at least so much, instead of a force.
 
-    A pressure has 127 counts (CONTRACTS, section 1). A log whose forces end exactly there, with readings that lie on
+    A pressure has 127 counts. A log whose forces end exactly there, with readings that lie on
     that count, is of a pad that could tell no more.
     """
     found = {}

@@ -1,4 +1,4 @@
-"""Palms that really vibrate: the resolved plant against the law averaged over signs of slip, and THEORY_DITHER."""
+"""Palms that really vibrate: the resolved plant against the law averaged over signs of slip, and the tables of the theory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(not resolves(BODY), reason="resolving a vibratio
 
 
 def shaking(relation, frequency=250.0, speed=SPEED, mount=None):
-    """As in THEORY_DITHER's tables: phases are given along t1 and t2."""
+    """As in the tables of docs/theory/vibration.md: phases are given along t1 and t2."""
     second = 1.0548 * frequency if relation == "independent" else frequency
     phases = 0.4, 0.4 + ALONG_PHASE[relation]
     mounts = {} if mount is None else {"mount": mount}
@@ -75,7 +75,7 @@ def apart_deg(one, two):
 
 @pytest.mark.parametrize(("relation", "most_deg"), [("independent", 0.3), ("in_phase", 0.2), ("antiphase", 0.35)])
 def test_the_resolved_vibration_turns_the_body_as_the_averaged_law_does(relation, most_deg):
-    """At 250 Hz over 4 s, beside 2.5°, 1.3° and 4.9° of the old law (THEORY_DITHER §1)."""
+    """At 250 Hz over 4 s, beside 2.5°, 1.3° and 4.9° of the old law (docs/theory/vibration.md)."""
     here = history(resolved(relation), 4.0)
     assert apart_deg(here, history(averaged(relation), 4.0)) < most_deg
     old = history(Plant(BODY, FIXED, FrictionSurface(0.2, 0.5 * math.pi * SPEED)), 4.0)
@@ -122,7 +122,7 @@ def test_no_reversal_is_lost():
     ],
 )
 def test_reference_values(relation, alpha0, f1, f2):
-    """The first row of THEORY_DITHER §6, at a frequency that leaves no ripple."""
+    """The first row of the reference values, at a frequency that leaves no ripple."""
     plant = averaged(relation, frequency=1e9)
     plant.place(PalmMotion.at_rest((0.75, 1.65)), 0.883)
     *_, al, one, two = plant._rates
@@ -132,7 +132,7 @@ def test_reference_values(relation, alpha0, f1, f2):
 
 
 def test_a_pad_on_a_soft_mount_transmits_the_alternation_by_its_mass():
-    """λ = m_p/(m_p + m) far above the mount's resonance (THEORY_DITHER §3), A_ii being about 1 here."""
+    """λ = m_p/(m_p + m) far above the mount's resonance (docs/theory/vibration.md), A_ii being about 1 here."""
     still, turns = PalmMotion.at_rest((0.75, 1.65)), []
     for mount in (None, Mount(mass=0.1, stiffness=2e3, damping=2.0), Mount(mass=5e-3, stiffness=2e3, damping=2.0)):
         plant = resolved("antiphase", frequency=500.0, mount=mount)

@@ -1,0 +1,30 @@
+"""The stored cases give what they gave when they were frozen; a difference is found and named."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from corpus import EXPECTED, check, compare, frozen, names
+
+
+def test_every_case_isfrozen() -> None:
+    assert names() == sorted(path.stem for path in EXPECTED.iterdir())
+
+
+@pytest.mark.parametrize("part", ["estimate", "reconstruct"])
+def test_a_changed_number_is_found_and_named(part: str) -> None:
+    was = frozen(names()[0])
+    now = copy.deepcopy(was)
+    now[part]["digest"] = "another"
+    place = now["estimate"]["kept"][-1] if part == "estimate" else now["reconstruct"]["result"]
+    key = "phi1_rad" if part == "estimate" else "chi2"
+    place[key] *= 1 + 1e-7
+    assert [line.split(":")[0].rpartition(".")[2] for line in compare(was, now, exact=True)] == [key]
+    place[key] /= 1 + 1e-7
+    assert not compare(was, now, exact=True)
+
+
+def test_a_sample_gives_what_wasfrozen() -> None:
+    assert check([], sample=True) == 0
