@@ -2,8 +2,8 @@
 
 At each instant both contacts slip forwards or backwards, s_i = ±1, with friction −μ s_i N_i along t_i. Slow motion is
 the mean of the equations' solutions for the four pairs of signs, weighted by the shares of time that each pair lasts
-(docs/theory/vibration.md): slip i is forwards for p_i = 1/2 + asin(u_i/V_i)/π of the time, independently of the other one
-or in a fixed phase to it. Forces are means. It holds for fast vibrations, sines on rigid mounts.
+(docs/theory/vibration.md): slip i is forwards for p_i = 1/2 + asin(u_i/V_i)/π of the time, independently of the other
+one or in a fixed phase to it. Forces are means. It holds for fast vibrations, sines on rigid mounts.
 """
 
 from __future__ import annotations

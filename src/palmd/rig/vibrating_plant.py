@@ -4,8 +4,8 @@ Friction alternates with the vibration, and the normal forces with it: a contact
 Slip reversals are located to 1e-10 s within Runge–Kutta steps of at most an eightieth of a period; a contact at zero
 slip takes the first mode that Coulomb's law allows: slip that friction opposes, or stick with no more friction than μN.
 A palm's mount may give way across the palm: its mass, stiffness and damping decide how far normal forces follow the
-friction's alternation (λ of docs/theory/vibration.md). The geometry is that of `rig.curved_plant`, with curvature 0 for flat
-palms.
+friction's alternation (λ of docs/theory/vibration.md). The geometry is that of `rig.curved_plant`, with curvature 0 for
+flat palms.
 
 Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
 """

@@ -1,4 +1,4 @@
-"""How the palms vibrate along themselves, and which law of friction that asks for (docs/theory/vibration.md). SI units. Pure."""
+"""How the palms vibrate along themselves, and which law of friction that asks for. SI units. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Palms that really vibrate: the resolved plant against the law averaged over signs of slip, and the tables of the theory."""
+"""Palms that really vibrate: the resolved plant against the law averaged over signs of slip."""
 
 from __future__ import annotations
 
