@@ -163,6 +163,8 @@ FAULTS: tuple[Fault, ...] = (
         "run palmd doctor, then palmd calibrate arm: check rig.base_mm, the palms' lengths, arm.base_x_mm, base_y_mm "
         "and base_yaw_deg",
         debounce_s=0.05,
+        latch="armed",
+        clears="reset",
     ),
     Fault(
         "loop-overruns",

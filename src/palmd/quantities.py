@@ -206,7 +206,8 @@ ESTIMATE = Topic(
     100.0,
     "every tick",
     (
-        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
+        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid",
+                 source="invalid_reasons"),
         Quantity("valid", "bool", "", "whether to trust it: settled, consistent, finite", "valid", "touched",
                  source="valid"),
         Quantity("observer", "text", "", "which observer it comes from", source="observer"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
@@ -55,19 +56,12 @@ class AxisFollowingError(FollowingError):
 Newtons = Annotated[Positive, Field(le=50), Plausible(0.3, 20)]
 
 
-class PadForces(Strict):
-    """A limit for each pad by itself; a pad that is left out has its default."""
-
-    palm1: Newtons | None = None
-    """Of palm 1's pad."""
-    palm2: Newtons | None = None
-    """Of palm 2's pad."""
-    palm3: Newtons | None = None
-    """Of palm 3's pad, where there is one."""
+PadForces = dict[str, Newtons]
+"""A limit for each pad by itself, by its name under `pads`; a pad that is left out has its default."""
 
 
 def _number_or_pads(value: Any) -> str:
-    return "<pads>" if isinstance(value, dict | PadForces) else "<number>"
+    return "<pads>" if isinstance(value, dict) else "<number>"
 
 
 ForceLimits = Annotated[
@@ -79,12 +73,17 @@ DEFAULT_SHARE = 0.9
 """Of a pad's full scale: beyond it a reading can no longer tell by how much."""
 
 
-def force_limits(limits: float | PadForces | None, full_scales: tuple[float, ...]) -> tuple[float, ...]:
-    """What may press on each pad (N), by the forces at which the pads saturate (N)."""
-    defaults = tuple(DEFAULT_SHARE * full for full in full_scales)
-    if limits is None:
-        return defaults
-    if isinstance(limits, PadForces):
-        named = (limits.palm1, limits.palm2, limits.palm3)
-        return tuple(default if given is None else given for default, given in zip(defaults, named, strict=False))
-    return (limits,) * len(full_scales)
+def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
+    """The limits; raises ValueError where they name a pad that is not among these names."""
+    names = [*names]
+    if isinstance(limits, dict) and (strange := [name for name in limits if name not in names]):
+        raise ValueError(f"there is no {strange[0]}: name {', '.join(names[:-1])} or {names[-1]}, or give one number")
+    return limits
+
+
+def force_limits(limits: float | PadForces | None, full_scales: Mapping[str, float]) -> tuple[float, ...]:
+    """What may press on each pad (N), by the force at which each saturates (N, by the pads' names)."""
+    if isinstance(limits, float):
+        return (limits,) * len(full_scales)
+    given = limits or {}
+    return tuple(given.get(name, DEFAULT_SHARE * full) for name, full in full_scales.items())

@@ -10,11 +10,11 @@ from pydantic import Field, FiniteFloat, Tag, ValidationInfo, field_validator
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import AdeptConfig
 from palmd.config.fields import AngleRange, Plausible, Positive, Strict
-from palmd.config.guards import ForceLimits, JointFollowingError
+from palmd.config.guards import ForceLimits, JointFollowingError, PadForces, known_pads
 from palmd.config.pads import AnyPads, VersaPadConfig
 from palmd.config.plans import AnyPlanSpec, Duration, ExploreGoal, ExploreSpec, JointValues, SwingFrequency, one_key_of
 from palmd.config.vibration import VibrationConfig, vibration_of
-from palmd.system.three_palms import MECHANISM, RELATIONS, SYSTEM, PadPlane, ThreePalmsRig
+from palmd.system.three_palms import MECHANISM, PALMS, RELATIONS, SYSTEM, PadPlane, ThreePalmsRig
 
 
 class ThreePalmsRigConfig(Strict):
@@ -103,6 +103,11 @@ class ThreePalmsLimitsConfig(Strict):
     """How far the joints may be from their delayed set-points; beyond it the arm is stopped."""
     force_n: ForceLimits | None = None
     """What may press on each pad before the motion is held; left out: nine tenths of the pad's full scale."""
+
+    @field_validator("force_n")
+    @classmethod
+    def _own_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
+        return known_pads(force_n, (f"palm{palm}" for palm in PALMS))
 
     @property
     def ranges_deg(self) -> tuple[tuple[float, float], ...]:

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Tag, Va
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
 from palmd.config.fields import FilePath, NotNegative, OpeningRange, Pair, Plausible, Strict, TiltRange, exists
-from palmd.config.guards import ForceLimits, PadForces, PalmFollowingError
+from palmd.config.guards import ForceLimits, PadForces, PalmFollowingError, known_pads
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import (
     AnyPlanSpec,
@@ -150,10 +150,8 @@ class LimitsConfig(Strict):
 
     @field_validator("force_n")
     @classmethod
-    def _two_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
-        if isinstance(force_n, PadForces) and force_n.palm3 is not None:
-            raise ValueError("there is no palm3: name palm1, palm2 or both")
-        return force_n
+    def _own_pads(cls, force_n: float | PadForces | None) -> float | PadForces | None:
+        return known_pads(force_n, (f"palm{palm}" for palm in PALMS))
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:

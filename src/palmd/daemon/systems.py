@@ -90,7 +90,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
 
     def force_guard(self) -> ForceGuard:
         """What watches the forces that the pads tell."""
-        full = tuple(pad.full_scale_n for pad in self._config.pads.each())
+        named = zip(self.naming.pads, self._config.pads.each(), strict=True)
+        full = {f"palm{number}": pad.full_scale_n for number, pad in named}
         return ForceGuard(force_limits(self._config.limits.force_n, full), self.naming.pads)
 
     @abstractmethod

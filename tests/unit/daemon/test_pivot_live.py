@@ -160,9 +160,9 @@ def test_the_status_tells_where_the_pivot_is(lived):
 
 def test_what_is_pressed_beyond_the_scale_is_over_the_limit():
     """A pad tells no force at full scale: that is not silence."""
-    grasp = live_system(CONFIG)
-    grasp.felt(PadSample(0.0, 1, 0.03, 1.5))
-    assert list(grasp.conditions(0.0, None)) == []
+    guard = live_system(CONFIG).force_guard()
+    guard.feed(PadSample(0.0, 1, 0.03, 1.5))
+    assert list(guard.conditions(under_way=True)) == []
     for i in range(10):
-        grasp.felt(PadSample(0.01 * i, 1, 0.03, None))
-    assert list(grasp.conditions(0.1, None)) == ["force-limit"]
+        guard.feed(PadSample(0.01 * i, 1, 0.03, at_least=2.54))
+    assert list(guard.conditions(under_way=True)) == ["force-limit"]

@@ -41,7 +41,7 @@ class SignWatch:
         self._last: dict[int, tuple[float, float]] = {}
         self._t = -math.inf
         self._weight = 0.0
-        self._moments: FloatArray = np.zeros((4, 4))  # of x, 1, s1, s2: weighted sums of products
+        self._moments: FloatArray = np.zeros((4, 4))  # of x, 1 and both places: weighted sums of products
 
     def feed(self, sample: PadSample) -> None:
         """Take a reading."""
@@ -52,12 +52,12 @@ class SignWatch:
         if t - self._t < LOOK_S or palms is None or len(self._last) < len(PALMS):
             return
         dt, self._t = min(t - self._t, LOOK_S), t
-        times, (s1, s2) = zip(*(self._last[pad] for pad in PALMS), strict=True)
+        times, places = zip(*(self._last[pad] for pad in PALMS), strict=True)
         opening = palms.angles[OPENING]
         if t - min(times) > FRESH_S or abs(palms.rates[OPENING]) < TURNING_RAD_S or not 0.0 < opening < math.pi:
             return
         fading = math.exp(-dt / MEMORY_S)
-        seen = np.array([1.0 / math.tan(0.5 * opening), 1.0, s1, s2])
+        seen = np.array([1.0 / math.tan(0.5 * opening), 1.0, *places])
         self._moments = self._moments * fading + dt * np.outer(seen, seen)
         self._weight = self._weight * fading + dt
         evidence = [self._evidence(signs) for signs in _HYPOTHESES]
