@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import ClassVar
 
 from palmd import pivot_messages as messages
@@ -149,5 +150,5 @@ def _guard_limits(config: PivotConfig, poses: PivotPoses) -> GuardLimits:
             noise=noise_of_difference(config.rig.arm_noise_mm * 1e-3),
         ),
         JointScale(AXES, " mm", 1e3),
-        pivot_contradiction(poses.angles, config.arm.base_yaw_deg),
+        partial(pivot_contradiction, poses.angles, config.arm.base_yaw_deg),
     )

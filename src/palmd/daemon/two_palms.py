@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, ClassVar
 
 from palmd import messages, observer
@@ -154,5 +155,5 @@ def _guard_limits(config: Config, poses: Poses) -> GuardLimits:
             tool=(error.at_rest_mm * 1e-3, error.at_full_rate_mm * 1e-3) if held else None,
         ),
         JointScale(JOINTS, "°", math.degrees(1.0)),
-        arc_contradiction(held.geometry) if held else no_contradiction,
+        partial(arc_contradiction, held.geometry) if held else no_contradiction,
     )

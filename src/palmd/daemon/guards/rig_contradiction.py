@@ -13,22 +13,18 @@ from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 QUARTER_TURNS = (90.0, 180.0, -90.0)
 
 
-def arc_contradiction(geometry: RigGeometry) -> Callable[[Pose, Reach | None], str]:
+def arc_contradiction(geometry: RigGeometry, pose: Pose, reach: Reach | None) -> str:
     """Of two palms that an arm turns: reach from palm 1's base, and the tool angle."""
-
-    def contradiction(pose: Pose, reach: Reach | None) -> str:
-        del reach
-        words = _arc_words(geometry, pose)
-        if not words:
-            return ""
-        for turn in QUARTER_TURNS:
-            turned = replace(geometry, arm_yaw=wrapped(geometry.arm_yaw + math.radians(turn)))
-            if not _arc_words(turned, pose):
-                yaw = math.degrees(turned.arm_yaw)
-                return f"{words}; it fits a base turned by {turn:+g}°, that is arm.base_yaw_deg: {yaw:g}"
-        return words
-
-    return contradiction
+    del reach
+    words = _arc_words(geometry, pose)
+    if not words:
+        return ""
+    for turn in QUARTER_TURNS:
+        turned = replace(geometry, arm_yaw=wrapped(geometry.arm_yaw + math.radians(turn)))
+        if not _arc_words(turned, pose):
+            yaw = math.degrees(turned.arm_yaw)
+            return f"{words}; it fits a base turned by {turn:+g}°, that is arm.base_yaw_deg: {yaw:g}"
+    return words
 
 
 def _arc_words(geometry: RigGeometry, pose: Pose) -> str:
@@ -48,21 +44,17 @@ def _arc_words(geometry: RigGeometry, pose: Pose) -> str:
 
 
 def pivot_contradiction(
-    place: Callable[[Pose], tuple[float, ...]], yaw_deg: float
-) -> Callable[[Pose, Reach | None], str]:
+    place: Callable[[Pose], tuple[float, ...]], yaw_deg: float, pose: Pose, reach: Reach | None
+) -> str:
     """Of a pivoting gripper, whose pivot (m) cannot be below the pad's surface."""
-
-    def contradiction(pose: Pose, reach: Reach | None) -> str:
-        del reach
-        x, z = place(pose)
-        if z >= 0.0:
-            return ""
-        return (
-            f"the arm at x {pose.x_m * 1e3:.1f} mm, y {pose.y_m * 1e3:.1f} mm puts the pivot {-z * 1e3:.1f} mm below "
-            f"the pad's surface, {x * 1e3:.1f} mm along it, by arm.base_x_mm, base_y_mm and base_yaw_deg: {yaw_deg:g}"
-        )
-
-    return contradiction
+    del reach
+    x, z = place(pose)
+    if z >= 0.0:
+        return ""
+    return (
+        f"the arm at x {pose.x_m * 1e3:.1f} mm, y {pose.y_m * 1e3:.1f} mm puts the pivot {-z * 1e3:.1f} mm below "
+        f"the pad's surface, {x * 1e3:.1f} mm along it, by arm.base_x_mm, base_y_mm and base_yaw_deg: {yaw_deg:g}"
+    )
 
 
 def no_contradiction(pose: Pose, reach: Reach | None) -> str:
