@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections import UserList
+from pathlib import Path
 
 import pytest
 from simulated import simulated
@@ -113,9 +114,11 @@ def test_a_command_computes_with_one_thread(tmp_path):
 
 def test_a_process_beside_the_loop_has_one_thread(tmp_path):
     (tmp_path / "telling.py").write_text(TELLING)
-    command = [sys.executable, "-m", "palmd.daemon.worker_main", "telling", str(os.getpid())]
     environment = os.environ | ASKED_FOR_MANY | {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    with Path(os.devnull).open("w") as signs:
+        number = signs.fileno()
+        command = [sys.executable, "-m", "palmd.daemon.worker_main", "telling", str(os.getpid()), str(number)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, pass_fds=[number])
     assert set(json.loads(done.stdout)) == {1}
 
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 LOCKS = ("requirements.lock", "requirements-dev.lock")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TYPES_ONLY = {"_typeshed"}
-UNLOCKED = {"rerun": "rerun-sdk"}  # an optional extra, by the name that it is imported by
+UNLOCKED = {"pydrake": "drake", "rerun": "rerun-sdk"}  # an optional extra, by the name that it is imported by
 
 
 def canonical(name: str) -> str:

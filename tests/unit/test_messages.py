@@ -62,17 +62,20 @@ from palmd.quantities import (
     UNEXPLAINED,
 )
 from palmd.rig.world import default_config
+from palmd.system.rig_constants import RIG_NAMES
 from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
-# As CONTRACTS section 4 has them, written out here a second time.
+# As the published contract has them, written out here a second time.
 CONTRACT = {
     "palm/estimate": "valid observer object r1_m r2_m omega0_rad_s s1_m s2_m phi1_rad omega1_rad_s phi2_rad "
-    "omega2_rad_s rho_m psi_rad v1_m v2_m mu mass_kg f1_n f2_n com_x_m com_y_m sd nis observability touched",
+    "omega2_rad_s rho_m psi_rad v1_m v2_m mu mass_kg f1_n f2_n com_x_m com_y_m sd nis observability touched "
+    "invalid_reasons",
     "palm/shape": "theta_rad h_m h_sd_m touched",
     "palm/contact": "s1_m s2_m pressure1 pressure2 age1_ms age2_ms arm_age_ms touch1 touch2 batch1 batch2",
-    "palm/motion": "phi1_cmd_rad phi2_cmd_rad phi1_rad phi2_rad plan segment progress arm_state",
-    "palm/state": "state faults severities hints",
+    "palm/motion": "phi1_cmd_rad phi2_cmd_rad phi1_rad phi2_rad following_error_rad "
+    "following_limit_rad plan segment progress arm_state",
+    "palm/state": "state faults severities hints control unattended",
 }
 SD_NAMES = (
     "r1_m r2_m omega0_rad_s s1_m s2_m phi1_rad omega1_rad_s phi2_rad omega2_rad_s rho_m psi_rad v1_m v2_m mu "
@@ -89,7 +92,7 @@ def an_estimate(**changes) -> Estimate:
     return dataclasses.replace(estimate, **changes)
 
 
-ZEROS = np.zeros(15)
+ZEROS = np.zeros(len(RIG_NAMES))
 ENTRIES = (
     LogEntry(7, 0.98, "fault", "pad1-silent", "hold", "", math.nan, "pad 1 fell silent: its last packet is 61 ms old"),
     LogEntry(8, 0.98, "state", "hold", "", "", math.nan, "tracking -> hold: fault pad1-silent"),
@@ -126,7 +129,9 @@ def built():
         IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
         UNEXPLAINED: unexplained_fields(1.0, Unexplained(0.8)),
         NOTE: note_fields(1.0, "put back"),
-        RIG: rig_fields(np.full(15, 1e-3), np.full(15, 1e-4), np.full(15, 1e-3), ZEROS),
+        RIG: rig_fields(
+            np.full(len(RIG_NAMES), 1e-3), np.full(len(RIG_NAMES), 1e-4), np.full(len(RIG_NAMES), 1e-3), ZEROS
+        ),
         LOG: log_fields(ENTRIES),
     }
 

@@ -30,8 +30,8 @@ from palmd.record.mcapscan import (
     MESSAGE_HEAD,
     SUMMARY,
     Buffer,
+    FileRecord,
     Gap,
-    Record,
     attachment,
     framed,
     parsed,
@@ -133,7 +133,7 @@ def read_messages(path: Path, layout: Layout | None = None) -> Iterator[RawMessa
 
 def layout_of(data: Buffer) -> Layout | None:
     """What a file holds, None where it is no MCAP file; reads all of it. Never raises."""
-    look = _Look()
+    look = _Scan()
     for item in records(data):
         look.take(data, item)
     if not look.spans and not look.known and data[: len(MAGIC)] != MAGIC:
@@ -210,7 +210,7 @@ def _known(topic: str, kinds: Mapping[str, Any]) -> Callable[[str], bool]:
     return lambda name: name in kinds or name in _STAMPED or any(map(name.startswith, families))
 
 
-class _Look:
+class _Scan:
     """What has been found so far, in the order of the file."""
 
     def __init__(self) -> None:
@@ -233,7 +233,7 @@ class _Look:
         self._plain = self._compressed = False
         self._tail: Gap | None = None
 
-    def take(self, data: Buffer, item: Record | Gap) -> None:
+    def take(self, data: Buffer, item: FileRecord | Gap) -> None:
         """The next stretch of the file."""
         if isinstance(item, Gap):
             self._gap(item.begin, item.end)
@@ -266,7 +266,7 @@ class _Look:
                 self._finished |= data[item.end : item.end + len(MAGIC)] == MAGIC
         self._after_data |= item.opcode in SUMMARY or item.opcode == Opcode.DATA_END
 
-    def _chunk(self, item: Record, content: bytes) -> None:
+    def _chunk(self, item: FileRecord, content: bytes) -> None:
         inner = unpacked_chunk(content)
         if inner is None:
             self._gap(item.begin, item.end)
@@ -281,7 +281,7 @@ class _Look:
             elif opcode == Opcode.MESSAGE:
                 self._heard(item, each)
 
-    def _bare(self, item: Record, content: bytes) -> None:
+    def _bare(self, item: FileRecord, content: bytes) -> None:
         channel = MESSAGE_HEAD.unpack_from(content)[0]
         names = self._names.get(channel)
         named = {channel: names.most_common(1)[0][0] if names else ""}
@@ -302,7 +302,7 @@ class _Look:
             if channel.topic == CONFIG.name:
                 self._configured.add(channel.id)
 
-    def _heard(self, item: Record, content: bytes) -> None:
+    def _heard(self, item: FileRecord, content: bytes) -> None:
         """A message in this record."""
         channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         if channel in self._configured and not self._config:

@@ -66,7 +66,7 @@ _PARTS: dict[int, type] = {
 }
 
 
-class Record(NamedTuple):
+class FileRecord(NamedTuple):
     """A record from byte `begin` (its head) to `end`."""
 
     opcode: int
@@ -85,7 +85,7 @@ class Gap(NamedTuple):
     end: int
 
 
-def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[Record | Gap]:
+def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[FileRecord | Gap]:
     """All records of a file, or of a stretch of it, and the gaps between them; never raises.
 
     What follows a footer is read as well: a damaged file may hold one in its middle.
@@ -141,7 +141,7 @@ def parsed(kind: type[Part], content: bytes) -> Part | None:
     return record if stream.count == len(content) else None
 
 
-def _record_at(data: Buffer, at: int, size: int) -> Record | None:
+def _record_at(data: Buffer, at: int, size: int) -> FileRecord | None:
     """The record whose head stands at `at`; None where no record has such a head."""
     if at + HEAD.size > size:
         return None
@@ -149,10 +149,10 @@ def _record_at(data: Buffer, at: int, size: int) -> Record | None:
     end = at + HEAD.size + length
     if not 1 <= opcode <= Opcode.DATA_END or length > RECORD_BYTES_MAX or end > size:
         return None
-    return Record(opcode, at, end)
+    return FileRecord(opcode, at, end)
 
 
-def _accepted(data: Buffer, record: Record, size: int) -> bool:
+def _accepted(data: Buffer, record: FileRecord, size: int) -> bool:
     if not _fits(data, record):
         return False
     followed = record.end == size or _record_at(data, record.end, size) is not None
@@ -170,7 +170,7 @@ def _next(data: Buffer, at: int, size: int) -> int:
     return size
 
 
-def _fits(data: Buffer, record: Record) -> bool:
+def _fits(data: Buffer, record: FileRecord) -> bool:
     """Whether the lengths in a record make up its own length; cheap."""
     opcode, at, length = record.opcode, record.begin + HEAD.size, record.end - record.begin - HEAD.size
     if opcode == Opcode.MESSAGE:
@@ -197,7 +197,7 @@ def _chunk_length(data: Buffer, at: int, end: int) -> int | None:
     return int(held + _LONG_LENGTH.size + _LONG_LENGTH.unpack_from(data, held)[0] - at)
 
 
-def _sound(data: Buffer, record: Record) -> bool:
+def _sound(data: Buffer, record: FileRecord) -> bool:
     """Whether the contents of a record that fits vouch for it without what follows; expensive."""
     content = record.content(data)
     if record.opcode == Opcode.CHUNK:

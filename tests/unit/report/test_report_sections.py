@@ -23,6 +23,7 @@ from palmd.report.html import as_html
 from palmd.report.pdf import as_pdf
 from palmd.report.sections import Plate, Report, drawn, report_of
 from palmd.report.series import TopicSeries, series_of
+from palmd.system.rig_constants import RIG_NAMES
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 _KEPT = TemporaryDirectory(prefix="palmd-test-report-")
@@ -165,9 +166,9 @@ def test_nothing_but_estimates(tmp_path):
 
 def test_what_is_off_of_the_rig_in_the_end(tmp_path):
     messages = [*reported.told(1.0)]
-    sds, none = np.full(15, 1.0), np.zeros(15)
-    off, not_off = (rig_fields(np.full(15, value), sds, 2.0 * sds, none) for value in (9.0, 0.0))
-    for said, count in (([off], 15), ([off, not_off], 0)):
+    sds, none = np.full(len(RIG_NAMES), 1.0), np.zeros(len(RIG_NAMES))
+    off, not_off = (rig_fields(np.full(len(RIG_NAMES), value), sds, 2.0 * sds, none) for value in (9.0, 0.0))
+    for said, count in (([off], len(RIG_NAMES)), ([off, not_off], 0)):
         made = report(tmp_path, [*messages, *((RIG.name, fields, 1.0, i) for i, fields in enumerate(said))])
         (section,) = [section for section in made.sections if section.title == "Rig"]
         assert len(section.parts[0].rows) == count
