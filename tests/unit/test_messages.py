@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from improvements import improvement
 
+from palmd.config.any_config import as_yaml, config_hash
 from palmd.events import (
     Estimate,
     ObjectEstimate,
@@ -46,6 +47,7 @@ from palmd.messages import (
 )
 from palmd.pivot_quantities import PIVOT_TOPICS
 from palmd.quantities import (
+    CONFIG,
     CONTACT,
     ESTIMATE,
     EVENTS,
@@ -129,9 +131,8 @@ def built():
         IMPROVEMENT: improvement_fields(1.0, improvement(np.arange(3.0), np.eye(3), t=0.8)),
         UNEXPLAINED: unexplained_fields(1.0, Unexplained(0.8)),
         NOTE: note_fields(1.0, "put back"),
-        RIG: rig_fields(
-            np.full(len(RIG_NAMES), 1e-3), np.full(len(RIG_NAMES), 1e-4), np.full(len(RIG_NAMES), 1e-3), ZEROS
-        ),
+        CONFIG: {"config_hash": config_hash(default_config()), "yaml": as_yaml(default_config())},
+        RIG: rig_fields(ZEROS + 1e-3, ZEROS + 1e-4, ZEROS + 1e-3, ZEROS),
         LOG: log_fields(ENTRIES),
     }
 
