@@ -39,7 +39,7 @@ class ArmDriver:
         self.linked_since_open = False
         self.actual: PalmMotion | None = None
         self.bad_poses = 0
-        self._poses, self._free = poses, free
+        self._poses = poses
         self._t_moving = -math.inf
         self._rested: tuple[float, Joints] | None = None
 
@@ -79,8 +79,6 @@ class ArmDriver:
             if self.guards.plausible.reason or report.state in RESTING:
                 self.actual = None if angles is None else PalmMotion.at_rest(angles)
             return None
-        if not self.guards.following.reason:  # a blocked arm is not late
-            self.lag.observe(t, angles, self._free)
         meant = self._meant(t, angles, report.state)
         if meant is None:
             self.actual = PalmMotion.at_rest(angles)

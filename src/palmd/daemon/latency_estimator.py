@@ -37,9 +37,14 @@ class LatencyEstimator:
         """What the arm was meant to do at `t_sample` (s), the lag allowed for; None where not commanded."""
         return self._commanded(t_sample - self.lag_s)
 
-    def observe(self, t_sample: float, angles: Joints, free: Collection[int] = ()) -> None:
-        """Learn from the actual joint angles (rad) at `t_sample` (s), but of those that are `free` to go elsewhere."""
-        meant = self.motion(t_sample)
+    def observe(
+        self, t_sample: float, angles: Joints, free: Collection[int] = (), meant: PalmMotion | None = None
+    ) -> None:
+        """Learn from the actual joint angles (rad) at `t_sample` (s), but of those that are `free` to go elsewhere.
+
+        meant: what `motion` tells for then, where it has been asked already.
+        """
+        meant = meant or self.motion(t_sample)
         if meant is None:
             return
         rates = [0.0 if joint in free else omega for joint, omega in enumerate(meant.rates)]
@@ -51,13 +56,12 @@ class LatencyEstimator:
 
     def fastest(self, since: float, joints: int) -> list[float]:
         """The largest rate of each joint, without its sign, that has been commanded since then (s)."""
-        most = [0.0] * joints
+        rates = []
         for t, motion in reversed(self._sent):
-            for joint, rate in enumerate(motion.rates):
-                most[joint] = max(most[joint], abs(rate))
+            rates.append(motion.rates)
             if t < since:
                 break
-        return most
+        return [max(max(each), -min(each)) for each in zip(*rates, strict=True)] if rates else [0.0] * joints
 
     def _commanded(self, t: float) -> PalmMotion | None:
         """Linear between set-points, the last one from then on; None before the first."""

@@ -52,7 +52,7 @@ class ArmGuards:
     def accepts(
         self, report: ArmReport, angles: Joints | None, impossible: str, lag: LatencyEstimator, reach: Reach | None
     ) -> bool:
-        """Whether a report can be true.
+        """Whether a report can be true; from one that can be the lag is learned.
 
         angles: that belong to it; None where none do, which `impossible` tells. lag: that remembers the set-points.
         """
@@ -78,7 +78,9 @@ class ArmGuards:
         )
         if not self.plausible.report(t, pose, reach, errors=errors, peak=peak, twist=twist):
             return False
-        self.following.report(t, angles, meant, peak, off_m)
+        self.following.report(t, angles, meant, errors, peak, off_m)
+        if not self.following.reason:  # a blocked arm is not late
+            lag.observe(t, angles, self._free, meant)
         return True
 
     def _tool(self, pose: object, angles: Joints, meant: PalmMotion) -> tuple[float, float | None]:

@@ -116,18 +116,19 @@ class FollowingGuard:
         self._past.clear()
         self._errors_in_a_row = self._still_in_a_row = 0
 
-    def report(self, t: float, angles: Joints, meant: PalmMotion, peak: Sequence[float], off_m: float) -> None:
+    def report(
+        self, t: float, angles: Joints, meant: PalmMotion, errors: Joints, peak: Sequence[float], off_m: float
+    ) -> None:
         """Judge a fresh report of `t` (s).
 
-        meant: the set-point of t − L. peak: the largest commanded rate of each joint lately. off_m: how far the tool is
-        from its set-point of t − L (m), 0 without a tool.
+        meant: the set-point of t − L. errors: what the angles are more than that. peak: the largest commanded rate of
+        each joint lately. off_m: how far the tool is from its set-point of t − L (m), 0 without a tool.
         """
         if self.reason or t - self._t_parted < SETTLE_S:
             return
         self._past.append(_Reported(t, angles, meant))
         while t - self._past[0].t > WATCH_S:
             self._past.popleft()
-        errors = tuple([a - b for a, b in zip(angles, meant.angles, strict=True)])
         limits = tuple([self._limits.joint(rate) for rate in peak])
         self.errors, self.limits = errors, limits
         fastest = max([abs(peak[joint]) for joint in self._judged], default=0.0)

@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from palmd.events import FloatArray, PadSample, PalmMotion
+from palmd.events import PadSample, PalmMotion
 from palmd.system.mechanism import OPENING, PALMS
 
 MEMORY_S = 8.0
@@ -27,6 +25,7 @@ OUTLINE_M = 1e-3
 """What any outline adds, at the least: a line that fits better than that is no better evidence."""
 
 LOG_ODDS = math.log(1e4)
+_PRODUCTS = tuple((i, j) for i in range(4) for j in range(i, 4))
 _HYPOTHESES = ((1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
@@ -39,9 +38,8 @@ class SignWatch:
         self.log_odds = 0.0
         self._zeros = tuple(zeros_m)
         self._last: dict[int, tuple[float, float]] = {}
-        self._t = -math.inf
-        self._weight = 0.0
-        self._moments: FloatArray = np.zeros((4, 4))  # of x, 1 and both places: weighted sums of products
+        self._t = self._t_judged = -math.inf
+        self._sums = [0.0] * len(_PRODUCTS)  # of products of x, 1 and both places, weighted
 
     def feed(self, sample: PadSample) -> None:
         """Take a reading."""
@@ -57,9 +55,15 @@ class SignWatch:
         if t - min(times) > FRESH_S or abs(palms.rates[OPENING]) < TURNING_RAD_S or not 0.0 < opening < math.pi:
             return
         fading = math.exp(-dt / MEMORY_S)
-        seen = np.array([1.0 / math.tan(0.5 * opening), 1.0, *places])
-        self._moments = self._moments * fading + dt * np.outer(seen, seen)
-        self._weight = self._weight * fading + dt
+        seen = (1.0 / math.tan(0.5 * opening), 1.0, *places)
+        self._sums = [
+            fading * before + dt * seen[i] * seen[j] for before, (i, j) in zip(self._sums, _PRODUCTS, strict=True)
+        ]
+        if t - self._t_judged >= CORRELATED_S:
+            self._t_judged = t
+            self._judge()
+
+    def _judge(self) -> None:
         evidence = [self._evidence(signs) for signs in _HYPOTHESES]
         best = max(range(1, len(_HYPOTHESES)), key=lambda each: evidence[each])
         self.log_odds = evidence[best] - evidence[0]
@@ -71,9 +75,11 @@ class SignWatch:
     def _evidence(self, signs: tuple[int, int]) -> float:
         """Logarithm, but for what all have in common, of how well a line fits with these readings mirrored."""
         mirrored = sum(2.0 * zero for zero, sign in zip(self._zeros, signs, strict=True) if sign < 0)
-        y = self._moments @ np.array([0.0, mirrored, *map(float, signs)])
-        total = float(np.array([0.0, mirrored, *map(float, signs)]) @ y)
-        slope = max(float(y[0]) / float(self._moments[0, 0]), 0.0)
-        left = total - 2.0 * slope * float(y[0]) + slope**2 * float(self._moments[0, 0])
-        variance = max(left / self._weight, 0.0) + OUTLINE_M**2
-        return -0.5 * self._weight / CORRELATED_S * math.log(variance)
+        row = (0.0, mirrored, *signs)  # of the reading y in x, 1 and both places
+        sums = dict(zip(_PRODUCTS, self._sums, strict=True))
+        xx, weight = sums[0, 0], sums[1, 1]
+        xy = sum(row[j] * sums[0, j] for j in range(1, 4))
+        yy = sum((2.0 if i < j else 1.0) * row[i] * row[j] * sums[i, j] for i, j in _PRODUCTS if i)
+        slope = max(xy / xx, 0.0)
+        variance = max((yy - 2.0 * slope * xy + slope**2 * xx) / weight, 0.0) + OUTLINE_M**2
+        return -0.5 * weight / CORRELATED_S * math.log(variance)

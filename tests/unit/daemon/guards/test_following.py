@@ -21,7 +21,8 @@ def drive(guard, rate_deg_s, reported, seconds=2.0, t=0.0):
         t += CYCLE
         commanded = rate * (t - t_begin)
         meant = PalmMotion((commanded, 1.0), (rate, 0.0), (0.0, 0.0))
-        guard.report(t, (reported(t - t_begin, commanded), 1.0), meant, [abs(rate), 0.0], 0.0)
+        at = reported(t - t_begin, commanded)
+        guard.report(t, (at, 1.0), meant, (at - commanded, 0.0), [abs(rate), 0.0], 0.0)
         if guard.reason:
             return t - t_begin
     return None
@@ -79,7 +80,7 @@ def test_the_tool_has_a_limit_of_its_own():
     guard = FollowingGuard(FollowingLimits(1.0, 2.0, RATE, 0.1, (0.004, 0.024)), SCALE)
     still = PalmMotion.at_rest((0.0, 1.0))
     for n in range(1, 3):
-        guard.report(n * CYCLE, (0.0, 1.0), still, [0.0, 0.0], 0.005)
+        guard.report(n * CYCLE, (0.0, 1.0), still, (0.0, 0.0), [0.0, 0.0], 0.005)
     assert "gripper" in guard.reason
     assert "5.0 mm" in guard.reason
     guard.forget()
