@@ -383,7 +383,7 @@ def test_what_is_no_message_of_ours_is_left_out(daemon, served):
     with served.page() as (page, _):
         speak_until_heard(daemon, page)
         daemon.send(b"palm/state")
-        daemon.send(b"palm/state", b"x")
+        daemon.send(b"palm/state", b"x", b"1.0", b"more")
         daemon.send(b"palm/stateless", b"x", b"1.0")
         daemon.send(b"palm/events", b"x", b"1.0")
         daemon.send(b"palm/state", b"\xc1 no msgpack", b"1.0")  # for the page to leave out
