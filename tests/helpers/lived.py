@@ -17,7 +17,7 @@ from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
 
-SECONDS = 3.9  # it is valid after 3.4
+SECONDS = 5.0  # it is valid after 4.3
 PLAN = PlanSpec.model_validate(
     {
         "name": "rock",

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.config.addresses import from_here
 from palmd.console.errors import BAD_INPUT, CliError
@@ -38,8 +36,13 @@ def command_address(given: str | None, config: Path | None = None) -> str:
 
 def _configured(config: Path | None) -> dict[str, str]:
     """The addresses in the file, or in the installed one, as far as that says any."""
+    path = config or INSTALLED
+    if config is None and not path.exists():
+        return {}
+    import yaml
+
     try:
-        return _bus_of(config or INSTALLED)
+        return _bus_of(path)
     except (OSError, ValueError, yaml.YAMLError) as error:
         if config is None:
             return {}
@@ -48,6 +51,8 @@ def _configured(config: Path | None) -> dict[str, str]:
 
 def _bus_of(config: Path) -> dict[str, str]:
     """Read by hand, for models of the whole configuration take a third of a second, which a `stop` has not got."""
+    import yaml
+
     with config.open(encoding="utf-8") as stream:
         read: Any = yaml.load(stream, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     if not isinstance(read, Mapping):

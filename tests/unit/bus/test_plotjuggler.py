@@ -17,7 +17,7 @@ from palmd.daemon.bus import Bus
 from palmd.events import ObjectEstimate, Unexplained
 from palmd.messages import note_fields, object_fields, unexplained_fields
 from palmd.pivot_quantities import PIVOT_TOPICS
-from palmd.quantities import NOTE, OBJECT, UNEXPLAINED
+from palmd.quantities import CONFIG, NOTE, OBJECT, UNEXPLAINED
 from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
 
@@ -34,6 +34,7 @@ def sent():
             yield topics[name], {key: value for key, value in fields.items() if key not in STAMP}
     yield OBJECT, object_fields(recognised)
     yield NOTE, note_fields(1.0, "put back")
+    yield CONFIG, {"config_hash": "0", "yaml": "{}"}
     yield UNEXPLAINED, unexplained_fields(1.02, Unexplained(1.0))
 
 

@@ -173,7 +173,7 @@ def test_check_tells_programs_in_json(tmp_path, capsys):
     good.write_text("name: x\nsegments: [{hold_s: 1.0}]\n")
     bad.write_text("name: x\nsegments: [{hold_s: -1.0}]\n")
     assert cli.main(["check", str(good), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"good": True, "problems": []}
+    assert json.loads(capsys.readouterr().out) == {"good": True, "problems": [], "notes": []}
     assert cli.main(["check", str(bad), "--json"]) == 1
     told = capsys.readouterr()
     text = "segments.0.hold_s: must be more than 0; got -1.0"
@@ -192,7 +192,10 @@ def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
     )
     assert cli.main(["check", str(plan), "--draw", str(picture)]) == 0
     told = capsys.readouterr().out.splitlines()
-    assert told == [f"{plan}: good", f"{picture}: 3 s; nearest to its limit: phi1 + phi2 135 to 160 of 0 to 172°"]
+    assert told == [
+        f"{plan}: good",
+        f"{picture}: 3 s; nearest to its limit: phi12 = phi1 + phi2 135 to 160 of 0 to 172°",
+    ]
     assert "<svg" in picture.read_text()
     first = picture.read_bytes()
     assert cli.main(["check", str(plan), "--draw", str(picture), "--json"]) == 0

@@ -28,7 +28,10 @@ STATUS = {
     "arm_state": "T", "arm_error": "", "arm_linked": True,
 }  # fmt: skip
 
-SILENT = "is a palmd running there, and does it have keys (then give --key)?"
+SILENT = (
+    "is a palmd running there, and may this user open its socket (its group, mostly palmd),"
+    " does it have keys (then give --key)?"
+)
 
 
 @contextmanager
@@ -182,7 +185,7 @@ def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
 
     assert main(["ctl", "--address", "tcp://a:1", "note", "hello", "there"]) == 0
     assert main(["ctl", "--address", "tcp://a:1", "hold", "--address", "tcp://b:2"]) == 0
-    assert asked == ["tcp://a:1", ("note", {"text": "hello there"}), "tcp://b:2", ("hold", None)]
+    assert asked == ["tcp://a:1", ("note", {"text": "hello there"}), "tcp://b:2", ("hold", {})]
 
 
 def test_how_the_recorder_fares_is_told():

@@ -23,7 +23,7 @@ SECONDS = 3.0
 
 
 def estimate_at(t, **changes):
-    values = dict.fromkeys(Estimate.__dataclass_fields__, 0.5)
+    values = dict.fromkeys(Estimate.__dataclass_fields__, 0.5) | {"invalid_reasons": ()}
     values |= {"t": t, "valid": False, "observer": "spy", "object_count": 1, "sd": {"r1": math.nan}}
     return Estimate(**values | changes)
 

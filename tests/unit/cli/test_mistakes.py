@@ -77,7 +77,8 @@ MISTAKES = {
         "rig --mischief explode",
         1,
         "no mischief 'explode'; there are drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop,"
-        " power_off, manual, lift, swap, overload, overheat, undervoltage, brownout, overflow",
+        " power_off, manual, block, freeze, jump, saturate,"
+        " lift, swap, overload, overheat, undervoltage, brownout, overflow",
     ),
     "a file where a folder should be": Mistake(
         "rig --ports notes.txt", 1, "--ports: notes.txt is not a folder", {"notes.txt": "hello\n"}

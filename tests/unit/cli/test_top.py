@@ -37,6 +37,9 @@ from palmd.messages import (
 )
 from palmd.quantities import CONTACT, ESTIMATE, INFO, LOG, LOOP, MOTION, RIG, STATE
 from palmd.rig.world import default_config
+from palmd.system.rig_constants import RIG_NAMES
+
+ZEROS = np.zeros(len(RIG_NAMES))
 
 
 def estimate(**changes):
@@ -95,7 +98,7 @@ def test_faults_come_with_their_hints_and_gravity():
 def test_what_is_off_of_the_rig_stands_below_the_faults():
     shown = board()
     before = len(frame(shown, 100.1))
-    off = rig_fields(np.array([3e-4, *[0.0] * 14]), np.full(15, 3e-5), np.full(15, 1e-4), np.zeros(15))
+    off = rig_fields(np.array([3e-4, *ZEROS[1:]]), ZEROS + 3e-5, ZEROS + 1e-4, ZEROS)
     shown.take(Message(RIG.name, off, 100.0))
     rows = frame(shown, 100.1)
     assert len(rows) == before + 2  # and one more of the topics
@@ -140,7 +143,7 @@ def test_any_topic_alone_and_empty_makes_a_frame(topic):
 def test_everything_is_seen_on_80_by_24():
     """Two faults, one thing off, troubles on a port, every topic with its rate and age: nothing is cut."""
     shown = Board("tcp://127.0.0.1:9872")
-    off = rig_fields(np.array([3e-4, *[0.0] * 14]), np.full(15, 3e-5), np.full(15, 1e-4), np.zeros(15))
+    off = rig_fields(np.array([3e-4, *ZEROS[1:]]), ZEROS + 3e-5, ZEROS + 1e-4, ZEROS)
     for tick in range(200):
         for topic, fields in MESSAGES.items():
             if topic.rate_hz > 50 or tick % 100 == 0:
@@ -210,7 +213,8 @@ def test_once_without_data_ends_with_3(tmp_path, monkeypatch, capsys):
     assert main(["top", "--once", "--address", address]) == 3
     assert (
         capsys.readouterr().err
-        == f"no data from {address}: is a palmd running there, and does it have keys (then give --key)?\n"
+        == f"no data from {address}: is a palmd running there, and may this user open its socket"
+        " (its group, mostly palmd), does it have keys (then give --key)?\n"
     )
 
 

@@ -53,7 +53,7 @@ def test_what_is_told_about_the_run(finished):
     assert run.rig == rig_description(config)
     assert run.metadata["started"] == "2026-11-21T22:30:05+00:00"
     assert set(run.metadata) == {
-        "schema", "palmd", "python", "numpy", "casadi", "machine", "config_hash", "started", "continues",
+        "schema", "palmd", "python", "numpy", "casadi", "machine", "config_hash", "started", "continues", "gap_s",
     }  # fmt: skip
 
 
