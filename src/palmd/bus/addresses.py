@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from palmd.bus.link import COMMAND, PUBLISH
-from palmd.config.addresses import from_here
 from palmd.console.errors import BAD_INPUT, CliError
 
 INSTALLED = Path("/etc/palmd/palmd.yaml")
