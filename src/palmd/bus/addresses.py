@@ -52,6 +52,8 @@ def _bus_of(config: Path) -> dict[str, str]:
     """Read by hand, for models of the whole configuration take a third of a second, which a `stop` has not got."""
     import yaml
 
+    from palmd.config.addresses import from_here
+
     with config.open(encoding="utf-8") as stream:
         read: Any = yaml.load(stream, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     if not isinstance(read, Mapping):
