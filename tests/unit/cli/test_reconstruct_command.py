@@ -18,6 +18,7 @@ from palmd.record.result import as_line
 from palmd.record.systems import two_palms
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import PadSensor
+from palmd.system.rig_constants import RIG_NAMES
 
 SECONDS = 2.5
 FIELDS = {
@@ -41,8 +42,12 @@ def answer(**changes):
         "reason": "",
         "seconds": 1.5,
     }
-    values |= {"rig": np.arange(15.0), "rig_covariance": np.eye(15) / 4, "contradicted": 6.0 * (np.arange(15) == 1)}
-    values |= {"rig_prior_sd": np.ones(15)}
+    values |= {
+        "rig": np.arange(float(len(RIG_NAMES))),
+        "rig_covariance": np.eye(len(RIG_NAMES)) / 4,
+        "contradicted": 6.0 * (np.arange(len(RIG_NAMES)) == 1),
+    }
+    values |= {"rig_prior_sd": np.ones(len(RIG_NAMES))}
     return Reconstruction(**values | changes)
 
 

@@ -30,6 +30,7 @@ from palmd.quantities import EVENTS, IMPROVEMENT, RIG, STATE
 from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import World, default_config
+from palmd.system.rig_constants import RIG_NAMES
 
 LIFTED = "name: sent\nsegments:\n- move: {phi1_deg: 50, phi2_deg: 85}\n  duration_s: 1.0\n"
 ENDS = ("pad1", "pad2", "arm")
@@ -399,7 +400,7 @@ def test_every_tick_publishes_just_what_the_observer_was_fed(running):
         assert validate(EVENTS, stamp(dict(fields), 0.0, 0.0, 0)) == []
 
 
-OFF, OFF_SD = np.zeros(15), np.full(15, 1e-2)
+OFF, OFF_SD = np.zeros(len(RIG_NAMES)), np.full(len(RIG_NAMES), 1e-2)
 OFF[1], OFF_SD[1] = 3e-4, 3e-5
 AGAINST = 6.0 * (OFF != 0.0)
 

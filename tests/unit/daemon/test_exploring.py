@@ -36,6 +36,7 @@ from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
 from palmd.motion.tipping import tip
+from palmd.system.rig_constants import RIG_NAMES
 
 STEP_S = 0.002
 CYCLE_STEPS, TICK_STEPS = 8, 5
@@ -482,7 +483,7 @@ def asked(
 
 def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
-    guessed = replace(stage.look(), rig=np.zeros(15))
+    guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
     for outlook in (None, guessed):
         answer = decider.answer(asked(stage, outlook, (0.02, 0.02)))
         assert answer.decision.blind
@@ -501,7 +502,7 @@ def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known
 
 def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
-    guessed = replace(stage.look(), rig=np.zeros(15))
+    guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
     for outlook, cornered in ((guessed, True), (None, False), (guessed, False)):
         question = replace(asked(stage, outlook, (0.02, 0.02)), cornered=cornered)
         decision = decider.answer(question).decision

@@ -25,6 +25,8 @@ from palmd.system.rig_constants import RIG_NAMES, prior_sds
 TASK = SbcTask("friction", 3, 10.0)
 EVEN = stats.norm.ppf((np.arange(1000) + 0.5) / 1000)
 
+RIG = len(RIG_NAMES)
+
 
 # ------------------------------------------------------------------------------------------------ statistics
 
@@ -193,16 +195,18 @@ def test_z_of_known_size():
     wave = 4e-5 * np.cos(24 * THETA)
     off = answer(
         h=support(THETA + 0.7) + wave, rho=0.013, mu=0.25, mass=0.098, psi=answer().psi + 2e-3 * answer().t,
-        rig=np.linspace(-1.0, 1.0, 15), rig_covariance=np.diag(np.arange(1.0, 16.0) ** 2),
-        contradicted=5.0 * (np.arange(15) == 11),
+        rig=np.linspace(-1.0, 1.0, RIG), rig_covariance=np.diag(np.arange(1.0, RIG + 1.0) ** 2),
+        contradicted=5.0 * (np.arange(RIG) == 11),
     )  # fmt: skip
     row = row_of(TASK, told(), off)
     assert row.beliefs["ln_rho"].z == pytest.approx(math.log(14 / 13) * 13.0)
     assert row.beliefs["ln_mass"].z == pytest.approx(math.log(100 / 98) * 9.8)
     assert row.beliefs["mu"].z == pytest.approx(-0.5)
     assert row.beliefs["turned_rad"].z == pytest.approx(-2.0 * np.ptp(off.t), rel=1e-3)
-    assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(-np.linspace(-1, 1, 15) / np.arange(1, 16))
-    assert row.rig_distance2 == pytest.approx(np.sum((np.linspace(-1, 1, 15) / np.arange(1, 16)) ** 2))
+    assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(
+        -np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
+    )
+    assert row.rig_distance2 == pytest.approx(np.sum((np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)) ** 2))
     assert (row.e_h_m, row.h_sd_m) == (pytest.approx(4e-5 / math.sqrt(2), rel=0.02), pytest.approx(1e-5))
     assert (row.worst_z, row.beyond_m) == (pytest.approx(4.0, rel=0.02), pytest.approx(3e-5, rel=0.03))
     assert row.contradicted == {"phi2_rad": 5.0}

@@ -16,6 +16,7 @@ from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import RunError, read_run
 from palmd.record.runfile import RunFile
+from palmd.system.rig_constants import RIG_NAMES
 
 
 @pytest.fixture
@@ -93,9 +94,11 @@ def test_an_unfinished_run_says_so(tmp_path):
     assert "was not finished" in note
 
 
-RIG_SD = np.linspace(1.0, 2.0, 15)
-AGAINST = np.linspace(-9.0, 9.0, 15)
-SPREAD = np.arange(17.0 * 15).reshape(17, 15)  # of two states and the rig's constants
+RIG_SD = np.linspace(1.0, 2.0, len(RIG_NAMES))
+AGAINST = np.linspace(-9.0, 9.0, len(RIG_NAMES))
+SPREAD = np.arange((2.0 + len(RIG_NAMES)) * len(RIG_NAMES)).reshape(
+    -1, len(RIG_NAMES)
+)  # of two states and the rig's constants
 
 
 def test_improvements_come_back_with_their_ticks(tmp_path):
@@ -111,7 +114,7 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
                 t=0.1,
                 frame=3,
                 touched=touched,
-                rig=np.arange(15.0),
+                rig=np.arange(float(len(RIG_NAMES))),
                 rig_sd=RIG_SD,
                 spread=SPREAD,
                 contradicted=AGAINST,
@@ -126,7 +129,7 @@ def test_improvements_come_back_with_their_ticks(tmp_path):
     assert (answer.frame, answer.established) == (3, True)
     assert np.array_equal(answer.touched, touched)
     assert np.array_equal(answer.contradicted, AGAINST)
-    assert np.array_equal(answer.rig, np.arange(15.0))
+    assert np.array_equal(answer.rig, np.arange(float(len(RIG_NAMES))))
     assert np.array_equal(answer.rig_sd, RIG_SD)
     assert np.array_equal(answer.spread, SPREAD)
 
