@@ -16,6 +16,7 @@ from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 
 _MOST_COSINE = math.cos(math.radians(3.0))  # of the opening: beyond it the linkage hits its stops
+_GIVE_S = 0.004  # in which what blocks an axis brings it to a stand
 _SERVO_LAG_S = 0.016  # a bandwidth of some 20 Hz
 
 
@@ -120,11 +121,12 @@ class Servo:
         self._t = 0.0
         self._r, self._r_dot = position, 0.0
         self._rest, self._a, self._b = 0.0, 0.0, 0.0
-        self._blocked: float | None = None
+        self._blocked: tuple[float, float, float] | None = None  # since when (s), where and how fast it was then
 
     def block(self, t: float) -> None:
-        """Something holds the axis where it is at t (s); the path goes on."""
-        self._blocked = self.at(t)[0]
+        """Something holds the axis from t (s) on, and gives a little; the path goes on."""
+        x, v, _ = self.at(t)
+        self._blocked = t, x, v
 
     def release(self, t: float) -> None:
         """Nothing holds it any more at t (s): it goes after the path from where it stood."""
@@ -148,7 +150,9 @@ class Servo:
     def at(self, t: float) -> tuple[float, float, float]:
         """Position, velocity, acceleration at t (s), not before the last `follow`."""
         if self._blocked is not None:
-            return self._blocked, 0.0, 0.0
+            t_held, held, speed = self._blocked
+            gone = math.exp((t_held - t) / _GIVE_S)
+            return held + speed * _GIVE_S * (1.0 - gone), speed * gone, -speed * gone / _GIVE_S
         k, tau = self._k, t - self._t
         decay = math.exp(-k * tau)
         b = self._b * decay

@@ -390,6 +390,7 @@ static void go_on(const Scene *scene, Body *body, const Motion *motion, double d
         }
       }
     }
+    piece = crossing < CROSSINGS ? fmax(piece, 0.0) : left; /* palms that stop at once may ask for ever more */
     if (solved && crossing < CROSSINGS && (resting[0] || resting[1]) && piece < left) {
       *body = start, *frame = frame_before;
       if (piece > 0.0) solved = integrate(scene, body, motion, piece, palms, frame, impulse);
