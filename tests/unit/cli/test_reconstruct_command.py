@@ -44,7 +44,9 @@ def answer(**changes):
     }
     values |= {
         "rig": np.arange(float(len(RIG_NAMES))),
-        "rig_covariance": np.eye(len(RIG_NAMES)) / 4,
+    rig = len(RIG_NAMES)
+    values |= {"rig": np.arange(float(rig)), "rig_covariance": np.eye(rig) / 4}
+    values |= {"contradicted": 6.0 * (np.arange(rig) == 1)}
         "contradicted": 6.0 * (np.arange(len(RIG_NAMES)) == 1),
     }
     values |= {"rig_prior_sd": np.ones(len(RIG_NAMES))}
@@ -79,7 +81,7 @@ def test_the_result_has_the_fields_of_the_contract():
     assert line["mass_kg"] is line["mass_sd_kg"] is None
     assert (line["rho_m"], line["mu_sd"], line["seconds"]) == (0.014, 0.01, 1.5)
     assert line["rig"]["pad2_zero_m"] == {"value": 1.0, "sd": 0.5}
-    assert len(line["rig"]) == 15
+    assert len(line["rig"]) == len(RIG_NAMES)
     assert line["sides"] == []
     told = as_line(answer(sides=np.array([[0.5, 0.012, 0.002]])), unweighed())
     assert told["sides"] == [{"normal_rad": 0.5, "length_m": 0.012, "length_sd_m": 0.002}]

@@ -203,7 +203,8 @@ def test_z_of_known_size():
     assert row.beliefs["ln_mass"].z == pytest.approx(math.log(100 / 98) * 9.8)
     assert row.beliefs["mu"].z == pytest.approx(-0.5)
     assert row.beliefs["turned_rad"].z == pytest.approx(-2.0 * np.ptp(off.t), rel=1e-3)
-    assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(
+    off_by = np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
+    assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(-off_by)
         -np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
     )
     assert row.rig_distance2 == pytest.approx(np.sum((np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)) ** 2))

@@ -96,9 +96,7 @@ def test_an_unfinished_run_says_so(tmp_path):
 
 RIG_SD = np.linspace(1.0, 2.0, len(RIG_NAMES))
 AGAINST = np.linspace(-9.0, 9.0, len(RIG_NAMES))
-SPREAD = np.arange((2.0 + len(RIG_NAMES)) * len(RIG_NAMES)).reshape(
-    -1, len(RIG_NAMES)
-)  # of two states and the rig's constants
+SPREAD = np.arange((2.0 + len(RIG_NAMES)) * len(RIG_NAMES)).reshape(-1, len(RIG_NAMES))  # of two states and the rig
 
 
 def test_improvements_come_back_with_their_ticks(tmp_path):
