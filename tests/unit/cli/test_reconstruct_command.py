@@ -42,13 +42,9 @@ def answer(**changes):
         "reason": "",
         "seconds": 1.5,
     }
-    values |= {
-        "rig": np.arange(float(len(RIG_NAMES))),
     rig = len(RIG_NAMES)
     values |= {"rig": np.arange(float(rig)), "rig_covariance": np.eye(rig) / 4}
     values |= {"contradicted": 6.0 * (np.arange(rig) == 1)}
-        "contradicted": 6.0 * (np.arange(len(RIG_NAMES)) == 1),
-    }
     values |= {"rig_prior_sd": np.ones(len(RIG_NAMES))}
     return Reconstruction(**values | changes)
 

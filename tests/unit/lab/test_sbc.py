@@ -205,8 +205,6 @@ def test_z_of_known_size():
     assert row.beliefs["turned_rad"].z == pytest.approx(-2.0 * np.ptp(off.t), rel=1e-3)
     off_by = np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
     assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(-off_by)
-        -np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
-    )
     assert row.rig_distance2 == pytest.approx(np.sum((np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)) ** 2))
     assert (row.e_h_m, row.h_sd_m) == (pytest.approx(4e-5 / math.sqrt(2), rel=0.02), pytest.approx(1e-5))
     assert (row.worst_z, row.beyond_m) == (pytest.approx(4.0, rel=0.02), pytest.approx(3e-5, rel=0.03))
