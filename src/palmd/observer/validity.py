@@ -6,6 +6,7 @@ expected, or the hypothesis that it is a known one was accepted (`identified`, w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -56,53 +57,74 @@ class Thresholds:
     disagreement_m: float
 
 
-def settled(evidence: Evidence, least: Thresholds) -> bool:
-    """Whether the numbers can be taken at their word, whichever object they are of."""
-    believable = evidence.finite and evidence.consistent and evidence.rig_known and evidence.explained
-    felt = evidence.touching and evidence.palms_known and evidence.resumed_for_s > RESUMED_FOR_S
-    sharp = evidence.radius_sd_m < least.radius_sd_m and evidence.disagreement_m < least.disagreement_m
-    return bool(believable and felt and sharp and evidence.age_s > least.age_s)
+class _Condition(NamedTuple):
+    """What a valid estimate needs: a code, whether it holds, and in words with value and limit why it does not.
 
+    `words` are given the running mean of the NIS, too.
+    """
 
-def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:
-    """Each condition of `settled` that fails, in words with its value and limit; `nis` is the running mean."""
-    (low, high), resumed_s = NIS_RANGE, evidence.resumed_for_s
-    checks = (
-        (evidence.touching, "not both pads report a contact"),
-        (evidence.palms_known, "no recent report of the palm angles"),
-        (resumed_s > RESUMED_FOR_S, f"contact resumed {resumed_s:.2f} s ago (limit {RESUMED_FOR_S:.2f} s)"),
-        (evidence.finite, "a value is not finite"),
-        (consistent(nis), f"NIS {nis:.2f} (limits {low:g} to {high:g})"),
-        (evidence.consistent or not consistent(nis), "the contacts lie outside the pads"),
-        (evidence.rig_known, "the rig's constants are not estimated yet"),
-        (evidence.explained, "the smoother rejects a smooth outline: a flat side, a corner or a second object?"),
-        (evidence.radius_sd_m < least.radius_sd_m, _over("1σ of a radius", evidence.radius_sd_m, least.radius_sd_m)),
-        (evidence.disagreement_m < least.disagreement_m,
-         _over("disagreement between hypotheses", evidence.disagreement_m, least.disagreement_m)),
-        (evidence.age_s > least.age_s, f"object observed for {evidence.age_s:.1f} s (limit {least.age_s:.1f} s)"),
-    )  # fmt: skip
-    return [text for holds, text in checks if not holds]
+    code: str
+    holds: Callable[[Evidence, Thresholds], bool]
+    words: Callable[[Evidence, Thresholds, float], str]
 
 
 def _over(what: str, value_m: float, limit_m: float) -> str:
     return f"{what} {value_m * 1e3:.2f} mm (limit {limit_m * 1e3:.2f} mm)"
 
 
+def _inconsistent(_evidence: Evidence, _least: Thresholds, nis: float) -> str:
+    low, high = NIS_RANGE
+    return "the contacts lie outside the pads" if consistent(nis) else f"NIS {nis:.2f} (limits {low:g} to {high:g})"
+
+
+_CONDITIONS = (
+    _Condition("untouched", lambda e, _: e.touching, lambda *_: "not both pads report a contact"),
+    _Condition("no-arm-reports", lambda e, _: e.palms_known, lambda *_: "no recent report of the palm angles"),
+    _Condition(
+        "just-touched",
+        lambda e, _: e.resumed_for_s > RESUMED_FOR_S,
+        lambda e, *_: f"contact resumed {e.resumed_for_s:.2f} s ago (limit {RESUMED_FOR_S:.2f} s)",
+    ),
+    _Condition("not-finite", lambda e, _: e.finite, lambda *_: "a value is not finite"),
+    _Condition("inconsistent", lambda e, _: e.consistent, _inconsistent),
+    _Condition("rig-unknown", lambda e, _: e.rig_known, lambda *_: "the rig's constants are not estimated yet"),
+    _Condition(
+        "unexplained",
+        lambda e, _: e.explained,
+        lambda *_: "the smoother rejects a smooth outline: a flat side, a corner or a second object?",
+    ),
+    _Condition(
+        "too-young",
+        lambda e, least: e.age_s > least.age_s,
+        lambda e, least, _: f"object observed for {e.age_s:.1f} s (limit {least.age_s:.1f} s)",
+    ),
+    _Condition(
+        "not-sharp",
+        lambda e, least: e.radius_sd_m < least.radius_sd_m,
+        lambda e, least, _: _over("1σ of a radius", e.radius_sd_m, least.radius_sd_m),
+    ),
+    _Condition(
+        "ambiguous",
+        lambda e, least: e.disagreement_m < least.disagreement_m,
+        lambda e, least, _: _over("disagreement between hypotheses", e.disagreement_m, least.disagreement_m),
+    ),
+)
+
+
+def settled(evidence: Evidence, least: Thresholds) -> bool:
+    """Whether the numbers can be taken at their word, whichever object they are of."""
+    return all(condition.holds(evidence, least) for condition in _CONDITIONS)
+
+
 def reasons(evidence: Evidence, least: Thresholds) -> tuple[str, ...]:
-    """The codes of what speaks against an answer; `not-settled` where none of the evidence does."""
-    against = {
-        "untouched": not evidence.touching,
-        "no-arm-reports": not evidence.palms_known,
-        "just-touched": not evidence.resumed_for_s > RESUMED_FOR_S,
-        "not-finite": not evidence.finite,
-        "inconsistent": not evidence.consistent,
-        "rig-unknown": not evidence.rig_known,
-        "unexplained": not evidence.explained,
-        "too-young": not evidence.age_s > least.age_s,
-        "not-sharp": not evidence.radius_sd_m < least.radius_sd_m,
-        "ambiguous": not evidence.disagreement_m < least.disagreement_m,
-    }
-    return tuple(code for code, holds in against.items() if holds) or ("not-settled",)
+    """The codes of the conditions that fail; `not-settled` where none of them does."""
+    failed = tuple(condition.code for condition in _CONDITIONS if not condition.holds(evidence, least))
+    return failed or ("not-settled",)
+
+
+def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:
+    """Each condition that fails, in words with its value and limit; `nis` is the running mean."""
+    return [each.words(evidence, least, nis) for each in _CONDITIONS if not each.holds(evidence, least)]
 
 
 def consistent(nis: float) -> bool:
