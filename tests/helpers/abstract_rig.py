@@ -163,11 +163,17 @@ class Motion:
         self.moving = self.jogging = False
 
 
+class Guards:
+    """Of an arm whose poses are this rig's."""
+
+    contradiction = ""
+
+
 class Arm:
     """The driver, without its geometry."""
 
     def __init__(self):
-        self.host = Host()
+        self.host, self.guards = Host(), Guards()
         self.is_open = self.linked_since_open = False
         self.actual = PalmMotion.at_rest((0.5, 1.5))
 
@@ -218,6 +224,10 @@ class Aside:
         return self.futures[0]
 
 
+def _forgets():
+    return True  # a function with a name, as copies are pickled
+
+
 class Rig:
     """Supervisor and letters. `moved` says what has begun to move in the last step."""
 
@@ -232,7 +242,7 @@ class Rig:
         self.supervisor = Supervisor(
             self.arm, self.motion, Exploring(), self.faults, self.journal, self.aside, Plan(fits), None,
             autostart=autostart, system=SYSTEM,
-            forget_object=lambda: True,
+            forget_object=_forgets,
         )  # fmt: skip
 
     @property

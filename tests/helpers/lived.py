@@ -17,7 +17,7 @@ from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
 
-SECONDS = 5.0  # it is valid after 4.3
+SECONDS = 5.0  # it is valid after 4.3: of the palms' vibration nothing is told, which costs this seed a second
 PLAN = PlanSpec.model_validate(
     {
         "name": "rock",

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from palmd.daemon.smoothing import BatchingProcess, work
+from palmd.daemon.smoothing import BatchingProcess, described_by, work
 from palmd.events import Event
-from palmd.system.description import PadSensor
 from palmd.system.pivot import PivotAnswer, PivotRig
-from palmd.system.vibration import Vibration
 
 
 class PivotSmootherProcess(BatchingProcess[PivotAnswer]):
@@ -32,10 +29,7 @@ def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the rig's fields as JSON."""
     from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother  # SciPy, in this process alone
 
-    fields = json.loads(rig)
-    smoother = GrowingSmoother(
-        PivotRig(**fields | {"pad": PadSensor(**fields["pad"]), "vibration": Vibration(**fields["vibration"])})
-    )
+    smoother = GrowingSmoother(described_by(rig, PivotRig))
 
     def answer() -> list[Any] | None:
         a = smoother.answer()

@@ -20,7 +20,7 @@ import numpy as np
 from palmd.daemon.worker import WorkerProcess, give_back_memory, meet
 from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Unexplained
 from palmd.observer.smoothing import Session, period
-from palmd.system.description import PadSensor, RigDescription
+from palmd.system.description import RigDescription
 
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
@@ -29,6 +29,7 @@ SHARE = 0.5  # of one core that the process takes at most, and that only before 
 NICENESS = 3  # after the loop, but not so far behind others that its answers come too late
 
 Answer = TypeVar("Answer")
+Rig = TypeVar("Rig")
 _KINDS: tuple[type[PadSample] | type[PadLift] | type[PalmSample], ...] = (PadSample, PadLift, PalmSample)
 _PACKED = {each: (kind, attrgetter(*each.__slots__)) for kind, each in enumerate(_KINDS)}
 
@@ -136,13 +137,20 @@ def work(
                 give_back_memory()  # not beside a thought: the collector stops it, for a third of its time
 
 
+def described_by(rig: str, kind: type[Rig]) -> Rig:
+    """The description that was handed to a process as JSON, down to its last dataclass."""
+    from pydantic import TypeAdapter  # in the process alone
+
+    return TypeAdapter(kind).validate_json(rig)
+
+
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the description's fields as JSON."""
     # in this process alone: the loop's has no use for them
     from palmd.model import shape_map, smoothing
     from palmd.observer.incremental import IncrementalSmoother
 
-    described = _rig_of(json.loads(rig))
+    described = described_by(rig, RigDescription)
     smoother = IncrementalSmoother(described)
     smoothing.library(described.curved)
     shape_map.library(curved=described.curved)
@@ -170,8 +178,3 @@ def _told(t: float, *fields: Any) -> Improvement | Unexplained:
     square, beyond = covariance.reshape(len(x), -1), spread.reshape(-1, len(rig))
     marks = np.frombuffer(touched, dtype=np.bool_)
     return Improvement(t, x, square, frame, established, marks, rig, rig_sd, beyond, against)
-
-
-def _rig_of(fields: dict[str, Any]) -> RigDescription:
-    pads = tuple(PadSensor(**pad) for pad in fields["pads"])
-    return RigDescription(**fields | {"base": tuple(fields["base"]), "pads": pads})

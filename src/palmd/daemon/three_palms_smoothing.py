@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from palmd.daemon.smoothing import BatchingProcess, work
+from palmd.daemon.smoothing import BatchingProcess, described_by, work
 from palmd.events import Event
-from palmd.system.three_palms import BodyAnswer, PadPlane, ThreePalmsRig
-from palmd.system.vibration import Vibration
+from palmd.system.three_palms import BodyAnswer, ThreePalmsRig
 from palmd.three_palms_messages import shaped
 
 PERIOD_S = 0.2  # of looking whether it has thought
@@ -39,10 +37,7 @@ def serve(address: str, rig: str) -> None:
     from palmd.observer.three_palms.growing import GrowingBody  # SciPy, in this process alone
 
     sys.setswitchinterval(SWITCH_S)
-    told = json.loads(rig)
-    smoother = GrowingBody(
-        ThreePalmsRig(**told | {"pad": PadPlane(**told["pad"]), "vibration": Vibration(**told["vibration"])})
-    )
+    smoother = GrowingBody(described_by(rig, ThreePalmsRig))
     pool = ThreadPoolExecutor(1)
     thought: Future[BodyAnswer | None] | None = None
 

@@ -103,7 +103,7 @@ def test_control_is_never_lost_to_another_without_take_hold_or_stop(requests):
         _, before_s, declared = heard.get(client.key, (0.0, LEASE_S, False))
         if lease_s is not None:
             heard[client.key] = t, lease_s, True
-        elif declared and t - heard[client.key][0] <= before_s:
+        elif declared and t <= heard[client.key][0] + before_s:
             heard[client.key] = t, before_s, True
         else:
             heard[client.key] = t, LEASE_S, False

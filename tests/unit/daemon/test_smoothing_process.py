@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import msgpack
@@ -23,6 +25,10 @@ from palmd.daemon.smoothing import SmootherProcess
 from palmd.events import Improvement, PadLift
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.smoothing import Session
+from palmd.system.description import RigDescription
+from palmd.system.pivot import PivotRig
+from palmd.system.three_palms import ThreePalmsRig
+from palmd.system.vibration import Vibration
 
 PATIENCE_S = 60.0
 SESSION = Session(1, 0.0)
@@ -197,3 +203,9 @@ class Clock:
         self.t += 1.0 + self._others_s
         self.spent += 1.0
         return self.said
+
+
+@pytest.mark.parametrize("kind", [RigDescription, PivotRig, ThreePalmsRig])
+def test_a_rig_crosses_unchanged(kind: type) -> None:
+    rig = kind(vibration=Vibration("unknown", speed=0.012, speed_sd=0.001))
+    assert smoothing.described_by(json.dumps(asdict(rig)), kind) == rig
