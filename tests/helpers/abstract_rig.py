@@ -21,8 +21,8 @@ from palmd.faults import TABLE, FaultMonitor, Severity
 from palmd.harness.rules import Rules
 from palmd.motion.trajectory_executor import MotionError
 
-FAULTS = ("limits-violated", "pad1-silent")
-"""A stop that latches while armed, and a hold; those of the arm, one of which always latches, come from its state."""
+FAULTS = ("following-error", "pad1-silent")
+"""A stop that latches while armed and lets the set-point retreat, and a hold; those of the arm, one of which always latches, come from its state."""
 
 COMMANDS = {
     "arm": {}, "start": {}, "hold": {}, "stop": {}, "reset": {}, "jog": {"phi1_deg": 0.1},
@@ -113,6 +113,20 @@ class Motion:
         self.moving = self.held = self.jogging = self.over = False
         self.frozen = False
         self.plan = None
+        self.may_retreat, self.left = False, None  # ticks of the retreat
+
+    @property
+    def retreating(self):
+        return self.left is not None and self.commanded is not None
+
+    def retreated(self, _t):
+        return not self.left
+
+    def retreat(self):
+        if self.left:
+            self.left -= 1
+        elif self.may_retreat and self.commanded is not None:
+            self.may_retreat, self.left = False, 1
 
     @property
     def running(self):
@@ -125,13 +139,13 @@ class Motion:
         return pose
 
     def leave(self):
-        self.commanded, self.plan = None, None
+        self.commanded, self.plan, self.left = None, None, None
         self.moving = self.held = self.jogging = self.over = False
 
     def follow(self):
         """The first set-point has gone out."""
         if self.commanded is None:
-            self.commanded = PalmMotion.at_rest((0.5, 1.5))
+            self.commanded, self.may_retreat = PalmMotion.at_rest((0.5, 1.5)), True
 
     def start(self, _trajectory):
         if self.moving:
@@ -277,6 +291,8 @@ class Rig:
         present = set(self.present)
         present.update(self.diagnostics.conditions(self.arm, self.t, self.state in (State.TRACKING, State.HOLD), False))
         self.faults.update(present, self.t, armed=supervisor.armed)
+        if "following-error" in present or self.motion.left:
+            self.motion.retreat()
         host = self.arm.host
         supervisor.settle(self.t, up=self.arm.is_open and self.pads_open and host.there)
         if host.tracking:
@@ -301,7 +317,7 @@ class Rig:
             s._job is not None and (s._job.request.name, s._job.future.ready), s.plan is not None and s.plan.fits,
             host.state, host.tracking, host.pending, host.there, self.arm.linked_since_open, self.arm.is_open,
             self.pads_open, self.present, frozenset(self.faults._latched), self.faults.active,
-            motion.commanded is None, motion.moving, motion.held, motion.jogging,
+            motion.commanded is None, motion.moving, motion.held, motion.jogging, motion.may_retreat, motion.left,
             bool(s._autostart) and math.isinf(s._t_up), self.rules.armed, self.rules.told,
         )  # fmt: skip
 
