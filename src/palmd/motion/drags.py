@@ -35,7 +35,8 @@ TRAIL = 1.35  # times the drag at which the body just rolls
 BACK = 0.6  # share of that which the arm goes back while the body is raised
 STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
 DOWN_M_S = 0.004
-TILTED_M = 2.5e-3  # of e, that the body must be set down with
+# Of e, that the body must be set down with: and as a share of the pivot's height, which is beyond friction's cone.
+TILTED_M, TILTED_SHARE = 2.5e-3, 0.2
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
 # Of the limit, what the force may be foreseen to come to; it is seen late, and lowering goes on as long.
@@ -80,9 +81,11 @@ class Drags:
         self._rounds = 0
         self._before: tuple[float, float] | None = None  # z and e² at the last step
         self._slope = 0.0  # of e² over z, which is even where e itself ends like a root
+        self._followed = False  # from where it was set down, so that the slope is known
         self._torque = 0.0  # about the pivot, that the pad gave at the last steps (N m)
         self._least_torque, self._torque_lost = math.inf, 0.0  # since the last step, and how much less that is by step
         self._weak = 0.0  # the least of the last step
+        self._mu = 0.0  # of friction, as far as it has shown
         self._z_felt = -math.inf  # where the body was felt last
         self._z_begun = -math.inf  # where it was set down: up to there a way up is known
         self._most = 0.0  # largest |e| of this touch
@@ -99,7 +102,7 @@ class Drags:
         if self.phase == "seek" and felt.touching:
             self.phase = "settle"
             self._z_touch = max(self._z_touch, felt.z)  # the other side, and another tilt, touch elsewhere
-            self._before, self._slope, self._most = None, 0.0, 0.0
+            self._before, self._slope, self._followed, self._most = None, 0.0, False, 0.0
             self._torque, self._least_torque, self._weak, self._torque_lost = 0.0, math.inf, 0.0, 0.0
             self._z_felt = self._z_begun = felt.z
             return DragStep("halt", reason="the body touches")
@@ -207,7 +210,7 @@ class Drags:
         del here
         if not (math.isfinite(felt.e) and math.isfinite(felt.force)):
             return WAIT
-        if abs(felt.e) < TILTED_M:
+        if abs(felt.e) < max(TILTED_M, TILTED_SHARE * felt.z):
             return self._go("lift", "it touches too near under the pivot: lifted off, tilt it farther")
         self._side = math.copysign(1.0, felt.e)
         self.phase = "down"
@@ -248,7 +251,7 @@ class Drags:
         warned = "" if self._retreat else self._warning(felt)
         # the higher, the shorter the lever: it leans on the top
         hard = warned == _HARD or self._foreseen(felt, higher) > RAISED_SHARE * self._limits.force
-        presses = hard and self._slope < 0.0
+        presses = hard and (self._slope < 0.0 or not self._followed)
         falling = presses or left < LEAST_STEP_M or (known <= 0.0 and warned in (_LEVER, _LIGHT))
         self._retreat = False
         if self._off(end, felt.e) and not falling:
@@ -300,19 +303,38 @@ class Drags:
         self._most = max(self._most, abs(felt.e))
         if self._before is not None and abs(felt.z - self._before[0]) > 1e-4:
             slope = (square - self._before[1]) / (felt.z - self._before[0])
-            self._slope += (0.6 if self._slope else 1.0) * (slope - self._slope)
+            self._slope += (0.6 if self._followed else 1.0) * (slope - self._slope)
+            self._followed = True
         self._before = felt.z, square
+        self._mu = max(self._mu, self._shown_friction(felt))
         self._torque = max(FADING * self._torque, felt.force * abs(felt.e))  # as before where no force is told
         self._torque_lost = max(self._weak - self._least_torque, 0.0)
         self._weak, self._least_torque = self._least_torque, math.inf
 
-    def _foreseen(self, felt: Touching, dz: float) -> float:
-        """The force (N) that the body will press with when it stands, raised by dz (m).
+    def _shown_friction(self, felt: Touching) -> float:
+        """The least μ by which the force has risen as the arm came to rest; 0 where it has not.
 
-        At rest no friction helps any more, and the pad gives by F e a torque that hardly changes. What is felt on the
-        way is less by what friction gives: so the largest of the last steps counts.
+        Trailing, friction helps: the pad presses by τ/(|e| + μz), at rest by τ|e|/(e² − μ²z²) as in `_foreseen`.
         """
-        return max(self._torque, felt.force * abs(felt.e)) / self._lever(felt, dz)
+        torque = felt.force * abs(felt.e)
+        if not (0.0 < self._least_torque < torque and felt.z > 0.0):
+            return 0.0
+        return abs(felt.e) / felt.z * (1.0 - self._least_torque / torque)
+
+    def _foreseen(self, felt: Touching, dz: float) -> float:
+        """The force (N) that the body will press with when it stands, raised by dz (m); infinite where it jams.
+
+        About the pivot the pad gives a torque τ that hardly changes. On a pad that vibrates under a body at rest
+        friction acts either way as often, so the mean force is τ|e|/(e² − μ²z²) (docs/theory/vibration.md,
+        one contact). What is felt on the way is less: so the largest of the last steps counts.
+        """
+        e = self._lever(felt, dz)
+        here, there = self._leaning(abs(felt.e), felt.z), self._leaning(e, felt.z + dz)
+        return max(self._torque, felt.force * abs(felt.e)) / e * here / there if min(here, there) > 0.0 else math.inf
+
+    def _leaning(self, e: float, z: float) -> float:
+        """1 − (μz/e)² of a lever e (m) and a height z (m): where it comes to 0, friction holds the body."""
+        return 1.0 - (self._mu * z / e) ** 2
 
     def _left(self, felt: Touching, dz: float) -> float:
         """The force (N) that is left on the way, raised by dz (m).

@@ -49,6 +49,8 @@ def test_friction_trails_while_the_body_is_lowered(side):
 
 def test_friction_trails_while_the_body_is_raised(touched):
     low = replace(FELT, z=FELT.z - 4e-3)
+    for felt in (FELT, low):
+        assert touched.look(felt, (felt.x, felt.z), True).kind == "move"
     touched.look(replace(low, force=1.9), (low.x, low.z), False)
     assert touched.phase == "up"
     first = touched.look(low, (low.x, low.z), True).move
@@ -106,8 +108,8 @@ def test_the_force_at_rest_is_foreseen(touched, raised, monkeypatch):
 
 def test_it_turns_back_for_a_force_that_will_have_grown_by_when_it_is_seen(touched):
     for z, e in ((0.025, 5e-3), (0.0246, 4e-3)):
-        touched.look(replace(FELT, z=z, e=e, force=1.0), (FELT.x, z), True)
-    step = touched.look(replace(FELT, z=0.0244, e=3.4e-3, force=1.05), (FELT.x, 0.0244), False)
+        assert touched.look(replace(FELT, z=z, e=e, force=3.2e-3 / e), (FELT.x, z), True).kind == "move"
+    step = touched.look(replace(FELT, z=0.0244, e=3.1e-3, force=1.05), (FELT.x, 0.0244), False)
     assert (step.kind, step.reason) == ("halt", "turns back: the force comes near its limit")
 
 
@@ -139,8 +141,8 @@ def test_a_body_is_sought_from_above_the_highest_place_that_it_touched_at(touche
 
 
 def test_a_body_that_leans_on_its_top_is_raised_no_farther(touched):
-    touched.look(replace(FELT, e=0.0015), (FELT.x, FELT.z), False)
-    assert touched.phase == "up"
+    assert touched.look(FELT, (FELT.x, FELT.z), True).kind == "move"
+    touched.phase = "up"
     here, e = (FELT.x, FELT.z), 0.008
     for k in range(4):  # the lever shortens as it is raised, and the force is far from its limit
         felt = replace(FELT, z=FELT.z + 5e-4 * k, e=e - 6e-4 * k, force=0.8)
@@ -150,7 +152,7 @@ def test_a_body_that_leans_on_its_top_is_raised_no_farther(touched):
 
 
 def test_raised_it_goes_on_while_the_force_allows_however_short_the_lever_was_on_the_way_down(touched):
-    touched.look(replace(FELT, e=0.0015), (FELT.x, FELT.z), False)
+    touched.phase = "up"
     here = (FELT.x, FELT.z)
     for k, e in enumerate((0.0100, 0.0060, 0.0036, 0.0032)):  # a third of the longest
         felt = replace(FELT, t=float(k), z=FELT.z + 5e-4 * k, e=e, force=2e-3 / e)
@@ -192,6 +194,8 @@ def test_it_does_not_search_below_its_limits():
 def test_a_side_is_followed_up_again_from_its_low_end(touched):
     """Where the lever is short below, it grows on the way back: what was followed down is known."""
     low = replace(FELT, z=FELT.z - 8e-3, e=2.1e-3, force=1.0)
+    for felt in (FELT, replace(FELT, z=FELT.z - 4e-3, e=4.5e-3)):
+        assert touched.look(felt, (felt.x, felt.z), True).kind == "move"
     touched.look(replace(low, e=1.9e-3), (low.x, low.z), False)
     assert touched.phase == "up"
     here = (low.x, low.z)
@@ -227,9 +231,25 @@ def test_it_turns_back_before_the_body_swings_off_the_pad(touched):
 
 def test_what_leaves_the_pad_on_a_way_that_it_was_followed_down_has_not_come_to_its_end(touched):
     low = replace(FELT, z=FELT.z - 4e-3)
+    for felt in (FELT, low):
+        assert touched.look(felt, (felt.x, felt.z), True).kind == "move"
     touched.look(replace(low, force=1.9), (low.x, low.z), False)
     gone = replace(IN_AIR, t=1.0, z=low.z)
     touched.look(gone, (low.x, low.z), True)
     step = touched.look(replace(gone, t=1.5), (low.x, low.z), True)
     assert "left the pad" in step.reason
     assert touched.coverage == 0.25
+
+
+def test_the_force_at_rest_grows_by_more_than_the_lever_shortens_where_friction_has_shown(touched):
+    """μ = 0.1: at rest τ|e|/(e² − μ²z²), trailing τ/(|e| + μz); from the lever alone 0.83 N would be foreseen, and half of 2 N is allowed."""
+    mu, torque = 0.1, 2.4e-3
+    touched.phase = "up"
+    here = (FELT.x, FELT.z)
+    for k, e in enumerate((6e-3, 5e-3)):
+        z = FELT.z + 5e-4 * k
+        trailing = replace(FELT, t=float(k), z=z, e=e, force=torque / (e + mu * z))
+        assert touched.look(trailing, here, False).kind == "wait"
+        touched.look(replace(trailing, force=torque * e / (e**2 - (mu * z) ** 2)), here, True)
+        step = settled(touched, replace(trailing, force=torque * e / (e**2 - (mu * z) ** 2)), here)
+    assert step.reason == "this side is done: lifted off"
