@@ -22,7 +22,10 @@ from palmd.harness.rules import Rules
 from palmd.motion.trajectory_executor import MotionError
 
 FAULTS = ("following-error", "pad1-silent")
-"""A stop that latches while armed and lets the set-point retreat, and a hold; those of the arm, one of which always latches, come from its state."""
+"""A stop that latches while armed and lets the set-point retreat, and a hold.
+
+Those of the arm, one of which always latches, come from its state.
+"""
 
 COMMANDS = {
     "arm": {}, "start": {}, "hold": {}, "stop": {}, "reset": {}, "jog": {"phi1_deg": 0.1},

@@ -242,7 +242,10 @@ def test_what_leaves_the_pad_on_a_way_that_it_was_followed_down_has_not_come_to_
 
 
 def test_the_force_at_rest_grows_by_more_than_the_lever_shortens_where_friction_has_shown(touched):
-    """μ = 0.1: at rest τ|e|/(e² − μ²z²), trailing τ/(|e| + μz); from the lever alone 0.83 N would be foreseen, and half of 2 N is allowed."""
+    """μ = 0.1: at rest τ|e|/(e² − μ²z²), trailing τ/(|e| + μz).
+
+    From the lever alone 0.83 N would be foreseen, and half of 2 N is allowed.
+    """
     mu, torque = 0.1, 2.4e-3
     touched.phase = "up"
     here = (FELT.x, FELT.z)
