@@ -26,7 +26,7 @@ from palmd.rig.plant import PlantOptions
 from palmd.rig.simulate import simulate_log
 from palmd.system.vibration import Vibration
 
-STEP_S = 2e-3
+STEP_S = 1e-3  # friction is stiff where a slip passes the speed of the vibration
 SECONDS = 2.0
 TOLERANCE = 0.02  # of each sd: the smoother has a little process noise and drops what comes after its last node
 FAST_HZ = 1e6  # a vibration that no body follows
