@@ -1,27 +1,57 @@
 """Many bodies on two palms, in plain NumPy: Newton and Euler in the world, from the constraint differentiated twice.
 
-Written for comparison with the models; shares nothing with them but the meaning of the constants.
+Written for comparison with the models; shares nothing with them but the meaning of the constants. Friction is that of
+palms that vibrate (docs/theory/vibration.md): the equations are solved for each pair of slip signs.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
 ORDER = 12
 # ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
-SHAPE = RIG + 15
+KAPPA, TRANSMISSION = RIG + 15, RIG + 16  # by how much both are off
+SHAPE = RIG + 17
 CONSTANTS = SHAPE + 2 * ORDER + 1
+KINK = 0.02
+
+
+def mean_direction(ratio: np.ndarray) -> np.ndarray:
+    """(2/π) asin(u/V), its kinks at |u| = V rounded: the angle of an ellipse's confocal coordinates."""
+    far, near = np.hypot(ratio + 1, KINK), np.hypot(ratio - 1, KINK)
+    cosh = (far + near) / 2
+    return 2 / np.pi * np.arctan2(ratio * np.sqrt((cosh - 1) * (cosh + 1)), KINK * cosh)
+
+
+def shares_of_signs(forward: tuple[np.ndarray, np.ndarray], kappa: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """How much of the time each pair of slip signs lasts, from both contacts' shares of forward slip."""
+    one, two = forward
+    alone = one * two
+    together = np.where(kappa > 0, np.minimum(one, two), np.maximum(0.0, one + two - 1.0))
+    both = (1 - np.abs(kappa)) * alone + np.abs(kappa) * together
+    return {(1, 1): both, (1, -1): one - both, (-1, 1): two - both, (-1, -1): 1 - one - two + both}
 
 
 class Bodies:
     """Many bodies on the same palms, one column of `parameters` each; N c = h differentiated twice gives the motion."""
 
-    def __init__(self, parameters: np.ndarray, gravity: float = 9.81, arm: float = 0.0) -> None:
+    def __init__(
+        self,
+        parameters: np.ndarray,
+        gravity: float = 9.81,
+        arm: float = 0.0,
+        kappa: float = 0.0,
+        transmission: float = 1.0,
+    ) -> None:
+        """As a rig is described: κ of the relation between the palms' vibrations, λ of their transmission."""
         self.p = parameters
         self.gravity, self.arm = gravity, arm
+        self.kappa, self.transmission = kappa, transmission
         self.k = np.arange(ORDER + 1)[:, None]
         h = parameters[SHAPE:CONSTANTS]
         self.wave = np.concatenate([h[:1] + 0j, h[1::2] - 1j * h[2::2]])  # h = Re Σ wave_k e^{ikθ}
@@ -80,14 +110,29 @@ class Bodies:
         A[:, 2, 2] = -(rho**2)
         b[:, :2] = (still + hinge[:, None]).T + np.array([0.0, self.gravity])
         b[:, 2] = self.p[DAMPING] * omega0
-        for i, mu in enumerate(friction):
-            arm = -h[i] * n[i][:, None] + slope[i] * t[i][:, None]
-            spun = np.stack([-omega0 * arm[1], omega0 * arm[0]])
-            slip = t[i] @ (c_dot + spun)  # the palm's own points move across t
-            pull = n[i][:, None] - mu * slip / np.hypot(slip, dither) * t[i][:, None]
-            A[:, :2, i] = pull.T
-            A[:, 2, i] = arm[0] * pull[1] - arm[1] * pull[0]
-        return np.linalg.solve(A, b[..., None])[..., 0].T
+        arms = [-h[i] * n[i][:, None] + slope[i] * t[i][:, None] for i in range(2)]
+
+        def solved(directions: Sequence[np.ndarray | int]) -> np.ndarray:
+            for i, (mu, arm, direction) in enumerate(zip(friction, arms, directions, strict=True)):
+                pull = n[i][:, None] - mu * direction * t[i][:, None]
+                A[:, :2, i] = pull.T
+                A[:, 2, i] = arm[0] * pull[1] - arm[1] * pull[0]
+            return np.linalg.solve(A, b[..., None])[..., 0].T
+
+        speed = 2 / math.pi * dither
+        slips = [  # the palm's own points move across t
+            t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) for i, arm in enumerate(arms)
+        ]
+        one, two = (mean_direction(slip / speed) for slip in slips)
+        kappas, transmission = self.kappa + self.p[KAPPA], self.transmission + self.p[TRANSMISSION]
+        forward = (1 + one) / 2, (1 + two) / 2
+        of_signs = {signs: solved(signs) for signs in product((1, -1), repeat=2)}
+        directions = []
+        for i, mean in enumerate((one, two)):
+            parts = {signs: share * of_signs[signs][i] for signs, share in shares_of_signs(forward, kappas).items()}
+            alternating = sum(signs[i] * part for signs, part in parts.items()) / sum(parts.values())
+            directions.append(mean + transmission * (alternating - mean))
+        return solved(directions)
 
     def moved(
         self, psi: np.ndarray, omega0: np.ndarray, palms: tuple[np.ndarray, np.ndarray, np.ndarray], dt: float

@@ -22,16 +22,20 @@ from palmd.observer.data_segment import DataSegment, longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.search import Search
 from palmd.record.eventlog import EventLog, read_log
+from palmd.rig.plant import PlantOptions
 from palmd.rig.simulate import simulate_log
+from palmd.system.vibration import Vibration
 
-STEP_S = 2e-3
+STEP_S = 1e-3  # friction is stiff where a slip passes the speed of the vibration
 SECONDS = 2.0
 TOLERANCE = 0.02  # of each sd: the smoother has a little process noise and drops what comes after its last node
+FAST_HZ = 1e6  # a vibration that no body follows
 SPIN = CONSTANTS  # after the constants: ω0 at the start
 
 
 def _simulated(kind: str, seed: int, folder: Path) -> tuple[EventLog, Truth]:
-    lines, told = simulate_log(kind, seed, SECONDS)
+    options, vibration = PlantOptions(friction_law="sign_pairs"), Vibration(frequency=FAST_HZ)
+    lines, told = simulate_log(kind, seed, SECONDS, options, vibration=vibration)
     path = folder / "run.jsonl"
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     columns = (np.array(told[name]) for name in ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s"))

@@ -1,4 +1,8 @@
-"""The kernels for curved palms against the emulated plant's other form of them, and against the flat ones as κ → 0."""
+"""The kernels for curved palms against the emulated plant's other form of them, and against the flat ones as κ → 0.
+
+Palms that vibrate independently are emulated by the plant that averages over signs of slip, at a frequency that leaves
+the body no ripple, with the kernels' rounded kink.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from bodies import mean_direction
 from derived import derived
 
 from palmd.events import PalmMotion
@@ -16,20 +21,49 @@ from palmd.model.outputs import NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.shape_map import Z
 from palmd.model.symbolic import SX
 from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
+from palmd.rig import sign_pairs
 from palmd.rig.curved_plant import CurvedPlant, widest
-from palmd.rig.imperfections import Imperfections, PadImperfection
-from palmd.rig.plant import FrictionSurface, Hinge, PadPair, Plant
+from palmd.rig.friction import plant_on
+from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
+from palmd.rig.plant import FrictionSurface, Hinge, PadPair, Plant, PlantOptions
+from palmd.rig.shaker import Shaker, Shaking
 from palmd.rig.shapes import Body, random_body
 from palmd.system.arcs import circle_radius, joints_of, palm_points
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
+from palmd.system.vibration import AVERAGED, INDEPENDENT, Vibration
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0), (0.0, -10.0)]
 LENGTH = 0.0555
+VIBRATIONS = {"averaged": AVERAGED, "independent": INDEPENDENT}
+FAST_HZ = 1e7  # no body follows such a vibration
 
 
-def _rig(curvatures: tuple[float, float], hinge: str = "arc") -> RigDescription:
-    return RigDescription(hinge=hinge, pads=tuple(PadSensor(curvature=kappa) for kappa in curvatures))  # type: ignore[arg-type]
+def _rig(curvatures: tuple[float, float], hinge: str = "arc", vibration: Vibration = INDEPENDENT) -> RigDescription:
+    pads = tuple(PadSensor(curvature=kappa) for kappa in curvatures)
+    return RigDescription(hinge=hinge, pads=pads, vibration=vibration)  # type: ignore[arg-type]
+
+
+@pytest.fixture(params=VIBRATIONS)
+def vibration(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Vibration:
+    monkeypatch.setattr(
+        sign_pairs, "forward_share", lambda slip, speed, _=(): float(1 + mean_direction(slip / speed)) / 2
+    )
+    return VIBRATIONS[request.param]
+
+
+def _plant(
+    body: Body,
+    surface: FrictionSurface,
+    curvatures: PadPair,
+    vibration: Vibration,
+    imperfections: Imperfections = PERFECT,
+) -> Plant:
+    speed = 2 / math.pi * surface.dither
+    return plant_on(
+        body, Hinge("arc"), surface, curvatures, imperfections=imperfections,
+        options=PlantOptions(friction_law=vibration.law), shaking=Shaking("independent", (Shaker(FAST_HZ, speed),) * 2),
+    )  # fmt: skip
 
 
 def _body(seed: int, curvatures: tuple[float, float]) -> Body:
@@ -63,12 +97,14 @@ def _state(body: Body, surface: FrictionSurface, psi: float, omega0: float, orde
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)
-def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(curvatures: tuple[float, float]) -> None:
+def test_a_second_of_motion_is_that_of_the_plant_which_knows_no_arc_lengths(
+    curvatures: tuple[float, float], vibration: Vibration
+) -> None:
     body, surface = _body(3, curvatures), FrictionSurface(0.15, 0.012, 2e-4)
     phi = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
-    plant = CurvedPlant(body, Hinge("arc"), surface, curvatures)
+    plant = _plant(body, surface, curvatures, vibration)
     plant.place(_plan(0.0, *phi), 0.4, 0.3)
-    rig = rig_inputs(_rig(curvatures))
+    rig = rig_inputs(_rig(curvatures, vibration=vibration))
     named, predict = (derived(f, curved=True) for f in (shape_map.named_function, shape_map.predict_function))
     x, P, dt = _state(body, surface, 0.4, 0.3), np.zeros((shape_map.N,) * 2), 5e-4
     turned = 0.0
@@ -191,7 +227,7 @@ def test_rows_of_orientations_are_gradients_of_readings() -> None:
     ids=["bows", "standoffs", "arcs"],
 )
 def test_motion_on_pads_that_are_bowed_and_off_their_lines(
-    curvatures: PadPair, sagittas: PadPair, standoffs: PadPair
+    curvatures: PadPair, sagittas: PadPair, standoffs: PadPair, vibration: Vibration
 ) -> None:
     """The smoother's steps, readings and forces, against a plant whose palms are as far off."""
     pads = [PadImperfection(sagitta=a, standoff=b) for a, b in zip(sagittas, standoffs, strict=True)]
@@ -199,11 +235,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
     imperfections = Imperfections(tuple(pads), (2e-3, 1e-3), friction=0.2)
     told = joints_of(body.support.at(0.0)[0], (0.75, 1.65), curvatures)
     phi = imperfections.true_palms(PalmMotion.at_rest(told)).angles
-    plant = (
-        CurvedPlant(body, Hinge("arc"), surface, curvatures, imperfections=imperfections)
-        if any(curvatures)
-        else Plant(body, Hinge("arc"), surface, imperfections=imperfections)
-    )
+    plant = _plant(body, surface, curvatures, vibration, imperfections)
     plant.place(_plan(0.0, *phi), 0.3, 0.3)
     p = np.zeros(smoothing.CONSTANTS)
     C, form, lengths = smoothing.C, smoothing.Form(curved=any(curvatures)), [LENGTH, LENGTH]
@@ -211,7 +243,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
     p[C.DAMPING], p[C.LN_MASS] = surface.damping, math.log(body.mass)
     p[smoothing.RIG] = [imperfections.constants()[name] for name in RIG_NAMES]
     p[C.SHAPE :] = _coefficients(body, smoothing.ORDER)
-    rig, step = rig_inputs(_rig(curvatures)), derived(smoothing.step_function, form)
+    rig, step = rig_inputs(_rig(curvatures, vibration=vibration)), derived(smoothing.step_function, form)
     x, dt, steps = np.array([0.3, 0.3]), 5e-4, 1000
     for k in range(steps):
         middle, end = (_plan(t, *phi) for t in ((k + 0.5) * dt, (k + 1) * dt))

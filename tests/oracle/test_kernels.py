@@ -12,7 +12,8 @@ from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
 FLAT = [0.0, 0.0]
-RIG = [9.81, 0.12, 0.12, 0.0, 0.1, *FLAT]
+IN_PHASE = [-0.7, 0.8, 0.0, -0.2, 0.1]  # κ, λ, not the old law; by how much κ, λ are off
+RIG = [9.81, 0.12, 0.12, 0.0, 0.1, *FLAT, *IN_PHASE]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
 JERK = [3.0, -4.0]
 
@@ -97,11 +98,14 @@ def test_named_values_agree_between_the_models(seed: int) -> None:
     assert dict(zip(NAMED, one, strict=True)) == pytest.approx(dict(zip(NAMED, two, strict=True)), rel=1e-9, abs=1e-12)
 
 
-def test_prediction_integrates_the_drift() -> None:
-    """Against many small midpoint steps of the same model's own rates."""
+@pytest.mark.parametrize(("omega0", "dt"), [(1.3, 0.001), (0.4, 0.002)], ids=["faster than", "slower than"])
+def test_prediction_integrates_the_drift(omega0: float, dt: float) -> None:
+    """Against many small midpoint steps of the same model's own rates; slips faster or slower than the vibration."""
     x = _extended_state(_shape_state(np.random.default_rng(1)))
-    moved = _array(derived(extended.predict_function)(x, np.zeros((extended.N,) * 2), EXTENDED_U)[0]).ravel()
-    n, dt = 400, EXTENDED_U[0]
+    x[extended.X.OMEGA0] = omega0
+    u = [dt, *EXTENDED_U[1:]]
+    moved = _array(derived(extended.predict_function)(x, np.zeros((extended.N,) * 2), u)[0]).ravel()
+    n = 400
     s, a1, a2, g = ca.SX.sym("s", extended.N), ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("g", len(RIG))
     function = ca.Function("rates", [s, a1, a2, g], [extended.drift(s, a1, a2, g)])
 
@@ -113,7 +117,8 @@ def test_prediction_integrates_the_drift() -> None:
     for i in range(n):
         middle = y + h / 2 * rates(y, i * h)
         y = y + h * rates(middle, (i + 0.5) * h)
-    assert moved == pytest.approx(y, abs=5e-5)  # of an ω0 that changes by 0.35 rad/s in this step
+    assert moved == pytest.approx(y, abs=5e-5)
+    assert abs(y[extended.X.OMEGA0] - omega0) > 0.1
 
 
 @pytest.mark.parametrize("model", [extended, shape_map], ids=["extended", "shape_map"])

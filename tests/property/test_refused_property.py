@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual_rig import AtOnce
 
-from palmd.cli.ctl import JOG_EVERY_S, jog_steps
+from palmd.bus.jogging import JOG_EVERY_S, jog_steps
 from palmd.config.two_palms import PlanSpec
 from palmd.daemon.commands import COMMANDS, CommandError, Request, parse
 from palmd.daemon.core import Core

@@ -42,6 +42,7 @@ from palmd.rig.plant import (
 )
 from palmd.rig.shaker import Shaking
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
+from palmd.rig.vibrating_plant import VibratingPlant
 from palmd.system.arcs import FLAT
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
@@ -262,7 +263,7 @@ def run_of(
     if not absences:
         compiled = plant.rocked(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
         if compiled is not None:
-            return _slow(scene, compiled) if len(compiled) == count else None
+            return _slow(plant, compiled) if len(compiled) == count else None
     rows = []
     away = False
     for k in range(count):
@@ -288,11 +289,12 @@ def run_of(
         middle = scene.palms_at(t + 0.5 * STEP_S - lag)
         palms = scene.palms_at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
-    return _slow(scene, np.array(rows))
+    return _slow(plant, np.array(rows))
 
 
-def _slow(scene: SimulatedRun, history: FloatArray) -> FloatArray:
-    return history if scene.shaking is None else smoothed(history)
+def _slow(plant: Plant, history: FloatArray) -> FloatArray:
+    """Without the vibration's ripple; only a plant that resolves the vibration has one."""
+    return smoothed(history) if isinstance(plant, VibratingPlant) else history
 
 
 def smoothed(history: FloatArray, window_s: float = _SMOOTHED_S) -> FloatArray:

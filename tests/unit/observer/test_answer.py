@@ -15,7 +15,7 @@ SDS = [0.01 * i for i in range(1, len(NAMED) + 1)]
 
 def told():
     mass = SimpleNamespace(value=0.2, sd=0.01)
-    return answer(1.5, True, "shape", 2, VALUES, SDS, mass, 1.1, 2.2, 0.3)
+    return answer(1.5, True, "shape", 2, VALUES, SDS, mass, 1.1, 2.2, 0.3, ("diverged",))
 
 
 def test_every_field_is_there():
@@ -24,6 +24,7 @@ def test_every_field_is_there():
     assert repr(estimate) == repr(Estimate(**values))
     assert set(vars(estimate)) | {"e_f", "e_c"} == set(values)
     assert (estimate.t, estimate.r1, estimate.mass, estimate.touched) == (1.5, VALUES[NAMED.index("r1")], 0.2, 0.3)
+    assert estimate.invalid_reasons == ("diverged",)
     assert set(estimate.sd) == {*NAMED, "mass"}
 
 

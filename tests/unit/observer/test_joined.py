@@ -36,7 +36,6 @@ from palmd.observer.ridden import rotated, turning
 from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import Search
 from palmd.observer.sided import SidedSearch, _neighbours, _told_apart
-from palmd.observer.sided_fits import WAYS
 from palmd.observer.sides_joined import Part, SidesJoined
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
@@ -178,7 +177,7 @@ def parts(tipped) -> tuple[SidesJoined, Part, Part]:
     search = SidedSearch(tipped.search)
     groups = [rides for rides in same(rides_of(search.record)) if any(ride.rolls for ride in rides)]
     assert _neighbours(groups) == {0, 1}
-    one, other = (Part.of(search.fits.along(WAYS[0], rides), rides) for rides in groups[:2])
+    one, other = (Part.of(search.fits.on_one_side(rides)[0], rides) for rides in groups[:2])
     return SidesJoined(search.fits), one, other
 
 
