@@ -75,7 +75,10 @@ class Document:
         return f"{self.path}:{place.line}:{place.column}: {' '.join(text.splitlines())}"
 
     def error(self, problems: list[tuple[Place, str]]) -> ConfigError:
-        """All problems in the order of the file, and the characters in their lines that only look like ASCII."""
+        """All problems in the order of the file, and the characters in their lines that only look like ASCII.
+
+        Those of one place come in the order in which they were found.
+        """
         lines = {place.line - before for place, _ in problems for before in (0, 1)}
         alike = [
             (place, named(odd.character))
@@ -83,7 +86,8 @@ class Document:
             for place in [_place_at(self.text, odd.index)]
             if place.line in lines and (meant(odd.character) is not None or is_letter(odd.character))
         ]
-        return ConfigError([self.line(place, text) for place, text in sorted(dict.fromkeys(problems + alike))])
+        in_order = sorted(dict.fromkeys(problems + alike), key=lambda problem: problem[0])
+        return ConfigError([self.line(place, text) for place, text in in_order])
 
 
 def read_document(path: Path, text: str | None = None) -> Document:

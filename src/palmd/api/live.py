@@ -36,8 +36,9 @@ class Live:
         """Raises PalmdError for what is no address."""
         self._publish, self._key = publish, key
         with as_palmd_error():
-            self._client = CommandClient(command, key=key, now_or_never=True, client=client, lease_s=lease_s)
-            self._client = CommandClient(command, key=key, now_or_never=True, key_option=_KEY_OPTION)
+            self._client = CommandClient(
+                command, key=key, now_or_never=True, client=client, lease_s=lease_s, key_option=_KEY_OPTION
+            )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return self.estimates()

@@ -5,7 +5,8 @@ the simulator's kinds have them, and a record is simulated and reconstructed. We
 right, the truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here
 the posterior is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings
 alone, so ranks of claimed runs should be uniform as well. The outlines are narrower than those believed: where readings
-hardly tell them ranks crowd about the middle without the band being wrong.
+hardly tell them ranks crowd about the middle without the band being wrong. The vibration's constants are not asked for:
+the palms vibrate as described, on mounts that are drawn from no prior.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from palmd.lab.scoring import Bools, Line, outline_errors, truth_of
 from palmd.lab.simulated import simulated
 from palmd.observer import prior
 from palmd.observer.bound import Truth
+from palmd.observer.criticism import LEFT
 from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
@@ -32,6 +34,9 @@ from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.score import support_at
 from palmd.system.rig_constants import RIG_NAMES
 
+DRAWN = np.flatnonzero(LEFT)
+CONSTANTS = tuple(RIG_NAMES[i] for i in DRAWN)
+"""Of the rig, those that are drawn."""
 NORMALS = 8  # of the outline that are asked, of those touched and of the others
 _FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
 _LEAST_MU = 0.01  # the belief is a Gaussian, friction is not negative
@@ -69,9 +74,9 @@ class SbcRow:
     error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
     over the touched normals of the outline's error, as `gauge_free_error` has it, and of its one-sigma; best_e_h: of
     the error after the best rotation of all, as `palmd.score` has it. beyond: the most by which a touched normal's
-    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all the
-    rig's true constants, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas,
-    though the rig is as it is described.
+    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all
+    true `CONSTANTS`, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas, though
+    the rig is as it is described.
     """
 
     kind: Kind
@@ -148,8 +153,8 @@ def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
     first, last = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]]).tolist()
     error = gauge_free_error(answer.theta, answer.h, truth.h, float(answer.psi[0]) - first, scored.touched)
     at = scored.touched
-    true_rig = np.array([told["rig"][name] for name in RIG_NAMES])
-    off = true_rig - answer.rig
+    true_rig = np.array([told["rig"][name] for name in CONSTANTS])
+    off = true_rig - answer.rig[DRAWN]
     normals = np.column_stack([answer.h - error, answer.h, scored.h_sd])
     return replace(
         row,
@@ -160,9 +165,9 @@ def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
         h_sd_m=_rms(scored.h_sd[at]),
         beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
         worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
-        rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance, off)),
+        rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance[np.ix_(DRAWN, DRAWN)], off)),
         beliefs=_of_scalars(answer, truth, last - first)
-        | _beliefs(RIG_NAMES, np.column_stack([true_rig, answer.rig, answer.rig_sd]))
+        | _beliefs(CONSTANTS, np.column_stack([true_rig, answer.rig[DRAWN], answer.rig_sd[DRAWN]]))
         | _of_normals("touched", normals[at])
         | _of_normals("untouched", normals[~at]),
         contradicted={name: z for name, z in zip(RIG_NAMES, answer.contradicted.tolist(), strict=True) if z != 0.0},

@@ -15,11 +15,10 @@ import numpy as np
 from scipy import stats
 
 from palmd.events import FloatArray
-from palmd.lab.sbc import SbcRow
+from palmd.lab.sbc import CONSTANTS, SbcRow
 from palmd.lab.table import aligned
 from palmd.rig.shapes import KINDS
 from palmd.score import WRONG_M
-from palmd.system.rig_constants import RIG_NAMES
 
 SIGNIFICANCE = 0.01  # of all the ranks of a table together, by Bonferroni
 MOST_SIGMAS = 6.0  # beyond which a claim is wrong, whatever its error
@@ -86,7 +85,7 @@ def uniformities(rows: Sequence[SbcRow]) -> dict[str, Uniformity]:
     names = dict.fromkeys(name for row in claimed for name in row.beliefs)
     all_z = {name: [row.beliefs[name].z for row in claimed if name in row.beliefs] for name in names}
     distances = np.array([row.rig_distance2 for row in claimed])
-    all_z[TOGETHER] = stats.norm.isf(stats.chi2.sf(distances, len(RIG_NAMES))).tolist()
+    all_z[TOGETHER] = stats.norm.isf(stats.chi2.sf(distances, len(CONSTANTS))).tolist()
     finite = {name: np.array(z)[np.isfinite(z)] for name, z in all_z.items()}
     return {name: Uniformity.of(z) for name, z in finite.items() if len(z)}
 

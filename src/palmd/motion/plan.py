@@ -259,7 +259,8 @@ class _Compiler:
                     self._drifts(drift, len(rounds), count)
                 break
         if self.problems:
-            raise PlanError(sorted((loc, text) for (loc, _), text in self.problems.items()))
+            by_place = sorted(self.problems.items(), key=lambda problem: problem[0][0])
+            raise PlanError([(loc, text) for (loc, _), text in by_place])
         passes = count - len(rounds) + 1 if settled else 1
         duration = sum(done.duration for done in rounds[:-1]) + passes * rounds[-1].duration
         return Trajectory(

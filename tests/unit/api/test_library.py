@@ -12,6 +12,7 @@ import recorded
 
 import palmd
 from palmd.api.table import table_of
+from palmd.bus.command_client import own_client
 from palmd.cli import main
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import Reply
@@ -247,7 +248,10 @@ def test_without_pandas_it_is_said_what_to_install(monkeypatch):
 
 @pytest.fixture
 def daemon():
-    """A daemon's bus that publishes an estimate again and again, and grants whatever is not `arm`."""
+    """A daemon's bus that publishes an estimate again and again, and grants whatever is not `arm`.
+
+    To a `hold` it answers who has asked.
+    """
     bus, over = Bus("tcp://127.0.0.1:*", "tcp://127.0.0.1:*"), threading.Event()
 
     def work():
@@ -257,7 +261,8 @@ def daemon():
             bus.publish(ESTIMATE, {"r1_m": float(number)}, 0.0, 0.0)
             for request in bus.receive():
                 refused = "not ready" if request.name == "arm" else None
-                bus.reply(Reply(request, refused, {"state": "ready"}))
+                sender = {"client": request.client, "lease_s": request.lease_s}
+                bus.reply(Reply(request, refused, sender if request.name == "hold" else {"state": "ready"}))
 
     thread = threading.Thread(target=work)
     thread.start()
@@ -274,6 +279,13 @@ def test_a_client_iterates_estimates_and_gives_commands(daemon):
         assert live.status() == {"state": "ready"}
         with pytest.raises(palmd.PalmdError, match="arm: not ready"):
             live.command("arm")
+
+
+def test_a_client_says_who_it_is_and_the_lease_that_it_declares(daemon):
+    with palmd.connect(**daemon, client="bench", lease_s=7.0) as live:
+        assert live.command("hold") == {"client": "bench", "lease_s": 7.0}
+    with palmd.connect(**daemon) as live:
+        assert live.command("hold") == {"client": own_client(), "lease_s": None}
 
 
 def test_a_client_listens_for_as_long_as_it_is_told(daemon):

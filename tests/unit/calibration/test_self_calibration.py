@@ -20,14 +20,21 @@ from palmd.config.two_palms import rig_description
 from palmd.events import PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.motion.kinematics import RigGeometry
+from palmd.observer.criticism import RigBelief
 from palmd.record.eventlog import read_log, write_log
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED, RigDescription
-from palmd.system.rig_constants import RIG_NAMES, prior_sds
+from palmd.system.rig_constants import RIG_NAMES
 from palmd.yamlfile import load_config
 
-PRIORS = prior_sds(RigDescription().known_to(AS_CALIBRATED))
+
+def priors_of(rig):
+    """As a reconstruction has them: small, and not zero, where a constant is known."""
+    return RigBelief.of(rig).told
+
+
+PRIORS = priors_of(RigDescription().known_to(AS_CALIBRATED))
 BIAS_M, TILT = (4e-4, -3e-4), math.radians(0.8)
 TRUTH = {"pad1_zero_m": BIAS_M[0], "pad2_zero_m": BIAS_M[1], "phi1_rad": TILT}
 
@@ -174,8 +181,8 @@ def test_what_is_off_is_told(proposed):
 def test_degenerate_directions_keep_their_prior(misjudged, proposed):
     """Neither how large everything is about the hinge, nor how high the surfaces lie, can be told by readings."""
     config = load_config(misjudged[0])
-    priors = prior_sds(rig_description(config))
-    claimed = prior_sds(rig_description(applied(config, proposed["configuration"])))
+    priors = priors_of(rig_description(config))
+    claimed = priors_of(rig_description(applied(config, proposed["configuration"])))
     magnification, standoff = np.zeros(RIG_CONSTANTS), np.zeros(RIG_CONSTANTS)
     magnification[R.SCALE : R.SCALE + 2] = standoff[R.STANDOFF : R.STANDOFF + 2] = math.sqrt(0.5)
     for direction in (magnification, standoff):

@@ -60,6 +60,11 @@ def without(topic, *numbers):
 # ---------------------------------------------------------------------------------------------- again, bit for bit
 
 
+def tick_count():
+    """How many ticks the run that was lived has."""
+    return sum(topic == EVENTS.name for topic, _ in lived.published())
+
+
 def answers(path):
     return list(Recheck(read_run(path)).ticks())
 
@@ -80,7 +85,7 @@ def test_what_the_smoother_said_is_part_of_it(tmp_path):
 
 
 def test_check_agrees(capsys):
-    count = sum(topic == EVENTS.name for topic, _ in lived.published())
+    count = tick_count()
     assert main(["replay", str(lived.path()), "--check"]) == 0
     out, err = capsys.readouterr()
     first, second = out.splitlines()
@@ -122,7 +127,8 @@ def test_one_bit_is_found(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", with_field("s1_m", lambda s: math.nextafter(s, 1.0)))
     assert main(["replay", str(path), "--check"]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("395 of 396 ticks agree to the last bit")
+    count = tick_count()
+    assert lines[0].endswith(f"{count - 1} of {count} ticks agree to the last bit")
     assert lines[1].startswith("first difference in tick 120: s1_m was 0.0")
     assert lines[2].startswith("largest difference in tick 120: s1_m by ")
 
@@ -155,7 +161,9 @@ def test_other_versions_are_told(tmp_path, capsys):
 def test_up_to_a_gap_it_can_be_checked(tmp_path, capsys):
     path = rewritten(tmp_path / "a.mcap", without(EVENTS.name, 150))
     assert main(["replay", str(path), "--check"]) == 0
-    assert "150 of 150 ticks agree to the last bit; 245 more could not be compared" in capsys.readouterr().out
+    rest = tick_count() - 151  # after the one that is missing
+    said = f"150 of 150 ticks agree to the last bit; {rest} more could not be compared"
+    assert said in capsys.readouterr().out
 
 
 def test_a_run_without_its_beginning_cannot_be_checked(tmp_path, capsys):

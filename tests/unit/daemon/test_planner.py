@@ -63,7 +63,9 @@ def test_a_folder_that_is_a_link_itself_serves(etc, tmp_path):
 
 
 def test_a_plan_that_is_wrong_is_told_with_its_place_under_the_name_it_was_asked_for(etc):
-    assert "far.yaml:3:5: segments.0: phi1 reaches 170°" in refusal(etc, "far.yaml").splitlines()[1]
+    one, other = refusal(etc, "far.yaml").splitlines()
+    assert "far.yaml:3:5: segments.0: phi1 reaches 170°" in one
+    assert "far.yaml:3:5: segments.0: phi12 = phi1 + phi2 reaches 260°" in other
     assert str(etc) not in refusal(etc, "far.yaml")
 
 

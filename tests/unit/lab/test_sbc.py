@@ -12,7 +12,17 @@ from scipy import stats
 
 from palmd.cli import main
 from palmd.lab import runs, sbc
-from palmd.lab.sbc import MarginalPosterior, SbcRow, SbcTask, as_line, gauge_free_error, row_from, row_of
+from palmd.lab.sbc import (
+    CONSTANTS,
+    DRAWN,
+    MarginalPosterior,
+    SbcRow,
+    SbcTask,
+    as_line,
+    gauge_free_error,
+    row_from,
+    row_of,
+)
 from palmd.lab.sbc_summary import TOGETHER, Count, Uniformity, crooked, far, report, seeds, uniformities, wrong
 from palmd.model.shape import basis
 from palmd.observer import prior
@@ -61,7 +71,7 @@ def test_only_right_bands_have_uniform_ranks(z, expected):
 
 def test_the_rigs_constants_are_told_together_too():
     random = np.random.default_rng(5)
-    distances = np.sum(random.standard_normal((2000, 15)) ** 2, axis=1)
+    distances = np.sum(random.standard_normal((2000, len(CONSTANTS))) ** 2, axis=1)
     for scale, right in ((1.0, True), (1.1**2, False)):
         rows = [SbcRow("rig", i, 10.0, converged=True, rig_distance2=d * scale) for i, d in enumerate(distances)]
         told = uniformities(rows)
@@ -130,8 +140,8 @@ def test_imperfections_are_drawn_from_what_reconstruct_believes():
     """Of constants that no motion tells the ranks are uniform only then."""
     rig = RigDescription().known_to(AS_CALIBRATED)
     true = [drawn(rig, 1, seed).constants() for seed in range(3000)]
-    z = np.array([[each[name] for name in RIG_NAMES] for each in true]) / prior_sds(rig)
-    assert crooked({name: Uniformity.of(column) for name, column in zip(RIG_NAMES, z.T, strict=True)}) == []
+    z = np.array([[each[name] for name in CONSTANTS] for each in true]) / prior_sds(rig)[DRAWN]
+    assert crooked({name: Uniformity.of(column) for name, column in zip(CONSTANTS, z.T, strict=True)}) == []
 
 
 def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruct_believes():
@@ -161,7 +171,7 @@ def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
     assert row.e_h_m < 1e-8
     assert row.rig_distance2 == 0.0
     assert row.contradicted == {}
-    assert {*RIG_NAMES, "ln_rho", "ln_mass", "mu", "turned_rad", "h_touched_1_m", "h_untouched_8_m"} < {*row.beliefs}
+    assert {*CONSTANTS, "ln_rho", "ln_mass", "mu", "turned_rad", "h_touched_1_m", "h_untouched_8_m"} < {*row.beliefs}
     assert max(abs(belief.z) for belief in row.beliefs.values()) < 1e-2
 
 
@@ -203,9 +213,9 @@ def test_z_of_known_size():
     assert row.beliefs["ln_mass"].z == pytest.approx(math.log(100 / 98) * 9.8)
     assert row.beliefs["mu"].z == pytest.approx(-0.5)
     assert row.beliefs["turned_rad"].z == pytest.approx(-2.0 * np.ptp(off.t), rel=1e-3)
-    off_by = np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)
-    assert [row.beliefs[name].z for name in RIG_NAMES] == pytest.approx(-off_by)
-    assert row.rig_distance2 == pytest.approx(np.sum((np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1)) ** 2))
+    off_by = (np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1))[DRAWN]
+    assert [row.beliefs[name].z for name in CONSTANTS] == pytest.approx(-off_by)
+    assert row.rig_distance2 == pytest.approx(np.sum(off_by**2))
     assert (row.e_h_m, row.h_sd_m) == (pytest.approx(4e-5 / math.sqrt(2), rel=0.02), pytest.approx(1e-5))
     assert (row.worst_z, row.beyond_m) == (pytest.approx(4.0, rel=0.02), pytest.approx(3e-5, rel=0.03))
     assert row.contradicted == {"phi2_rad": 5.0}
@@ -243,11 +253,11 @@ def test_a_small_study_of_real_runs():
     assert [row.error for row in rows] == [""] * len(rows)
     claimed = [row for row in rows if row.converged]
     assert len(claimed) >= 5
-    prior_sd = prior_sds(RigDescription().known_to(AS_CALIBRATED))
+    prior_sd = prior_sds(RigDescription().known_to(AS_CALIBRATED))[DRAWN]
     for row in claimed:
         assert far(row, 4.0) == []
         assert not row.contradicted
-        true, sd = ([getattr(row.beliefs[name], what) for name in RIG_NAMES] for what in ("true", "sd"))
+        true, sd = ([getattr(row.beliefs[name], what) for name in CONSTANTS] for what in ("true", "sd"))
         assert (np.abs(true) > 0.0).all()
         assert (np.abs(true) <= 3.0 * math.sqrt(2.0) * prior_sd).all()
         wider = (
@@ -255,7 +265,7 @@ def test_a_small_study_of_real_runs():
         )  # by a doubt about the rig alone, which is in its bands: of few constants
         assert wider.mean() < 0.25
         assert (np.array(sd) <= 1.5 * prior_sd).all()
-    together = stats.chi2(len(RIG_NAMES) * len(claimed))
+    together = stats.chi2(len(CONSTANTS) * len(claimed))
     assert together.ppf(1e-3) < sum(row.rig_distance2 for row in claimed) < together.ppf(1.0 - 1e-3)
 
 

@@ -30,14 +30,14 @@ def rad(*degrees: float) -> tuple[float, ...]:
         (
             163,
             35,
-            ["phi1 reaches 163°, the limit is 150°", "phi1 + phi2 reaches 198°, it must stay below 172°"],
+            ["phi1 reaches 163°, the limit is 150°", "phi12 = phi1 + phi2 reaches 198°, it must stay below 172°"],
         ),
         (
             20,
             156,
-            ["phi2 reaches 156°, the limit is 155°", "phi1 + phi2 reaches 176°, it must stay below 172°"],
+            ["phi2 reaches 156°, the limit is 155°", "phi12 = phi1 + phi2 reaches 176°, it must stay below 172°"],
         ),
-        (82, 90, ["phi1 + phi2 reaches 172°, it must stay below 172°"]),
+        (82, 90, ["phi12 = phi1 + phi2 reaches 172°, it must stay below 172°"]),
         (81.99, 90, []),
         (45, 34.5, ["phi2 falls to 34.5°, the limit is 35°"]),
     ],
@@ -117,7 +117,7 @@ def test_clamp_comes_back_from_outside_no_faster_than_the_rate() -> None:
 
 def test_the_second_palms_direction_follows_both_angles_together() -> None:
     """What a dither of both angles takes of its bound: twice what it takes of each."""
-    (both,) = (bound for bound in LIMITS.bounds if bound.what == "phi1 + phi2")
+    (both,) = (bound for bound in LIMITS.bounds if bound.what == "phi12 = phi1 + phi2")
     before, after = (LIMITS.values(PalmMotion.at_rest(rad(*angles)))[2] for angles in ((45, 90), (46, 91)))
     assert both.gain == pytest.approx((after - before) / math.radians(1.0))
 

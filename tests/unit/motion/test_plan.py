@@ -77,7 +77,8 @@ def test_rounds_that_do_not_begin_with_a_move_go_on_from_where_they_ended() -> N
     (said,) = refused(*there_and_half_back, repeat="forever")
     assert said.startswith("repeat: a plan cannot repeat forever when every round ends elsewhere")
     # φ2 leaves its limit of 155° in the course of 80 rounds.
-    assert any("phi2 reaches" in said or "phi1 + phi2" in said for said in refused(*there_and_half_back, repeat=80))
+    said = refused(*there_and_half_back, repeat=80)
+    assert any("phi2 reaches" in each or "phi12 = phi1 + phi2" in each for each in said)
 
 
 def test_forever_is_endless_and_periodic() -> None:
@@ -126,7 +127,7 @@ def test_dither_rides_on_the_whole_plan_and_begins_and_ends_at_rest() -> None:
             "phi1 reaches 163°, the limit is 150°",
         ),
         ({"move": {"phi1_deg": 3}, "duration_s": 9}, "phi1 falls to 3°, the limit is 6°"),
-        ({"move": {"phi1_deg": 82}, "duration_s": 9}, "phi1 + phi2 reaches 172°, it must stay below 172°"),
+        ({"move": {"phi1_deg": 82}, "duration_s": 9}, "phi12 = phi1 + phi2 reaches 172°, it must stay below 172°"),
         (
             {"move": {"phi1_deg": 75}, "duration_s": 0.4},
             "the rate of phi1 reaches 140.625°/s, the limit is 120°/s; duration_s must be 0.47 or more",
@@ -192,8 +193,15 @@ def test_all_faults_at_once_and_only_the_segment_that_left_is_blamed() -> None:
         {"move": {"phi1_deg": 45, "phi2_deg": 30}, "duration_s": 3},
     )
     assert lines == [
-        "segments.2: phi1 + phi2 reaches 181°, it must stay below 172°",
+        "segments.2: phi12 = phi1 + phi2 reaches 181°, it must stay below 172°",
         "segments.4: phi2 falls to 30°, the limit is 35°",
+    ]
+
+
+def test_what_a_plan_says_is_named_before_what_follows_from_it() -> None:
+    assert refused(HOME_MOVE, {"move": {"phi1_deg": 40, "phi2_deg": 160}, "duration_s": 9}) == [
+        "segments.1: phi2 reaches 160°, the limit is 155°",
+        "segments.1: phi12 = phi1 + phi2 reaches 200°, it must stay below 172°",
     ]
 
 
@@ -208,7 +216,9 @@ def test_the_way_back_of_a_repeat_is_checked_too() -> None:
     far = {"rate": {"phi1_deg_s": 20}, "until": {"phi1_deg": 80}}
     quick_home = {"move": {"phi1_deg": 45, "phi2_deg": 90}, "duration_s": 0.4}
     made(quick_home, far)  # the approach takes what it needs
-    assert refused(quick_home, far, repeat=2)[0].startswith("segments.0: the acceleration of phi1 reaches")
+    rate, acceleration, *_ = refused(quick_home, far, repeat=2)
+    assert rate.startswith("segments.0: the rate of phi1 reaches")
+    assert acceleration.startswith("segments.0: the acceleration of phi1 reaches")
 
 
 def test_dither_counts_against_the_limits() -> None:
