@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 from palmd.daemon.guards.following import FollowingGuard, FollowingLimits, JointScale
-from palmd.daemon.guards.plausibility import PlausibilityGuard
+from palmd.daemon.guards.plausibility import TOOL_RAD, PlausibilityGuard
+from palmd.daemon.guards.rig_contradiction import FOUND_RAD
 from palmd.daemon.latency_estimator import LatencyEstimator
 from palmd.daemon.poses import Poses
 from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Pose, Reach
@@ -17,8 +18,8 @@ from palmd.motion.kinematics import PoseError, wrapped
 LATELY_S = 0.05
 """Beyond the lag: for so long a commanded rate still widens the limits."""
 
-Contradiction = Callable[[Pose, Reach | None], str]
-"""What a reported pose contradicts of the rig as configured, in words; empty where nothing."""
+Contradiction = Callable[[Pose, float], str]
+"""What a reported pose contradicts of the rig as configured, in words; a tool angle, to so much. Empty where nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,7 @@ class ArmGuards:
         self.following = FollowingGuard(limits.following, limits.scale, free)
         self.plausible = PlausibilityGuard(limits.following, limits.scale)
         self.contradiction = ""
+        self._driven = False  # since the link is up
         self._limits, self._poses, self._free = limits, poses, free
         self._joints = len(limits.scale.names)
 
@@ -58,11 +60,13 @@ class ArmGuards:
         """
         t, pose, state = report.t_sample, report.pose, report.state
         if state is ArmState.READY:
-            self.contradiction = self._limits.contradiction(pose, reach) if isinstance(pose, Pose) else ""
+            tool_rad = TOOL_RAD if self._driven else FOUND_RAD
+            self.contradiction = self._limits.contradiction(pose, tool_rad) if isinstance(pose, Pose) else ""
         if state not in FOLLOWING and state is not ArmState.DECELERATING:
             self.following.forget()
             self.plausible.forget()
             return angles is not None
+        self._driven = True
         if state is not ArmState.TRACKING or not report.fresh:
             self.part(t)
         meant = lag.motion(t) if angles is not None and state is ArmState.TRACKING else None
@@ -99,7 +103,7 @@ class ArmGuards:
         """The link has ended."""
         self.following.forget()
         self.plausible.forget()
-        self.contradiction = ""
+        self.contradiction, self._driven = "", False
 
     def conditions(self, t: float) -> Iterator[str]:
         """The codes of the fault table that hold at `t` (s)."""
