@@ -7,6 +7,7 @@ valley next to the right one. What is known already is found again in short wind
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from palmd.model import shape
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
 from palmd.observer.factor import SIZE, Factor
-from palmd.observer.normal_equations import Guess
+from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.record import Record
 from palmd.observer.smoother import Fit, Smoother
 
 FIRST_STEPS, LEAST_STEPS = 20, 5  # by which a window grows at first: more where that was right, fewer where it was not
 OVERLAP = 50  # steps of what is known already, at a window's end
 ITERATIONS = 12  # of a window: what is right is near
+LOOSENED = (1e3, 10.0)
+"""By which the motion is noisier at first: from a steady turn few iterations settle where friction is stiff."""
 ANYWHERE_RAD, ANY_SPIN = 10.0, 10.0  # one-sigmas of a window's first node (rad, rad/s): it has no part in the gauge
 
 
@@ -34,8 +37,24 @@ def with_beginning(
 ) -> Guess | None:
     """The fit of the last nodes of `whole`, carried back to its first node; None where nothing explains what was there.
 
-    `known`: what the rest tells of the constants.
+    `known`: what the rest tells of the constants. The motion is noisier at first only if nothing is found otherwise,
+    since a loose one may settle in the valley next to the right one.
     """
+    for loosened in ((), LOOSENED):
+        guess = _carried_back(library, whole, rest, known, explained, loosened)
+        if guess is not None:
+            return guess
+    return None
+
+
+def _carried_back(
+    library: Library,
+    whole: Record,
+    rest: Fit,
+    known: Factor,
+    explained: Callable[[Fit, Record], bool],
+    loosened: tuple[float, ...],
+) -> Guess | None:
     x, p, steps = rest.guess.x, rest.guess.p, len(whole.dt)
     first, more = steps + 1 - len(x), FIRST_STEPS
     end = min(first + OVERLAP, steps)
@@ -43,7 +62,10 @@ def with_beginning(
         begin = max(first - more, 0)
         window = whole.between(begin, end)
         start = Guess(_before(x[: end - first + 1], window, first - begin), p)
-        fit = Smoother(library, window, known).fit(start, rest.noise, ITERATIONS)
+        smoother = Smoother(library, window, known)
+        for times in loosened:
+            start = smoother.fit(start, _noisier(rest.noise, times), ITERATIONS).guess
+        fit = smoother.fit(start, rest.noise, ITERATIONS)
         if fit.settled and explained(fit, window):
             x, p = np.concatenate([fit.guess.x, x[end - first + 1 :]]), fit.guess.p
             first, more = begin, 2 * more
@@ -52,6 +74,10 @@ def with_beginning(
         else:
             return None
     return from_zero(Guess(x, p))
+
+
+def _noisier(noise: ProcessNoise, times: float) -> ProcessNoise:
+    return replace(noise, psi=times * noise.psi, omega0=times * noise.omega0)
 
 
 def from_zero(guess: Guess) -> Guess:

@@ -194,7 +194,8 @@ class Search:
         if told is None:
             return None
         known = known_of(fit.guess.p, told.covariance, self.prior.scale)
-        guess = with_beginning(self.library, self.record, fit, known, explained)
+        whole = replace(self.record, force_variance=_scatter(found.record, rest.record) * self.record.force_variance)
+        guess = with_beginning(self.library, whole, fit, known, explained)
         return None if guess is None else self._at_once([guess])
 
     def _since(self, first: int) -> Search:
@@ -378,6 +379,12 @@ def _with_scatter_of_forces(record: Record, fit: Fit) -> Record:
     if described or not consistent(fit.chi2, len(record.contact_value)):
         return record
     return replace(record, force_variance=min(fit.force_chi2, MOST_FORCE_CHI2) * record.force_variance)
+
+
+def _scatter(found: Record, described: Record) -> float:
+    """By how much the variance of forces was found to exceed the described one."""
+    n = len(found.force_value)
+    return float(found.force_variance[0] / described.force_variance[0]) if n else 1.0
 
 
 def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
