@@ -114,6 +114,7 @@ class VibratingPlant(CurvedPlant):
         if not resolves(body):
             raise ValueError("resolving a vibration takes a C compiler and a smooth body")
         self.shaking = shaking
+        self._t_touched = [-math.inf] * _CONTACTS
         super().__init__(
             body, hinge, surface, curvatures,
             options=options, imperfections=imperfections, gravity=gravity, reach=reach,
@@ -127,6 +128,7 @@ class VibratingPlant(CurvedPlant):
         super().place(palms, psi, omega0)
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
+        self._t_touched = [self._t] * _CONTACTS
         self._scene.place(self._memory, palms)
         self._take_over()
 
@@ -134,7 +136,7 @@ class VibratingPlant(CurvedPlant):
         """Both contacts as they are now, their forces as a pad reads them: means over the vibration."""
         m, mass = self._memory, self.body.mass
         one, two = (
-            PlantContact(bool(m.on[i]), m.s[i], mass * m.second_stage[i] if m.on[i] else 0.0) for i in range(_CONTACTS)
+            PlantContact(on, m.s[i], mass * m.second_stage[i] if on else 0.0) for i, on in enumerate(self.touching)
         )
         return one, two
 
@@ -144,8 +146,10 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def touching(self) -> tuple[bool, bool]:
-        """Which palms the body touches."""
-        one, two = (each != 0.0 for each in self._memory.on)
+        """Which palms the body touches, or has touched within a period: normal forces alternate, and it may hop."""
+        one, two = (
+            self._t - t <= 1.0 / palm.frequency for t, palm in zip(self._t_touched, self.shaking.palms, strict=True)
+        )
         return one, two
 
     @property
@@ -173,6 +177,9 @@ class VibratingPlant(CurvedPlant):
         if self.fallen:
             return
         self._scene.advance(self._memory, middle, end, dt)
+        for i in range(_CONTACTS):
+            if self._memory.on[i] or self._memory.force[i] > 0.0:
+                self._t_touched[i] = self._t
         self._take_over()
 
     def rocked(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
@@ -186,11 +193,14 @@ class VibratingPlant(CurvedPlant):
         self._rates = m.ax, m.ay, m.al, m.f[0], m.f[1]
         self._theta = list(m.theta)
         self.fallen = m.fallen != 0.0
+        if self.fallen:
+            self._t_touched = [-math.inf] * _CONTACTS
 
     def take_away(self) -> None:
         """Removes the body from the palms until it is placed again."""
         super().take_away()
         self._memory = _Body(fallen=1.0)
+        self._t_touched = [-math.inf] * _CONTACTS
 
     def _compiled_scene(self) -> _CompiledScene:
         shakers, (mode, travel, base) = self.shaking.palms, astuple(self.hinge)
