@@ -1,9 +1,10 @@
 """How far what is off leads an outline astray, and how well its readings could tell what it is: the best there is.
 
-By linearisation at the truth. With all constants of the rig open the readings leave a covariance; let M be what they
-tell of these constants alone, B what is believed of them and ∂h/∂κ what of the outline goes with them. An estimate
-that goes by B, where the rig is off by d, is led astray by ∂h/∂κ ((M + B⁻¹)⁻¹ M − 1) d, and no test aimed at d sees
-more than √(dᵀ K d) of its own sigmas, K = (M⁻¹ + B)⁻¹ (Cramér and Rao; Neyman and Pearson).
+By linearisation at the truth. With the constants of the rig open, but for the vibration's, which are as believed, the
+readings leave a covariance; let M be what they tell of these constants alone, B what is believed of them and ∂h/∂κ what
+of the outline goes with them. An estimate that goes by B, where the rig is off by d, is led astray by
+∂h/∂κ ((M + B⁻¹)⁻¹ M − 1) d, and no test aimed at d sees more than √(dᵀ K d) of its own sigmas, K = (M⁻¹ + B)⁻¹
+(Cramér and Rao; Neyman and Pearson).
 """
 
 from __future__ import annotations
@@ -52,16 +53,19 @@ def telling(
 
     Raises ValueError where there is nothing to reconstruct, LinAlgError where readings leave the object open.
     """
-    wide = RigBelief(10 * FREE_SD, np.zeros(RIG_CONSTANTS), 10 * FREE_SD)
-    at = at_truth(events, rig, truth, wide, rig_off)
     believed = RigBelief.of(rig).sd
+    open_sd = np.where(LEFT > 0.0, 10 * FREE_SD, believed)
+    wide = RigBelief(open_sd, np.zeros(RIG_CONSTANTS), open_sd)
+    at = at_truth(events, rig, truth, wide, rig_off)
     d = np.where([name in named for name in RIG_NAMES], rig_off, 0.0)
     covariance = at.covariance[:CONSTANTS, :CONSTANTS]
     told = _inverse(covariance[RIG, RIG]) - np.diag(wide.sd**-2.0)
     left = _inverse(told + np.diag(believed**-2.0))
-    by_rig = np.linalg.solve(covariance[RIG, RIG] / np.outer(LEFT, LEFT), covariance[RIG, C.SHAPE :] / LEFT[:, None])
+    by_rig = np.linalg.solve(
+        covariance[RIG, RIG] / np.outer(open_sd, open_sd), covariance[RIG, C.SHAPE :] / open_sd[:, None]
+    )
     turned = shape.gauge_free_basis(at.touched, at.touched, at.guess.p[C.SHAPE :])
-    by_rig = turned @ (by_rig.T / LEFT)
+    by_rig = turned @ (by_rig.T / open_sd)
     rest = given(covariance, RIG, slice(C.SHAPE, CONSTANTS))
     variance = ((turned @ rest) * turned).sum(axis=1) + ((by_rig @ left) * by_rig).sum(axis=1)
     astray = by_rig @ (left @ (told @ d) - d)

@@ -18,9 +18,12 @@ from palmd.lab.equations.paper import CASES, POINT, codistribution
 from palmd.model.outputs import rig_inputs
 from palmd.observer import prior
 from palmd.observer.observability import SAMPLE_S, Observability
-from palmd.rig.plant import FrictionSurface, Hinge, Plant, stable_poses
+from palmd.rig.friction import plant_on
+from palmd.rig.plant import FrictionSurface, Hinge, stable_poses
+from palmd.rig.shaker import drawn_shaking
 from palmd.rig.shapes import random_body
 from palmd.system.description import RigDescription
+from palmd.system.vibration import Vibration
 
 STEP_S = 5e-4
 
@@ -165,7 +168,10 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
 
     body = random_body("nominal", np.random.default_rng(1))
     body = body.turned(stable_poses(body, at(0.0))[0])
-    plant = Plant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(prior.FRICTION, prior.DITHER, prior.DAMPING))
+    known = Vibration(frequency=2500.0, speed=2.0 / math.pi * prior.DITHER, speed_sd=0.0)  # so fast: it follows nothing
+    shaking = drawn_shaking(known, np.random.default_rng(3), speed=0.0, pure=True)
+    surface = FrictionSurface(prior.FRICTION, prior.DITHER, prior.DAMPING)
+    plant = plant_on(body, Hinge("fixed", base=(0.0, 0.0)), surface, shaking=shaking)
     plant.place(at(0.0), psi=0.0)
     rig = RigDescription(hinge="fixed")
     follower = Observability(rig_inputs(rig), rig.reading_variances)
@@ -175,7 +181,7 @@ def _along_the_plant(omega1: float, omega2: float) -> float:
     x = last_second._object_at(at(0.0), 1)
     for k in range(2001):
         t = k * STEP_S
-        x[:2] = plant.state.psi, plant.state.omega0
+        x[:2] = plant.state.psi, plant.mean_omega0
         if k % round(SAMPLE_S / STEP_S) == 0:
             palms = at(t)
             follower.sample(t, x, np.array([*palms.angles, omega1, omega2, 0.0, 0.0]), np.zeros(2))

@@ -7,12 +7,15 @@ Jacobian to full precision (complex-step differentiation), with no derivative wr
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
+from palmd.model.friction import KINK, LEAST_FORCE
 from palmd.model.shape import HARMONICS
 from palmd.model.shape_map import N, Z
 
@@ -50,7 +53,8 @@ def reading_row(x: FloatArray, phi1: float, phi2: float, pad: int) -> tuple[floa
 def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     """α0 (rad/s²) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
 
-    With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g.
+    With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
+    that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md).
     """
     phi1, phi2, omega1, omega2, alpha1, alpha2 = palms
     angle = np.array([phi1, phi1 + phi2])
@@ -59,7 +63,7 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     t = sign * np.array([np.cos(angle), np.sin(angle)])  # a column for each palm
     n = np.array([-t[1], t[0]])
     omega0, mu = x[Z.OMEGA0], x[Z.MU]
-    rho2, dither2, damping = np.exp(2 * x[Z.LN_RHO]), np.exp(2 * x[Z.LN_DITHER]), x[Z.DAMPING]
+    rho2, dither, damping = np.exp(2 * x[Z.LN_RHO]), np.exp(x[Z.LN_DITHER]), x[Z.DAMPING]
     r, d, v = (np.array(pair) for pair in zip(*_contacts(x, phi1, phi2), strict=True))
 
     theta1 = rate[:, None] - omega0  # θ̇ of each contact
@@ -68,23 +72,56 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     c1 = to_plane @ (-d * theta1 + rate[:, None] * (t.T @ c))  # ċ, since ṅ = −ω t and ṙ = −d θ̇
     gravity = np.array([0.0, -rig[0]]) + rig[1] * (alpha1 * n[:, 0] - omega1**2 * t[:, 0])
     slip = t.T @ c1 + omega0 * r
-    sigma = slip / np.sqrt(slip**2 + dither2)
 
     # n·a = r̈ − 2 ṅ·ċ − n̈·c with n̈ = −α t − ω² n and r̈ = (v − r) θ̇² − d (α − α0); α0's part goes to the left
     known = (v - r) * theta1**2 - d * acceleration[:, None]
     known = known + 2 * rate[:, None] * (t.T @ c1) + acceleration[:, None] * (t.T @ c) + rate[:, None] ** 2 * r
-    left = np.zeros((x.shape[1], 3, 3), dtype=x.dtype)
-    right = np.zeros((x.shape[1], 3), dtype=x.dtype)
-    for j in range(2):
-        force = n[:, j, None] - mu * sigma[j] * t[:, j, None]
-        arm = -(r[j] * n[:, j, None] + d[j] * t[:, j, None])
-        left[:, :2, j] = (n.T @ force).T
-        left[:, j, 2] = -d[j]
-        left[:, 2, j] = arm[0] * force[1] - arm[1] * force[0]
-    left[:, 2, 2] = -rho2
-    right[:, :2] = (known - (n.T @ gravity)[:, None]).T
-    right[:, 2] = damping * omega0
-    return np.asarray(np.linalg.solve(left, right[:, :, None])[:, 2, 0])
+
+    def solved(direction: Any) -> Array:
+        """(f1, f2, α0) with friction −μ f_j along each t_j times these directions."""
+        left = np.zeros((x.shape[1], 3, 3), dtype=x.dtype)
+        right = np.zeros((x.shape[1], 3), dtype=x.dtype)
+        for j in range(2):
+            force = n[:, j, None] - mu * direction[j] * t[:, j, None]
+            arm = -(r[j] * n[:, j, None] + d[j] * t[:, j, None])
+            left[:, :2, j] = (n.T @ force).T
+            left[:, j, 2] = -d[j]
+            left[:, 2, j] = arm[0] * force[1] - arm[1] * force[0]
+        left[:, 2, 2] = -rho2
+        right[:, :2] = (known - (n.T @ gravity)[:, None]).T
+        right[:, 2] = damping * omega0
+        return np.asarray(np.linalg.solve(left, right[:, :, None])[:, :, 0].T)
+
+    kappa, transmission, averaged, kappa_off, transmission_off = rig[7:12]
+    if averaged:
+        return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2])
+    mean = _mean_direction(slip / (2 / math.pi * dither))
+    forces, rubbed = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean)
+    for signs, share in _sign_shares(mean, min(max(kappa + kappa_off, -1.0), 1.0)):
+        force = share * _positive(solved(signs)[:2])
+        forces, rubbed = forces + force, rubbed + np.array(signs)[:, None] * force
+    return np.asarray(solved(mean + (transmission + transmission_off) * (rubbed / forces - mean))[2])
+
+
+def _mean_direction(x: Array) -> Array:
+    """Mean sign of x + cos τ over a period, its kinks at |x| = 1 smoothed over `KINK`."""
+    cosh = (np.sqrt((x + 1) ** 2 + KINK**2) + np.sqrt((x - 1) ** 2 + KINK**2)) / 2
+    return np.asarray(2 / math.pi * np.arctan(x / KINK * np.sqrt(cosh**2 - 1) / cosh))
+
+
+def _sign_shares(mean: Array, kappa: float) -> Iterator[tuple[tuple[int, int], Array]]:
+    """Pairs of slip signs, with their shares of time: independent ones, and by |κ| as far as can be alike or unlike."""
+    forward, backward = (1 + mean) / 2, (1 - mean) / 2
+    unlike = kappa < 0.0
+    for signs in product((1, -1), repeat=2):
+        p1, p2 = (forward[j] if signs[j] > 0 else backward[j] for j in range(2))
+        same = signs[0] == signs[1]
+        extreme = _positive(p1 + p2 - 1) if same == unlike else np.where(p1.real < p2.real, p1, p2)
+        yield signs, (1 - abs(kappa)) * p1 * p2 + abs(kappa) * extreme
+
+
+def _positive(value: Array) -> Array:
+    return np.where(value.real > 0.0, value, 0.0)
 
 
 def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
