@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
-from palmd.model.friction import Vibrated, directions, normal_forces
+from palmd.model.friction import Rattling, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
-VIBRATION_INPUTS, VIBRATION_OFF_INPUTS = slice(7, 10), slice(10, 12)
-"""Where what the kernels are told of the rig has κ, λ and whether the old law holds, and by how much κ, λ are off."""
+VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 13)
+"""Where what the kernels are told of the rig has κ, λ, whether the old law holds, 1/(2f); by how much κ, λ are off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +69,15 @@ class BodyConstants:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²)."""
+    """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
+
+    least: how little each contact bears meanwhile (m/s²).
+    """
 
     alpha0: SX
     f1: SX
     f2: SX
+    least: tuple[SX, ...]
 
     @property
     def forces(self) -> tuple[SX, SX]:
@@ -104,7 +108,7 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
-    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
     Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0.
@@ -145,9 +149,12 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     A = [[ca.dot(normals[i], normals[j]) + contacts[i].d * contacts[j].d / rho2 for j in range(2)] for i in range(2)]
     B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * contacts[j].r / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
-    sigma = directions(A, B, b, friction, slips, vibrated_of(body.dither, rig))
-    along = [mu * each for mu, each in zip(friction, sigma, strict=True)]
+    kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
+    turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
+    rattling = Rattling(turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
+    mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), rattling)
+    along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
     f1, f2 = normal_forces(A, B, b, along)
     torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
     alpha0 = (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2
-    return Motion(alpha0, f1, f2)
+    return Motion(alpha0, f1, f2, mean.least)

@@ -18,6 +18,9 @@ KINK = 0.02
 """ε of the smooth kink: σ_ε is off by 0.09 at |u| = V and by 1e-4 (RMS) below 0.8 V."""
 LEAST_DETERMINANT = 0.02  # of that without friction; less and the body is wedged, where no law of this kind holds
 LEAST_FORCE = 1e-9  # m/s², so that 0/0 of a contact that is never loaded is 0
+LEAST_RIPPLE = 1e-7  # m/s, so that a ripple has a derivative at 0
+BRIEF = 0.01  # share of the time
+SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 SLOPE = math.pi / 2
 """u_d = `SLOPE` V: the averaged law with this u_d has the same slope at u = 0 as vibrations of speed V."""
 
@@ -81,42 +84,115 @@ def normal_forces(
     return (b[0] * m22 - b[1] * m12) / determinant, (m11 * b[1] - m21 * b[0]) / determinant
 
 
+def sign_pair_forces(
+    A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], mu: Sequence[Any], xp: Any = ca
+) -> tuple[tuple[Any, ...], ...]:
+    """f1, f2 for each of `SIGN_PAIRS` (section 1), mu of each palm; negative of a contact that would be pulled."""
+    pairs = ([m * s for m, s in zip(mu, signs, strict=True)] for signs in SIGN_PAIRS)
+    return tuple(normal_forces(A, B, b, friction, xp) for friction in pairs)
+
+
 def effective_directions(
-    A: Sequence[Sequence[Any]],
-    B: Sequence[Sequence[Any]],
-    b: Sequence[Any],
-    mu: Sequence[Any],
-    sigma: Sequence[Any],
-    kappa: Any,
-    transmission: Any,
-    xp: Any = ca,
+    forces: Sequence[Sequence[Any]], sigma: Sequence[Any], kappa: Any, transmission: Any, xp: Any = ca
 ) -> tuple[Any, Any]:
     """The directions with which one solve gives the averaged law: σ_i + λ (σ_eff,i − σ_i), σ_eff,i = E[s_i f_i]/E[f_i].
 
-    Sections 1 and 3. mu: μ of each palm; sigma: mean direction of slip on each. A contact that would be pulled under a
-    pair of signs bears nothing then, so that each direction stays within ±1.
+    Sections 1 and 3. forces: `sign_pair_forces`. sigma: mean direction of slip on each palm. A contact that would be
+    pulled under a pair of signs bears nothing then, so that each direction stays within ±1.
     """
-    shares = sign_shares(sigma, kappa, xp)
     mean, along = [LEAST_FORCE, LEAST_FORCE], [0.0, 0.0]
-    for share, signs in zip(shares, ((1, 1), (1, -1), (-1, 1), (-1, -1)), strict=True):
-        forces = normal_forces(A, B, b, [m * s for m, s in zip(mu, signs, strict=True)], xp)
-        for i, (force, sign) in enumerate(zip(forces, signs, strict=True)):
+    for share, signs, pressed in zip(sign_shares(sigma, kappa, xp), SIGN_PAIRS, forces, strict=True):
+        for i, (force, sign) in enumerate(zip(pressed, signs, strict=True)):
             part = share * xp.fmax(force, 0)
             mean[i], along[i] = mean[i] + part, along[i] + sign * part
     one, two = (s + transmission * (a / m - s) for s, a, m in zip(sigma, along, mean, strict=True))
     return one, two
 
 
-def directions(
+@dataclass(frozen=True, slots=True)
+class Rattling:
+    """What makes a body's own slip go up and down while friction alternates.
+
+    turning: G_i = ∂u_i/∂ω0 (m), by which the slip at contact i changes as the body turns with both contacts kept. d, r:
+    of both contacts as in `model.contact`. rho2: ρ² (m²). half_period: 1/(2f) of the vibration (s), 0 for none of it.
+    """
+
+    turning: Sequence[Any]
+    d: Sequence[Any]
+    r: Sequence[Any]
+    rho2: Any
+    half_period: Any
+
+
+def ripples(
+    forces: Sequence[Sequence[Any]], mu: Sequence[Any], sigma: Sequence[Any], kappa: Any, body: Rattling, xp: Any = ca
+) -> tuple[Any, Any]:
+    """By how much (m/s) the slip of each contact goes up and down as contacts reverse (section 1, validity b).
+
+    A reversal of contact j changes α0 by Δ_j: a triangle of amplitude a_ij = |G_i Δ_j| p_j (1 − p_j)/(2f). Slip i
+    reverses at the tip of its own, anywhere on an independent palm's (1/√3 of it, RMS). Palms of one frequency reverse
+    about together, from one sign pair to its opposite. Told as the root of a mean square, in between for 0 < |κ| < 1.
+    """
+    both, one_only, two_only, none = (
+        -sum(f * (d + m * s * r) for f, d, r, m, s in zip(pressed, body.d, body.r, mu, signs, strict=True)) / body.rho2
+        for pressed, signs in zip(forces, SIGN_PAIRS, strict=True)
+    )  # α0 of each pair, but for what all have
+    lasts = [(1 - each**2) / 4 * body.half_period for each in sigma]
+    own = [(both - two_only + one_only - none) / 2 * lasts[0], (both - one_only + two_only - none) / 2 * lasts[1]]
+    together = xp.fmax(kappa, 0) * (both - none) ** 2 + xp.fmax(-kappa, 0) * (one_only - two_only) ** 2
+    apart = 1 - xp.fabs(kappa)
+    first, second = (
+        xp.sqrt(turning**2 * (apart * (own[i] ** 2 + own[1 - i] ** 2 / 3) + together * lasts[i] ** 2) + LEAST_RIPPLE**2)
+        for i, turning in enumerate(body.turning)
+    )
+    return first, second
+
+
+@dataclass(frozen=True, slots=True)
+class Averaged:
+    """What friction does in the mean over the vibration.
+
+    directions: of friction at each contact, with which one solve of the contact equations gives the mean forces. least:
+    how little each contact bears while the vibration goes on (m/s²): 0, and it hops.
+    """
+
+    directions: tuple[SX, ...]
+    least: tuple[SX, ...]
+
+
+def averaged(
     A: Sequence[Sequence[SX]],
     B: Sequence[Sequence[SX]],
     b: Sequence[SX],
     mu: Sequence[SX],
     slip: Sequence[SX],
     vibrated: Vibrated,
-) -> tuple[SX, SX]:
-    """The direction of friction at each contact, of slips u_i (m/s), whichever law the vibration asks for."""
+    body: Rattling,
+) -> Averaged:
+    """Friction at both contacts, of slips u_i (m/s), whichever law the vibration asks for."""
+    forces = sign_pair_forces(A, B, b, mu)
+    per_speed = SLOPE / vibrated.dither
+    steady = [mean_direction(u * per_speed) for u in slip]
+    rippled = [ca.fmin(a, 1 / per_speed) for a in ripples(forces, mu, steady, vibrated.kappa, body)]
+    new = [
+        (mean_direction((u + a) * per_speed) + mean_direction((u - a) * per_speed)) / 2
+        for u, a in zip(slip, rippled, strict=True)
+    ]
     old = [averaged_direction(u, vibrated.dither) for u in slip]
-    new = [mean_direction(SLOPE * u / vibrated.dither) for u in slip]
     sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, old, strict=True)]
-    return effective_directions(A, B, b, mu, sigma, vibrated.kappa, vibrated.transmission * (1 - vibrated.averaged))
+    follows = vibrated.transmission * (1 - vibrated.averaged)
+    found = effective_directions(forces, sigma, vibrated.kappa, follows)
+    means = normal_forces(A, B, b, [m * s for m, s in zip(mu, found, strict=True)])
+    shares = sign_shares(sigma, vibrated.kappa)
+    least = tuple(
+        mean + follows * (_least_of([pair[i] for pair in forces], shares, mean) - mean) for i, mean in enumerate(means)
+    )
+    return Averaged(found, least)
+
+
+def _least_of(forces: Sequence[SX], shares: Sequence[SX], otherwise: SX) -> SX:
+    """The least of them that lasts for more than `BRIEF` of the time."""
+    least = otherwise
+    for force, share in zip(forces, shares, strict=True):
+        least = ca.fmin(least, ca.if_else(share > BRIEF, force, otherwise))
+    return least

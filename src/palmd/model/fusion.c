@@ -14,9 +14,9 @@
 
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
-#define RIG_INPUTS 12
+#define RIG_INPUTS 13
 #define FRICTION_INPUT 4
-#define VIBRATION_OFF_INPUTS 10 /* two: of kappa and of the transmission */
+#define VIBRATION_OFF_INPUTS 11 /* two: of kappa and of the transmission */
 #define NAMED 18
 #define MOST_STATES 64
 #define EVENTS 24 /* that can be undone */

@@ -45,7 +45,7 @@ def palms_on(move: SX, t: SX) -> Palms:
 
 
 def _step_function(curved: bool) -> ca.Function:
-    """(x, s, move, rig) → (x after one step, `TOLD` then); of a contact that jumps the force is −inf."""
+    """(x, s, move, rig) → (x after one step, `TOLD` then), forces at their least; −inf of a contact that jumps."""
     x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
     touch = touch_on(rig, curved, ca.vertsplit(s))
 
@@ -60,7 +60,7 @@ def _step_function(curved: bool) -> ca.Function:
     one, two = contacts_of(after, palms.angles, touch)
     motion = newton_euler(palms, moving[1], one, two, body_of(x), rig)
     normals = normal_directions(tangent_joints(palms.angles, (one.turn, two.turn)), moving[Z.PSI])
-    found, forces = readings(palms.angles[OPENING], one, two), list(motion.forces)
+    found, forces = readings(palms.angles[OPENING], one, two), list(motion.least)
     if curved:
         turns = ca.fabs(rig[CURVATURE_INPUTS] * (ca.vertcat(*found) - s))
         forces = [ca.if_else(turns[palm] < MOST_TURN, force, -ca.inf) for palm, force in enumerate(forces)]

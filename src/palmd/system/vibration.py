@@ -17,6 +17,8 @@ SPEED_M_S, LN_SPEED_SD = 0.014, 0.35
 AVERAGED_SPEED_M_S = 0.012 / (math.pi / 2)
 SHAKER_SD, LEAST_LN_SD = 0.10, 1e-3
 """One sigma of ln V of a shaker whose speed is given without one; and the least that there is."""
+FREQUENCY_HZ = 240.0
+"""A shaker's, where it is not given: amidst the 200 to 280 Hz of small shakers."""
 UNKNOWN_KAPPA_SD = 0.7
 RIGID_SD = 0.10
 """One sigma of λ where it is not given: mounts and contacts give a little."""
@@ -61,6 +63,11 @@ class Vibration:
     def kappa_sd(self) -> float:
         """One sigma of κ."""
         return UNKNOWN_KAPPA_SD if self.relation == "unknown" and not self.averaged else 0.0
+
+    @property
+    def half_period(self) -> float:
+        """1/(2f) (s); 0 where the body's ripple plays no part, as with the averaged law."""
+        return 0.0 if self.averaged else 0.5 / (self.frequency or FREQUENCY_HZ)
 
     @property
     def likeliest_transmission(self) -> float:
