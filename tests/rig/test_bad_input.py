@@ -111,13 +111,13 @@ def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):
     refused = bench.client.ask("plan", path="bad.yaml")
     assert refused["ok"] is False
     assert f"bad.yaml{by_name}" in refused["error"]
-    told = palmd("ctl", "plan", path, "--address", bench.bus.command)
+    told = palmd("ctl", "plan", path, "--take", "--address", bench.bus.command)
     assert told.returncode == 1
     assert f"{path}{what}" in told.stderr
     after, stands = bench.client.do("status"), bench.truth()
     assert [after[key] for key in UNCHANGED] == [before[key] for key in UNCHANGED]
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
-    bench.client.do("start")
+    bench.client.do("start", take=True)
     bench.moving()
     bench.judge()
 
@@ -127,14 +127,14 @@ def test_a_jog_that_cannot_go_all_the_way_moves_nothing(bench):
     bench.client.do("arm")
     bench.until_state("tracking")
     stood = bench.at_rest()
-    told = palmd("ctl", "jog", "--phi1-deg", "90", "--address", bench.bus.command)
+    told = palmd("ctl", "jog", "--phi1-deg", "90", "--take", "--address", bench.bus.command)
     assert told.returncode == 1
     assert "jog refused: phi1 reaches" in told.stderr
     stands = bench.truth()
     assert max(abs(stands[phi] - stood[phi]) for phi in ("phi1_rad", "phi2_rad")) < 1e-3
 
     def jogged(_):
-        told = palmd("ctl", "jog", "--phi2-deg", "-2", "--address", bench.bus.command)
+        told = palmd("ctl", "jog", "--phi2-deg", "-2", "--take", "--address", bench.bus.command)
         assert told.returncode == 0 or "the arm does not follow yet" in told.stderr, told.stderr
         return told.returncode == 0
 
