@@ -22,8 +22,9 @@ from palmd.motion.plan import PlanPlace, Trajectory
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError, TrajectoryExecutor
 
-LONGEST_STEP_S = 0.032
-"""Two cycles: what one set-point may make up for when the one before was not sent."""
+CYCLE_S = 0.016
+LONGEST_STEP_S = 2 * CYCLE_S
+"""What one set-point may make up for when the one before was not sent."""
 
 CATCH_UP_SHARE = 0.25
 NEAR_M, NEAR_RAD = 0.005, math.radians(3.0)
@@ -263,8 +264,11 @@ class SetPoints:
         return pose
 
     def _back(self, before: PalmMotion, goal: PalmMotion, t: float) -> Place | None:
-        """The set-point on the way back, or where that ends."""
-        motion = self.limits.clamp_step(before, goal, min(max(t - self._t_sent, 0.0), LONGEST_STEP_S))
+        """The set-point on the way back, or where that ends.
+
+        It makes up for nothing: all the way is at the rate limit, which a set-point that is late would exceed.
+        """
+        motion = self.limits.clamp_step(before, goal, min(max(t - self._t_sent, 0.0), CYCLE_S))
         self._next = motion
         return self._pose(motion)
 

@@ -37,14 +37,20 @@ PAD_CODES: dict[str, tuple[str, ...]] = {
     "touch": ("out-of-range",),
     "parted": ("silent", "lifted", "untouched"),
     "batch": ("silent", "untouched", "batched"),
+    "saturate": (),
 }
+PRESSED = ("touch", "saturate")
+PRESSED_CODES = ("force-limit", "force-excess")
 ARM_CODES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("drop", "garble", "mute", "late", "burst", "misbaud"), _LINK),
     "unplug": ("arm-port", *_LINK),
     "break": ("arm-fault", "arm-left-tracking"),
     "estop": ("arm-estop", "arm-left-tracking"),
     "power_off": ("arm-power-off", "arm-left-tracking"),
-    "manual": ("arm-manual", "arm-left-tracking", "limits-violated"),
+    "manual": ("arm-manual", "arm-left-tracking", "limits-violated", "pose-contradicts-rig"),
+    "block": ("following-error", "pose-implausible"),
+    "freeze": ("following-error",),
+    "jump": ("following-error", "pose-implausible", "limits-violated", "pose-contradicts-rig"),
 }
 OBJECT_CODES = tuple(f"{pad}-{what}" for pad in ("pad1", "pad2") for what in ("silent", "lifted", "untouched"))
 HELD_UP = ("stall", "batch")
@@ -82,7 +88,8 @@ class PossibleCause:
             return ARM_CODES[self.name]
         if self.port is None:
             return OBJECT_CODES
-        return tuple(f"{self.port}-{what}" for what in PAD_CODES[self.name])
+        own = tuple(f"{self.port}-{what}" for what in PAD_CODES[self.name])
+        return (*own, *PRESSED_CODES) if self.name in PRESSED else own
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,6 +74,10 @@ _TRICKS: tuple[tuple[str, Ports, tuple[float, float] | None, tuple[float, float]
     ("estop", ARM, None, (0.5, 3.0)),
     ("power_off", ARM, None, (0.5, 3.0)),
     ("manual", ARM, None, (0.5, 3.0)),
+    ("block", ARM, None, (0.5, 3.0)),
+    ("freeze", ARM, None, (0.5, 3.0)),
+    ("jump", ARM, (0.01, 0.03), (0.5, 3.0)),
+    ("saturate", PADS, (4.0, 16.0), (0.5, 3.0)),
     ("lift", (), None, (0.5, 3.0)),
     ("swap", (), None, (1.0, 1.5)),
 )

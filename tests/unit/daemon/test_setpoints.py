@@ -363,3 +363,20 @@ def test_jog_and_plan_keep_out_of_each_others_way():
 def test_jog_needs_an_arm_that_follows():
     with pytest.raises(MotionError, match="does not follow"):
         SetPoints(POSES, LIMITS).jog((0.001, 0.0), 0.0)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.001, CYCLE])
+def test_the_way_back_to_an_arm_that_stands_keeps_the_rate_however_late_a_set_point_is(late_s):
+    drive = Drive()
+    drive.setpoints.start(trajectory())
+    drive.go(0.8)
+    out = drive.setpoints.commanded
+    drive.setpoints.retreat(HERE, drive.t)
+    before, most = out, CYCLE * math.radians(CONFIG.limits.rate_deg_s)
+    for _ in range(5):
+        drive.t += CYCLE + late_s
+        drive.setpoints.target(drive.t)
+        after = drive.setpoints.sent(drive.t)
+        assert abs(after.angles[0] - before.angles[0]) <= most * (1 + 1e-9)
+        before = after
+    assert before.angles[0] < out.angles[0] - math.radians(2.0)

@@ -39,6 +39,7 @@ from palmd.record.recording import Recording
 FOUND = {
     2751: "a fault that told rightly that the object had been thrown off where nothing can be put back",
     36: "autostart armed by itself after somebody had reset a fault",
+    622893574616116801: "a set-point on its way back to a blocked arm that made up for the lateness of the one before",
     253: "a start whose plan was still being compiled began to move after a hold that came later",
 }
 """Seeds that broke an invariant once, and what they found."""
