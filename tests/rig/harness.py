@@ -143,6 +143,7 @@ class Bench(Stack):
         self.ports = {name: folder / "ports" / name for name in ("pad1", "pad2", "arm")}
         self._seed, self._stalls = seed, 0
         pad1, pad2, arm = ({"port": str(port)} for port in self.ports.values())
+        pad1["newtons_per_count"] = pad2["newtons_per_count"] = 0.04  # no object of these saturates them
         limits = {"phi1_deg": [20, 70], "phi2_deg": [75, 105], "rate_deg_s": RATE_DEG_S}
         self._settings = {"pads": {"palm1": pad1, "palm2": pad2}, "arm": arm, "limits": limits, "plan": "lively.yaml"}
         (folder / "lively.yaml").write_text(PLAN)

@@ -51,6 +51,7 @@ CASES = (
     Case("late", PADS, both("silent"), strength=0.2),
     Case("burst", PADS, both("batched")),
     # what lies on the pads
+    Case("saturate", PADS, ("force-limit",)),
     Case("touch", PADS),
     Case("lift", OBJECT, both("lifted")),
     Case("swap", OBJECT, both("lifted")),
@@ -69,6 +70,10 @@ CASES = (
     Case("estop", ARM, ("arm-estop",)),
     Case("power_off", ARM, ("arm-power-off",)),
     Case("manual", ARM, ("arm-manual",)),
+    # an arm that does not do what it is told, or does not report what it does
+    Case("block", ARM, ("following-error",)),
+    Case("freeze", ARM, ("following-error",)),
+    Case("jump", ARM, ("pose-implausible",), may=("following-error",)),
 )
 
 

@@ -69,10 +69,6 @@ ForceLimits = Annotated[
 ]
 """One number for all pads, or a number for each."""
 
-DEFAULT_SHARE = 0.9
-"""Of a pad's full scale: beyond it a reading can no longer tell by how much."""
-
-
 def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
     """The limits; raises ValueError where they name a pad that is not among these names."""
     names = [*names]
@@ -82,8 +78,8 @@ def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float 
 
 
 def force_limits(limits: float | PadForces | None, full_scales: Mapping[str, float]) -> tuple[float, ...]:
-    """What may press on each pad (N), by the force at which each saturates (N, by the pads' names)."""
+    """What may press on each pad (N): where nothing is given, the force at which it saturates (N, by the pads' names)."""
     if isinstance(limits, float):
         return (limits,) * len(full_scales)
     given = limits or {}
-    return tuple(given.get(name, DEFAULT_SHARE * full) for name, full in full_scales.items())
+    return tuple(given.get(name, full) for name, full in full_scales.items())
