@@ -83,7 +83,7 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         assert json.loads(seen)["result"]["state"] == "ready"
         assert palmd("ctl", "arm", "--address", command, "--key", tmp_path / "ann.key_secret")[0] == 0
         assert "has control" in operator.ask("start")["error"]  # another program of the same member
-        assert operator.ask("start", take=True)["ok"]
+        assert operator.ask("start", {"take": True})["ok"]
         wait(lambda: guarded.rig_status()["largest_step_mm"] > 0.0, "the arm moving")
 
         nothing = time.monotonic()

@@ -78,7 +78,7 @@ def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float 
 
 
 def force_limits(limits: float | PadForces | None, full_scales: Mapping[str, float]) -> tuple[float, ...]:
-    """What may press on each pad (N): where nothing is given, the force at which it saturates (N, by the pads' names)."""
+    """What may press on each pad (N), as given; or the force at which it saturates, by the pads' names."""
     if isinstance(limits, float):
         return (limits,) * len(full_scales)
     given = limits or {}

@@ -90,7 +90,7 @@ def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[Fi
 
     What follows a footer is read as well: a damaged file may hold one in its middle.
     """
-    size = len(data) if end is None else end
+    size = len(data) if end is None else min(end, len(data))  # a file that is packed since is shorter
     at = begin
     if at == 0:
         at = len(MAGIC)

@@ -35,6 +35,7 @@ class PlausibilityGuard:
         self._t_bad = math.inf
         self._last_words = ""
         self._errors: Joints | None = None
+        self._t_errors = math.nan
         self._twist: float | None = None
 
     def forget(self) -> None:
@@ -68,10 +69,11 @@ class PlausibilityGuard:
         impossible: why there are no joint angles for it. errors: the joints' following errors. peak: the largest
         commanded rate of each joint lately. twist: of the tool against the angle that follows from its place (rad).
         """
-        words = impossible or _outside(pose, reach) or self._turned(pose, twist) or self._stepped(errors, peak)
+        words = impossible or _outside(pose, reach) or self._turned(pose, twist) or self._stepped(t, errors, peak)
         if not words:
             self._bad, self._t_bad = 0, math.inf
-            self._errors = errors if errors is not None else self._errors
+            if errors is not None:
+                self._errors, self._t_errors = errors, t
             self._twist = twist if self._twist is None else self._twist
             return True
         self.total += 1
@@ -93,12 +95,13 @@ class PlausibilityGuard:
             f"the limit is {math.degrees(most):.1f}°"
         )
 
-    def _stepped(self, errors: Joints | None, peak: Sequence[float]) -> str:
+    def _stepped(self, t: float, errors: Joints | None, peak: Sequence[float]) -> str:
         before = self._errors
         if errors is None or before is None:
             return ""
+        stood_s = TIME_S + t - self._t_errors  # an arm that gets no set-points stands still, and no report says so
         for joint, (now, then) in enumerate(zip(errors, before, strict=True)):
-            most = self._limits.at_rest + TIME_S * abs(peak[joint])
+            most = self._limits.at_rest + stood_s * abs(peak[joint])
             if abs(now - then) > most:
                 name, unit, k = self._scale.names[joint], self._scale.unit, self._scale.scale
                 return (

@@ -57,3 +57,12 @@ def test_a_tool_angle_that_does_not_follow_from_x_and_y_is_implausible(twist_deg
     guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK, twist=0.0)
     twist = math.radians(twist_deg)
     assert guard.report(CYCLE, HERE, REACH, errors=(0.0, 0.0), peak=PEAK, twist=twist) is fits
+
+
+def test_an_arm_that_stood_while_it_was_not_heard_has_not_jumped():
+    """Without set-points a controller holds: what was commanded meanwhile is missing in the next report."""
+    guard = PlausibilityGuard(LIMITS, SCALE)
+    assert guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK)
+    missed = 0.09 * PEAK[0]
+    assert guard.report(0.09, HERE, REACH, errors=(-missed, 0.0), peak=PEAK)
+    assert not guard.report(0.106, HERE, REACH, errors=(-2.0 * missed, 0.0), peak=PEAK)
