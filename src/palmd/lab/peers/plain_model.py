@@ -7,7 +7,7 @@ Jacobian to full precision (complex-step differentiation), with no derivative wr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.friction import KINK, LEAST_FORCE
+from palmd.model.friction import KINK, LEAST_FORCE, LEAST_RIPPLE
 from palmd.model.shape import HARMONICS
 from palmd.model.shape_map import N, Z
 
@@ -54,7 +54,8 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     """α0 (rad/s²) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
 
     With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
-    that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md).
+    that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md),
+    which the body's own ripple lets alternate sooner.
     """
     phi1, phi2, omega1, omega2, alpha1, alpha2 = palms
     angle = np.array([phi1, phi1 + phi2])
@@ -92,15 +93,34 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
         right[:, 2] = damping * omega0
         return np.asarray(np.linalg.solve(left, right[:, :, None])[:, :, 0].T)
 
-    kappa, transmission, averaged, kappa_off, transmission_off = rig[7:12]
+    kappa, transmission, averaged, half_period, kappa_off, transmission_off = rig[7:13]
     if averaged:
         return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2])
-    mean = _mean_direction(slip / (2 / math.pi * dither))
+    kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
+    each = {signs: solved(signs) for signs in product((1, -1), repeat=2)}
+    turning = t.T @ (to_plane @ d) + r  # of each slip with ω0
+    ripple = _ripple({signs: of[2] for signs, of in each.items()}, _mean_direction(slip / speed), kappa)
+    ripple = np.sqrt((half_period * turning) ** 2 * ripple + LEAST_RIPPLE**2)
+    ripple = np.where(ripple.real < speed.real, ripple, speed)
+    mean = (_mean_direction((slip + ripple) / speed) + _mean_direction((slip - ripple) / speed)) / 2
     forces, rubbed = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean)
-    for signs, share in _sign_shares(mean, min(max(kappa + kappa_off, -1.0), 1.0)):
-        force = share * _positive(solved(signs)[:2])
+    for signs, share in _sign_shares(mean, kappa):
+        force = share * _positive(each[signs][:2])
         forces, rubbed = forces + force, rubbed + np.array(signs)[:, None] * force
     return np.asarray(solved(mean + (transmission + transmission_off) * (rubbed / forces - mean))[2])
+
+
+def _ripple(spin: Mapping[tuple[int, int], Array], mean: Array, kappa: float) -> Array:
+    """Mean square of both slips' ripple over G/(2f), from α0 of each pair of signs and the slips' mean directions.
+
+    A reversal of one contact alone changes α0 by the mean over the other's signs; palms of one frequency reverse
+    together, alike for κ = 1 and unlike for −1.
+    """
+    weight = (1 - mean**2) / 4  # p (1 − p)
+    alone = np.array([spin[1, 1] + spin[1, -1] - spin[-1, 1] - spin[-1, -1],
+                      spin[1, 1] + spin[-1, 1] - spin[1, -1] - spin[-1, -1]]) / 2 * weight  # fmt: skip
+    both = spin[1, 1] - spin[-1, -1] if kappa > 0 else spin[1, -1] - spin[-1, 1]
+    return np.asarray((1 - abs(kappa)) * (alone**2 + alone[::-1] ** 2 / 3) + abs(kappa) * (both * weight) ** 2)
 
 
 def _mean_direction(x: Array) -> Array:
