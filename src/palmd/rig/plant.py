@@ -264,6 +264,12 @@ class Plant:
         mass = self.body.mass
         return PlantContact(self._on1, s1, mass * f1), PlantContact(self._on2, s2, mass * f2)
 
+    @property
+    def least_forces(self) -> tuple[float, float]:
+        """How little each contact bore (N) in the last step, also within a vibration."""
+        _, _, _, f1, f2 = self._rates
+        return self.body.mass * f1, self.body.mass * f2
+
     def contact_rates(self) -> tuple[float, float]:
         """How fast both contacts go along the palms, away from the hinge (m/s)."""
         q, at = self.state, self.body.support.at

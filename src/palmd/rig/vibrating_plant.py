@@ -140,6 +140,11 @@ class VibratingPlant(CurvedPlant):
         )
         return one, two
 
+    @property
+    def least_forces(self) -> tuple[float, float]:
+        """As `Plant` has it."""
+        return self.body.mass * self._memory.least[0], self.body.mass * self._memory.least[1]
+
     def radii(self) -> tuple[float, float]:
         """r1 and r2 (m): the support function at both contact normals."""
         return self._memory.r[0], self._memory.r[1]

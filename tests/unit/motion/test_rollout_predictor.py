@@ -40,7 +40,7 @@ FAST_HZ = 2500.0
 
 @cache
 def predictor(hinge, relation="independent"):
-    return RolloutPredictor(rig_inputs(RigDescription(hinge=hinge, vibration=Vibration(relation))))
+    return RolloutPredictor(rig_inputs(RigDescription(hinge=hinge, vibration=Vibration(relation, frequency=FAST_HZ))))
 
 
 def thing(kind, seed):
@@ -76,7 +76,7 @@ def driven(body, surface, psi, hinge, off=PERFECT, relation="independent"):
             palms = off.true_palms(move.at((step + 1) * FINE_S))
             plant.advance(off.true_palms(move.at((step + 0.5) * FINE_S)), palms, FINE_S)
             one, two = plant.contacts()
-            force = min(force, one.force / body.mass, two.force / body.mass)
+            force = min(force, *(each / body.mass for each in plant.least_forces))
             contacts += [one.s, two.s]
             normals = (palms.angles[0] - math.pi / 2, palms.angles[0] + palms.angles[1] - 1.5 * math.pi)
             bins |= {math.floor((normal - plant.state.psi) / (math.tau / BINS)) % BINS for normal in normals}
@@ -210,7 +210,8 @@ def test_what_is_known_of_the_rig_is_foreseen_with():
     tilt, turn, asymmetry = math.radians(1.5), math.radians(-1.0), 0.6
     off = Imperfections(angles=(tilt, turn), friction=asymmetry)
     ends, *_ = driven(body, surface, psi, "arc", off, relation="in_phase")
-    mine, moves = RolloutPredictor(rig_inputs(RigDescription())), Moves(START, ROUTE[None], np.array([DURATIONS]))
+    described = RigDescription(vibration=Vibration(frequency=FAST_HZ))
+    mine, moves = RolloutPredictor(rig_inputs(described)), Moves(START, ROUTE[None], np.array([DURATIONS]))
     assert np.abs(mine.of(state, moves).psi[0] - ends[:, 0]).max() > 0.02
     off = np.zeros(RIG_CONSTANTS)
     off[[R.TILT, R.TURN, R.FRICTION, R.KAPPA]] = tilt, turn, asymmetry, -1.0
