@@ -69,6 +69,7 @@ ForceLimits = Annotated[
 ]
 """One number for all pads, or a number for each."""
 
+
 def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
     """The limits; raises ValueError where they name a pad that is not among these names."""
     names = [*names]

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.lab.table import aligned
 from palmd.model.outputs import rig_inputs
+from palmd.model.rollout import THETA
 from palmd.model.shape import coefficients_of
 from palmd.model.shape_map import N, Z
 from palmd.model.stable_on_arcs import stable_poses_on_arcs
@@ -103,7 +104,7 @@ def _rocked(
     ends = home + AMPLITUDES[:, None, None] * np.array([(first, second - first) for first, second in _CORNERS])
     told = predictor.of(state, Moves(home, ends, np.full(ends.shape[:2], MOVE_S)))
     on_pads = (told.nearest[:, -1] > MARGIN_M) & (told.farthest[:, -1] < length - MARGIN_M)
-    turned = told.path[..., 6:8] + told.path[..., :1]  # θ + ψ, which are the tangents but for a constant
+    turned = told.path[..., THETA] + told.path[..., :1]  # θ + ψ, which are the tangents but for a constant
     swing = np.nanmax(turned, axis=1) - np.nanmin(turned, axis=1)
     return told.touched[:, -1].mean(axis=-1), swing.mean(axis=-1) / 2, on_pads & (told.least_force[:, -1] > 0.0)
 

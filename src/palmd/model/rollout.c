@@ -11,8 +11,9 @@
 #define CONTACTS 2 /* s1, s2 */
 #define MOVE 6
 #define SUBSTEPS 4
-#define TOLD 8 /* psi, omega0, f1, f2, s1, s2, theta1, theta2 */
-#define S 4 /* where s1 is in it */
+#define TOLD 10 /* psi, omega0, f1, f2 (least), s1, s2, f1, f2 (mean), theta1, theta2 */
+#define S 4 /* where s1 is in it, */
+#define THETA 8 /* and theta1 */
 #define BINS 72
 #define MOST_MOVES 16
 #define STATE 21
@@ -75,7 +76,7 @@ static void judge(const Task *task, const Lane *lane, const double told[SUBSTEPS
       task->force[row] = lower(task->force[row], isfinite(force) ? force : -INFINITY);
       task->nearest[row] = lower(task->nearest[row], lower(now[4], now[5]));
       task->farthest[row] = higher(task->farthest[row], higher(now[4], now[5]));
-      for (int contact = 0; contact < 2; contact++) task->touched[row * BINS + bin_of(now[6 + contact])] = 1;
+      for (int contact = 0; contact < 2; contact++) task->touched[row * BINS + bin_of(now[THETA + contact])] = 1;
     }
     for (long j = 0; j < k; j++) {
       if (lane->last[j] != step) continue;

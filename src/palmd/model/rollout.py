@@ -23,8 +23,8 @@ SUBSTEPS = 4
 STEP_S = 0.01
 MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
 BINS = 72  # of outward normals, bin 0 beginning at θ = 0
-TOLD = 8  # ψ, ω0, f1, f2, s1, s2, θ1, θ2
-S = slice(4, 6)  # where in it the contacts are
+TOLD = 10  # ψ, ω0, f1, f2 at their least within a vibration, s1, s2, f1, f2 in the mean, θ1, θ2
+S, MEAN_FORCES, THETA = slice(4, 6), slice(6, 8), slice(8, 10)  # in it
 MOST_TURN = 0.2  # rad, of a curved palm's tangent at the contact within a step: beyond it the contact has jumped
 
 
@@ -45,7 +45,7 @@ def palms_on(move: SX, t: SX) -> Palms:
 
 
 def _step_function(curved: bool) -> ca.Function:
-    """(x, s, move, rig) → (x after one step, `TOLD` then), forces at their least; −inf of a contact that jumps."""
+    """(x, s, move, rig) → (x after one step, `TOLD` then); of a contact that jumps the least force is −inf."""
     x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
     touch = touch_on(rig, curved, ca.vertsplit(s))
 
@@ -64,7 +64,7 @@ def _step_function(curved: bool) -> ca.Function:
     if curved:
         turns = ca.fabs(rig[CURVATURE_INPUTS] * (ca.vertcat(*found) - s))
         forces = [ca.if_else(turns[palm] < MOST_TURN, force, -ca.inf) for palm, force in enumerate(forces)]
-    told = ca.vertcat(moving, *forces, *found, *normals)
+    told = ca.vertcat(moving, *forces, *found, *motion.forces, *normals)
     return ca.Function("step", [x, s, move, rig], touch.thawed(after, told))
 
 

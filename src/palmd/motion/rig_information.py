@@ -13,6 +13,7 @@ import numpy as np
 
 from palmd.events import FloatArray, Outlook
 from palmd.model import shape, shape_map, smoothing
+from palmd.model.rollout import THETA
 from palmd.model.smoothing import CONSTANTS, CONTACT_INPUTS, NODE, ORDER, RIG, RIG_CONSTANTS, C, R
 from palmd.motion.rollout_predictor import BINS, CALL_S, Bools
 from palmd.system.description import RigDescription
@@ -113,7 +114,7 @@ class RigInformation:
     def _rows(self, path: FloatArray, live: Bools, steps: FloatArray) -> FloatArray:
         """What `steps` move the readings by where it is `live`, less what ψ may have: in sigmas (n, palms, m)."""
         psi = path[..., 0]
-        angles = np.stack(joints_at((path[..., 6], path[..., 7]), psi), axis=-1)
+        angles = np.stack(joints_at(np.moveaxis(path[..., THETA], -1, 0), psi), axis=-1)
         angles = angles - self._p[RIG][[R.TILT, R.TURN]]
         rates = np.diff(angles, axis=1, prepend=angles[:, :1]) / CALL_S
         spin = path[..., 1]

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape_map
+from palmd.model.rollout import THETA
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, RolloutPredictor, goodness
@@ -105,7 +106,7 @@ class Roadmap:
         takes = np.repeat(tried.durations.reshape(-1, ORIENTATIONS), BETWEEN, axis=1)
         self._psi[moves] = np.nan_to_num(psi)
         self._seconds[moves] = np.where(np.isfinite(psi), takes, np.inf)
-        theta = np.where(safe[:, None, None], foreseen.path[..., -len(PALMS) :], 0.0)
+        theta = np.where(safe[:, None, None], foreseen.path[..., THETA], 0.0)
         for table, extreme in ((self._lowest, np.nanmin), (self._highest, np.nanmax)):
             for palm, normal in enumerate(extreme(theta, axis=1).T):
                 table[palm, moves] = _between(normal.reshape(-1, ORIENTATIONS), -math.tau)

@@ -18,7 +18,7 @@ from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
 from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, TOLD, S
+from palmd.model.rollout import MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 
@@ -55,9 +55,10 @@ class Moves:
 class Prediction:
     """What comes of each sequence, up to the end of each of its moves.
 
-    touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s². nearest, farthest:
-    (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. path: (N, T, TOLD) what
-    `model.rollout` tells after each `CALL_S`, NaN after the sequence's end and after what was looked at.
+    touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s², within a vibration.
+    nearest, farthest: (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. path:
+    (N, T, TOLD) what `model.rollout` tells after each `CALL_S`, NaN after the sequence's end and after what was looked
+    at.
     """
 
     touched: Bools
@@ -79,7 +80,7 @@ def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: 
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
     if any(limits.curvatures):
         room = (PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM
-        not_wedged = 2.0 - foreseen.path[..., 2:4].max(axis=-1) / MOST_FORCE
+        not_wedged = 2.0 - foreseen.path[..., MEAN_FORCES].max(axis=-1) / MOST_FORCE
         so_far = np.fmin.accumulate(np.minimum(room, not_wedged), axis=1)
         calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
         last = np.clip(calls - 1, 0, so_far.shape[1] - 1)
@@ -89,7 +90,7 @@ def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: 
 
 def tangents(path: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Both palms' at their contacts, θ + ψ + π/2 and θ + ψ + 3π/2 (rad), along a `Prediction.path`, NaN after it."""
-    turned = path[..., -2:] + path[..., :1] + np.pi * np.array([1.0, 2.0])
+    turned = path[..., THETA] + path[..., :1] + np.pi * np.array([1.0, 2.0])
     told = np.remainder(turned, 2 * np.pi) - np.pi / 2  # of none is −90° or 270° anything like right
     return told[..., 0], told[..., 1]
 
@@ -219,7 +220,7 @@ def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray,
     n, steps, _ = told.shape
     live = np.arange(steps) * STEP_S < finished[:, -1:] - 1e-9
     rows = np.broadcast_to(np.arange(n)[:, None], (n, steps))
-    theta = told[..., 6:8]
+    theta = told[..., THETA]
     turned = np.remainder(np.where(np.isfinite(theta), theta, 0.0), 2 * np.pi)  # where it diverged it is no bin's
     bins = np.floor(turned / _BIN_RAD).astype(np.intp) % BINS
     touched = np.zeros((n, k, BINS), dtype=np.bool_)
