@@ -150,8 +150,8 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * contacts[j].r / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
     kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
-    turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
-    rattling = Rattling(turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
+    by_turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
+    rattling = Rattling(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
     mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), rattling)
     along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
     f1, f2 = normal_forces(A, B, b, along)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ Array = npt.NDArray[Any]  # real or complex
 EPSILON = 1e-30
 _K = np.arange(1, HARMONICS + 1)[:, None]
 _SERIES_TERMS = 20
+_SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _OWN_RATE_STEP = 3e-4  # rad/s: slips change by far less than the speed that hides friction
 
 
@@ -97,7 +97,7 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     if averaged:
         return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2])
     kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
-    each = {signs: solved(signs) for signs in product((1, -1), repeat=2)}
+    each = {signs: solved(signs) for signs in _SIGN_PAIRS}
     turning = t.T @ (to_plane @ d) + r  # of each slip with ω0
     ripple = _ripple({signs: of[2] for signs, of in each.items()}, _mean_direction(slip / speed), kappa)
     ripple = np.sqrt((half_period * turning) ** 2 * ripple + LEAST_RIPPLE**2)
@@ -133,7 +133,7 @@ def _sign_shares(mean: Array, kappa: float) -> Iterator[tuple[tuple[int, int], A
     """Pairs of slip signs, with their shares of time: independent ones, and by |κ| as far as can be alike or unlike."""
     forward, backward = (1 + mean) / 2, (1 - mean) / 2
     unlike = kappa < 0.0
-    for signs in product((1, -1), repeat=2):
+    for signs in _SIGN_PAIRS:
         p1, p2 = (forward[j] if signs[j] > 0 else backward[j] for j in range(2))
         same = signs[0] == signs[1]
         extreme = _positive(p1 + p2 - 1) if same == unlike else np.where(p1.real < p2.real, p1, p2)
