@@ -9,7 +9,7 @@ import pytest
 from corpus import EXPECTED, check, compare, frozen, names
 
 
-def test_every_case_isfrozen() -> None:
+def test_every_case_is_frozen() -> None:
     assert names() == sorted(path.stem for path in EXPECTED.iterdir())
 
 
@@ -26,5 +26,5 @@ def test_a_changed_number_is_found_and_named(part: str) -> None:
     assert not compare(was, now, exact=True)
 
 
-def test_a_sample_gives_what_wasfrozen() -> None:
+def test_a_sample_gives_what_was_frozen() -> None:
     assert check([], sample=True) == 0
