@@ -56,7 +56,7 @@ CAUSES: dict[str, frozenset[str]] = {
     "following-error": frozenset({"block@arm", "freeze@arm", "jump@arm"}),
     "pose-implausible": frozenset({"jump@arm", "block@arm"}),
     "limits-violated": frozenset({"jump@arm"}),
-    "pose-contradicts-rig": frozenset({"jump@arm", "manual@arm"}),  # a tool that was turned by hand
+    "pose-contradicts-rig": frozenset({"jump@arm"}),
     "force-limit": _PRESSED,
     "force-excess": _PRESSED,
     **_pad(PADS[0]),
