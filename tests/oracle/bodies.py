@@ -37,6 +37,27 @@ def shares_of_signs(forward: tuple[np.ndarray, np.ndarray], kappa: np.ndarray) -
     return {(1, 1): both, (1, -1): one - both, (-1, 1): two - both, (-1, -1): 1 - one - two + both}
 
 
+def alternating_spin(
+    spin: dict[tuple[int, int], np.ndarray], forward: list[np.ndarray], kappa: np.ndarray
+) -> list[np.ndarray]:
+    """Amplitude of the triangle of ω0 by which each slip differs in its reversals, over 1/(2f) (rad/s²).
+
+    spin: α0 of each pair of slip signs. A reversal of one contact is counted with the mean over the other's signs, and
+    anywhere in the other's period (1/√3, RMS). With one frequency both reverse about together.
+    """
+    change = [
+        (spin[1, 1] + spin[1, -1] - spin[-1, 1] - spin[-1, -1]) / 2,
+        (spin[1, 1] - spin[1, -1] + spin[-1, 1] - spin[-1, -1]) / 2,
+    ]
+    weight = [p * (1 - p) for p in forward]
+    alone = [c * w for c, w in zip(change, weight, strict=True)]
+    both = np.where(kappa > 0, spin[1, 1] - spin[-1, -1], spin[1, -1] - spin[-1, 1])
+    return [
+        np.sqrt((1 - abs(kappa)) * (alone[i] ** 2 + alone[1 - i] ** 2 / 3) + abs(kappa) * (both * weight[i]) ** 2)
+        for i in range(2)
+    ]
+
+
 class Bodies:
     """Many bodies on the same palms, one column of `parameters` each; N c = h differentiated twice gives the motion."""
 
@@ -47,11 +68,12 @@ class Bodies:
         arm: float = 0.0,
         kappa: float = 0.0,
         transmission: float = 1.0,
+        half_period: float = 0.0,
     ) -> None:
-        """As a rig is described: κ of the relation between the palms' vibrations, λ of their transmission."""
+        """As a rig is described: κ of the relation between the palms' vibrations, λ of their transmission, 1/(2f)."""
         self.p = parameters
         self.gravity, self.arm = gravity, arm
-        self.kappa, self.transmission = kappa, transmission
+        self.kappa, self.transmission, self.half_period = kappa, transmission, half_period
         self.k = np.arange(ORDER + 1)[:, None]
         h = parameters[SHAPE:CONSTANTS]
         self.wave = np.concatenate([h[:1] + 0j, h[1::2] - 1j * h[2::2]])  # h = Re Σ wave_k e^{ikθ}
@@ -123,10 +145,20 @@ class Bodies:
         slips = [  # the palm's own points move across t
             t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) for i, arm in enumerate(arms)
         ]
-        one, two = (mean_direction(slip / speed) for slip in slips)
         kappas, transmission = self.kappa + self.p[KAPPA], self.transmission + self.p[TRANSMISSION]
-        forward = (1 + one) / 2, (1 + two) / 2
         of_signs = {signs: solved(signs) for signs in product((1, -1), repeat=2)}
+        turning = [  # of each slip with the body's rate
+            t[i] @ (with_spin + np.stack([-arm[1], arm[0]])) for i, arm in enumerate(arms)
+        ]
+        steady = [(1 + mean_direction(slip / speed)) / 2 for slip in slips]
+        spread = alternating_spin({signs: each[2] for signs, each in of_signs.items()}, steady, kappas)
+        swing = zip(turning, spread, strict=True)
+        ripples = [np.minimum(np.abs(by) * rate * self.half_period, speed) for by, rate in swing]
+        one, two = (
+            (mean_direction((slip + ripple) / speed) + mean_direction((slip - ripple) / speed)) / 2
+            for slip, ripple in zip(slips, ripples, strict=True)
+        )
+        forward = (1 + one) / 2, (1 + two) / 2
         directions = []
         for i, mean in enumerate((one, two)):
             parts = {signs: share * of_signs[signs][i] for signs, share in shares_of_signs(forward, kappas).items()}

@@ -12,12 +12,14 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import root
 
 from palmd.model import smoothing
+from palmd.model.dynamics import HALF_PERIOD_INPUT
 from palmd.model.shape import prior_sd
 
 LENGTHS = (0.0555, 0.048)  # of the pads
 FORCE = 0.8  # N
 FLAT = [0.0, 0.0]
-INDEPENDENT = [0.0, 1.0, 0.0, 0.0, 0.0]  # κ, λ, not the old law; by how much κ, λ are off
+HALF_PERIOD, BRIEF = 2e-3, 2e-4  # s, of a vibration; of one so fast that slips hardly alternate
+INDEPENDENT = [0.0, 1.0, 0.0, HALF_PERIOD, 0.0, 0.0]  # κ, λ, not the old law, 1/(2f); by how much κ, λ are off
 RIG = [9.81, 0.12, 0.12, 0.0, 0.0, *FLAT, *INDEPENDENT, *LENGTHS]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
@@ -35,8 +37,11 @@ def _constants(seed: int = 0, mu: float = 0.15, dither: float = 0.012) -> np.nda
     return p
 
 
-def _step(x: np.ndarray, p: np.ndarray, dt: float = DT, pace: float = 1.0) -> list[np.ndarray]:
-    u = [dt, *_palms_at(0.0, pace), *(pace * JERK), *RIG]
+def _step(
+    x: np.ndarray, p: np.ndarray, dt: float = DT, pace: float = 1.0, half_period: float = HALF_PERIOD
+) -> list[np.ndarray]:
+    rig = [*RIG[:HALF_PERIOD_INPUT], half_period, *RIG[HALF_PERIOD_INPUT + 1 :]]
+    u = [dt, *_palms_at(0.0, pace), *(pace * JERK), *rig]
     return [np.asarray(each) for each in derived(smoothing.step_function).call([x, p, u])]
 
 
@@ -105,40 +110,52 @@ def test_gradient_of_a_reading(name: str, pad: int) -> None:
 
 
 def _error_of_step(
-    mu: float, dither: float, omega0: float, dt: float = DT, pace: float = 1.0
+    mu: float, dither: float, omega0: float, dt: float = DT, pace: float = 1.0, half_period: float = HALF_PERIOD
 ) -> tuple[float, float, float]:
     """(error of ψ, error of ω0, change of ω0) in one step, against five hundred Runge–Kutta steps of the twin."""
     p = _constants(1, mu, dither)
-    bodies, n = Bodies(p[:, None], RIG[0], RIG[1]), 500
+    bodies, n = Bodies(p[:, None], RIG[0], RIG[1], half_period=half_period), 500
     psi, spin = np.array([0.2]), np.array([omega0])
     for k in range(n):
         psi, spin = bodies.moved(psi, spin, tuple(_palms_at((k + part) * dt / n, pace) for part in (0, 0.5, 1)), dt / n)
-    moved = _step(np.array([0.2, omega0]), p, dt, pace)[0].ravel()
+    moved = _step(np.array([0.2, omega0]), p, dt, pace, half_period)[0].ravel()
     return moved[0] - psi.item(), moved[1] - spin.item(), spin.item() - omega0
 
 
 @pytest.mark.parametrize(
-    ("mu", "dither", "omega0", "pace", "angle", "rate"),
+    ("mu", "dither", "omega0", "half_period", "pace", "angle", "rate"),
     [
-        (0.0, 0.012, 1.3, 1.0, 3e-8, 1e-6),
-        (0.15, 0.012, 0.1, SLOWLY, 2e-6, 1e-5),
-        (0.25, 0.008, 0.1, SLOWLY, 7e-6, 1e-4),
+        (0.0, 0.012, 1.3, HALF_PERIOD, 1.0, 3e-8, 1e-6),
+        (0.15, 0.012, 0.1, HALF_PERIOD, SLOWLY, 2e-6, 1e-5),
+        (0.25, 0.008, 0.1, BRIEF, SLOWLY, 7e-6, 1e-4),
     ],
     ids=["no friction", "friction", "stiff friction"],
 )
 def test_the_step_integrates_the_motion(
-    mu: float, dither: float, omega0: float, pace: float, angle: float, rate: float
+    mu: float, dither: float, omega0: float, half_period: float, pace: float, angle: float, rate: float
 ) -> None:
-    """To less than the process noise of such a step, 7e-6 rad and 2e-4 rad/s, where ω0 relaxes at some 500 /s."""
-    of_angle, of_rate, change = _error_of_step(mu, dither, omega0, pace=pace)
+    """To less than the process noise of such a step, 7e-6 rad and 2e-4 rad/s, where ω0 relaxes at some 500 /s.
+
+    As long as slips stay below the vibration's speed in their reversals too.
+    """
+    of_angle, of_rate, change = _error_of_step(mu, dither, omega0, DT, pace, half_period)
     assert abs(change) > 0.05
     assert abs(of_angle) < angle
     assert abs(of_rate) < rate
 
 
 def test_sudden_braking_is_followed_to_high_order() -> None:
-    long, short = (abs(_error_of_step(0.15, 0.012, 0.3, dt)[1]) for dt in (DT, DT / 2))
+    long, short = (abs(_error_of_step(0.15, 0.012, 0.3, dt, half_period=BRIEF)[1]) for dt in (DT, DT / 2))
     assert short < long / 12
+
+
+def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_order() -> None:
+    """The strongest friction on the slowest vibration: slips of 0.3 V alternate by another 0.8 V."""
+    angle, long, change = _error_of_step(0.25, 0.008, 0.1, DT, SLOWLY)
+    _, short, _ = _error_of_step(0.25, 0.008, 0.1, DT / 2, SLOWLY)
+    assert abs(angle) < 7e-6
+    assert abs(long) < 0.06 * abs(change)
+    assert abs(short) < abs(long) / 4
 
 
 def test_the_stiffest_braking_never_explodes() -> None:
@@ -172,7 +189,7 @@ def test_a_reading_is_taken_where_the_cubic_between_the_nodes_is(t: float, pad: 
     p = _constants(2)
     cubic = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])
     psi, omega0 = np.array([cubic(t)]), np.array([cubic(t, 1)])
-    twin = Bodies(p[:, None], RIG[0], RIG[1])
+    twin = Bodies(p[:, None], RIG[0], RIG[1], half_period=HALF_PERIOD)
     s, _ = _reading(derived(smoothing.contact_function), NODES, p, [DT, t, pad, *PALMS[:4], FORCE, *FLAT, *LENGTHS])
     assert s.item() == pytest.approx(twin.contacts(PALMS, psi)[pad - 1].item(), abs=1e-12)
     force, _ = _reading(derived(smoothing.force_function), NODES, p, [DT, t, pad, *PALMS, *RIG])
@@ -193,7 +210,9 @@ def test_forces_depend_on_the_relation_and_the_transmission_of_vibrations(
     force, _ = _reading(derived(smoothing.force_function), np.array([[psi, slow]] * 2), p, [DT, 0.0, pad, *PALMS, *rig])
     wanted, other = (
         0.16
-        * Bodies(p[:, None], RIG[0], RIG[1], *law).forces_and_spin(PALMS, np.array([psi]), np.array([slow]))[pad - 1]
+        * Bodies(p[:, None], RIG[0], RIG[1], *law, HALF_PERIOD).forces_and_spin(
+            PALMS, np.array([psi]), np.array([slow])
+        )[pad - 1]
         for law in laws
     )
     assert force.item() == pytest.approx(wanted, rel=1e-9)
