@@ -21,6 +21,7 @@ from palmd.rig.shapes import random_body
 from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
 from palmd.system.description import RigDescription
+from palmd.system.vibration import AVERAGED
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4
@@ -84,7 +85,10 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     x = np.zeros(shape_map.N)
     x[Z.SHAPE :] = np.linalg.lstsq(shape.basis(theta), body.support.sample(theta), rcond=None)[0]
     x[Z.LN_RHO], x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING] = math.log(body.rho), mu, math.log(2e-3), 2e-4
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+    rig = RigDescription(
+        hinge="fixed", vibration=AVERAGED
+    )  # as the plant: on palms that shake so weakly it would stick
+    follower = Observability(rig_inputs(rig), np.full(2, 1.2e-8))
     one, two = plant.contacts()
     start = blind_start((one.s, two.s), _palms(0.0), 8, True, np.random.default_rng(0))
     follower.begin(0.0, shape_map_sd(start))
