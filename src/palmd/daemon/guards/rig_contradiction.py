@@ -11,7 +11,7 @@ from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 
 QUARTER_TURNS = (90.0, 180.0, -90.0)
 FOUND_RAD = 3.0 * math.radians(0.7)
-"""How far the tool of an arm that has not been driven yet may be turned against palm 2, which it holds: 3σ of half a
+"""How far the tool of an arm that has not been driven yet may be turned against the palm that it holds: 3σ of half a
 degree each of the grip, and of a yaw that was set by hand. A palm 5 mm longer than configured turns it by more."""
 
 
