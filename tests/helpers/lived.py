@@ -9,6 +9,7 @@ import recorded
 
 from palmd import observer
 from palmd.config.two_palms import PlanSpec, rig_description
+from palmd.config.vibration import VibrationConfig
 from palmd.harness.wireless import Wireless
 from palmd.messages import info_fields, stamp
 from palmd.quantities import ESTIMATE, INFO, LOOP
@@ -17,7 +18,8 @@ from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
 
-SECONDS = 5.0  # it is valid after 4.3: of the palms' vibration nothing is told, which costs this seed a second
+SECONDS = 5.0  # it is valid after 3.1
+SHAKER = VibrationConfig(relation="independent", frequency_hz=250, speed_m_s=0.012)
 PLAN = PlanSpec.model_validate(
     {
         "name": "rock",
@@ -29,9 +31,16 @@ _KEPT = tempfile.TemporaryDirectory(prefix="palmd-test-lived-")
 
 
 @cache
+def configured():
+    """A rig whose palms' vibration is known."""
+    config = default_config()
+    return config.model_copy(update={"rig": config.rig.model_copy(update={"vibration": SHAKER})})
+
+
+@cache
 def published():
     """(topic, fields) as they would go to the bus, and the rig's truth among them."""
-    config = default_config()
+    config = configured()
     lived = Wireless(config, PLAN, 0, smoothing=observer.Simulated(rig_description(config)))
     told, numbers = [], {}
 
@@ -47,7 +56,7 @@ def published():
             publish(topic, fields, instant.t)
         if numbers[ESTIMATE.name] % 100 == 0:
             publish("rig/object", lived.world.object_truth(), instant.t)
-            publish(INFO.name, info_fields("0.1.0", "shape", default_config()), instant.t)
+            publish(INFO.name, info_fields("0.1.0", "shape", configured()), instant.t)
             publish(LOOP.name, loop_fields(), instant.t)
         return instant
 
@@ -75,7 +84,7 @@ def raw(topic, fields):
 def path():
     """The finished run."""
     folder = Path(_KEPT.name)
-    file = RunFile(folder, preface(default_config(), recorded.BEGIN.isoformat()), recorded.BEGIN)
+    file = RunFile(folder, preface(configured(), recorded.BEGIN.isoformat()), recorded.BEGIN)
     for topic, fields in published():
         file.write(raw(topic, fields))
     file.finish()

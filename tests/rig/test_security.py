@@ -82,7 +82,6 @@ def test_only_who_has_a_key_hears_and_moves_anything(guarded, tmp_path):
         _, _, seen = palmd("ctl", "status", "--json", "--address", command, *desk)
         assert json.loads(seen)["result"]["state"] == "ready"
         assert palmd("ctl", "arm", "--address", command, "--key", tmp_path / "ann.key_secret")[0] == 0
-        assert "has control" in operator.ask("start")["error"]  # another program of the same member
         assert operator.ask("start", {"take": True})["ok"]
         wait(lambda: guarded.rig_status()["largest_step_mm"] > 0.0, "the arm moving")
 

@@ -47,7 +47,7 @@ ARM_CODES: dict[str, tuple[str, ...]] = {
     "break": ("arm-fault", "arm-left-tracking"),
     "estop": ("arm-estop", "arm-left-tracking"),
     "power_off": ("arm-power-off", "arm-left-tracking"),
-    "manual": ("arm-manual", "arm-left-tracking", "limits-violated", "pose-contradicts-rig"),
+    "manual": ("arm-manual", "arm-left-tracking", "limits-violated"),
     "block": ("following-error", "pose-implausible"),
     "freeze": ("following-error",),
     "jump": ("following-error", "pose-implausible", "limits-violated", "pose-contradicts-rig"),

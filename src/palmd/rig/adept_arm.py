@@ -75,7 +75,7 @@ class AdeptArm(DrivenTool):
         return self._linkage.pose(*_jogged(palms, self._home))
 
     def _hear_setpoint(self, pose: Pose, t: float) -> None:
-        self.judge.hear(pose, t, self._true_pose(t) if self.state is ArmState.HOLD else None)
+        self.judge.hear(pose, t, None if self.state is ArmState.TRACKING else self._true_pose(t))
 
 
 def arm_limits(config: Config) -> ArmLimits:

@@ -38,7 +38,7 @@ GIVE_UP_AFTER_S = 0.160
 RESUME_WITHIN_M = 5e-3
 RESUME_WITHIN_RAD = math.radians(3.0)
 _EMERGENCY = 4.0  # how much harder than planned an emergency stop brakes
-_JOG_M_S = 0.02
+_JOG_M_S, _NEAR_M = 0.02, 1e-9
 _SLACK = 1e-9  # s: cycles and time-outs are multiples of each other
 
 LINK_LOST, OUTSIDE, STEP_TOO_LARGE, WRONG_STATE = -600, -610, -611, -620
@@ -240,7 +240,13 @@ class Controller:
             self._step = (self._step[0] + change[0], self._step[1] + change[1])
         else:
             self._step = wanted
-        angle = self._target.t_rad if self.state is ArmState.TRACKING else path.t_rad
+        angle = path.t_rad
+        if self.state is ArmState.TRACKING:
+            angle = self._target.t_rad
+        elif self.state is ArmState.MANUAL:  # the tool turns with the palm that it holds
+            left = math.hypot(self._target.x_m - path.x_m, self._target.y_m - path.y_m)
+            share = min(math.hypot(*self._step) / max(left, _NEAR_M), 1.0)
+            angle = turn(angle + share * turn(self._target.t_rad - angle))
         self.path = Pose(path.x_m + self._step[0], path.y_m + self._step[1], angle)
 
     def _begin(self, t: float, actual: Pose) -> None:

@@ -20,9 +20,9 @@ _SEPARATE_S = 0.1  # set-points further apart belong to different motions
 class SetPointChecker:
     """Every set-point heard, valid or not, as palm angles: outside limits or not, and how fast they moved.
 
-    The rate is that between two set-points in a row, over the time between them but one cycle at least. Where the
-    arm holds, a set-point may as well begin from where it stands: whichever step is the smaller counts. A rig that was
-    kept from listening finds set-points lying in a heap, and dates them all to when it listened last: then the time
+    The rate is that between two set-points in a row, over the time between them but one cycle at least. Where the arm
+    does not follow, a set-point may as well begin from where it is: whichever step is the smaller counts. A rig that
+    was kept from listening finds set-points lying in a heap, and dates them all to when it listened last: then the time
     between may have been longer by as much, and nothing faster is known than the rate over that.
     """
 
@@ -43,7 +43,7 @@ class SetPointChecker:
             self._late_s, self._t_late = late_s, t
 
     def hear(self, pose: Pose, t: float, standing: Pose | None = None) -> None:
-        """Takes a set-point heard at t (s); `standing` is where an arm stands that holds, else None."""
+        """Takes a set-point heard at t (s); `standing` is where an arm is that no set-point moves, else None."""
         angles = self.linkage.angles(pose.x_m, pose.y_m)
         if angles is None:
             self.outside_limits += 1

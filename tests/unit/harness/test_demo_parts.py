@@ -115,7 +115,7 @@ class LateBus:
                 yield Message(topic, fields, self.t)
 
     def ask(self, command, _args=None):
-        status = {"state": self.state, "severities": [], "segment": self.segment, "wish": self.wish}
+        status = {"state": self.state, "severities": [], "segment": self.segment, "wish": self.wish, "control": ""}
         if command == "status":
             return {"ok": True, "result": status}
         self.asked.append(command)

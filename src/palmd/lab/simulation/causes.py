@@ -56,7 +56,7 @@ CAUSES: dict[str, frozenset[str]] = {
     "following-error": frozenset({"block@arm", "freeze@arm", "jump@arm"}),
     "pose-implausible": frozenset({"jump@arm", "block@arm"}),
     "limits-violated": frozenset({"jump@arm"}),
-    "pose-contradicts-rig": frozenset({"jump@arm", "manual@arm"}),  # a tool that was turned by hand
+    "pose-contradicts-rig": frozenset({"jump@arm"}),
     "force-limit": _PRESSED,
     "force-excess": _PRESSED,
     **_pad(PADS[0]),
@@ -66,6 +66,7 @@ CAUSES: dict[str, frozenset[str]] = {
     "smoother-silent": frozenset({"slow"}),
     "explorer-silent": frozenset({"slow", "broken", "told"}),
     "pads-swapped": _PRESSED,
+    "pads-mirrored": _PRESSED | frozenset(_BODY),  # a finger and another object move otherwise than this one
     "estimate-lost": frozenset({"broken", "told", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})
     | {f"{what}@{pad}" for what in _LINE for pad in PADS},
     "estimate-inconsistent": frozenset({"broken", *_BODY, *_PRESSED, "block@arm", "freeze@arm", "jump@arm"})

@@ -23,7 +23,6 @@ _NEEDS_TRACKING = (
     *("arm-left-tracking", "arm-late", "arm-held", "estimate-lost", "estimate-inconsistent"),
 )
 _NEVER_CAUSED = {
-    "pads-mirrored": "the simulated pads have the signs that are configured",
     "arm-uncalibrated": "the emulated controller never loses its calibration",
     "arm-servo-": "only servos have it",
     "pad3-": "only three palms in space have such a pad",

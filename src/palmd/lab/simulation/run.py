@@ -412,8 +412,11 @@ def _spoilt(how: Bytes, data: bytes) -> bytes:
 
 @functools.cache
 def configured(autostart: bool, rate_hz: float = RATE_HZ) -> Config:
-    """The rig as shipped, but for how often its loop ticks."""
+    """The rig as shipped, but for how often its loop ticks, and pads that no object of these saturates."""
     config = default_config()
+    wide = {"newtons_per_count": 0.04}
+    pads = {f"palm{n}": pad.model_copy(update=wide) for n, pad in zip(PALMS, config.pads.each(), strict=True)}
+    config = config.model_copy(update={"pads": config.pads.model_copy(update=pads)})
     loop = config.loop.model_copy(update={"rate_hz": rate_hz})
     return config.model_copy(update={"autostart": autostart, "loop": loop})
 
