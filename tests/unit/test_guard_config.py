@@ -20,14 +20,14 @@ def limits(tmp_path, text):
     return load_config(path).limits
 
 
-def test_defaults_are_below_the_pads_full_scale(tmp_path):
+def test_without_a_limit_a_force_is_limited_where_the_pad_saturates(tmp_path):
     told = limits(tmp_path, "  rate_deg_s: 100\n")
-    assert force_limits(told.force_n, {"palm1": 2.54, "palm2": 5.0}) == pytest.approx((2.286, 4.5))
+    assert force_limits(told.force_n, {"palm1": 2.54, "palm2": 5.0}) == pytest.approx((2.54, 5.0))
     assert told.following_error.at_rest_deg < told.following_error.at_full_rate_deg
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"), [("1.5", (1.5, 1.5)), ("{palm2: 1.0}", (2.286, 1.0)), ("{palm1: 1, palm2: 2}", (1.0, 2.0))]
+    ("text", "expected"), [("1.5", (1.5, 1.5)), ("{palm2: 1.0}", (2.54, 1.0)), ("{palm1: 1, palm2: 2}", (1.0, 2.0))]
 )
 def test_a_force_is_of_all_pads_or_of_each(tmp_path, text, expected):
     told = limits(tmp_path, f"  force_n: {text}\n")
