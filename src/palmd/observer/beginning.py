@@ -7,7 +7,6 @@ valley next to the right one. What is known already is found again in short wind
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,15 +15,13 @@ from palmd.model import shape
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, ORDER, C
 from palmd.observer.factor import SIZE, Factor
-from palmd.observer.normal_equations import Guess, ProcessNoise
+from palmd.observer.normal_equations import LOOSENED, Guess
 from palmd.observer.record import Record
 from palmd.observer.smoother import Fit, Smoother
 
 FIRST_STEPS, LEAST_STEPS = 20, 5  # by which a window grows at first: more where that was right, fewer where it was not
 OVERLAP = 50  # steps of what is known already, at a window's end
 ITERATIONS = 12  # of a window: what is right is near
-LOOSENED = (1e3, 10.0)
-"""By which the motion is noisier at first: from a steady turn few iterations settle where friction is stiff."""
 ANYWHERE_RAD, ANY_SPIN = 10.0, 10.0  # one-sigmas of a window's first node (rad, rad/s): it has no part in the gauge
 
 
@@ -64,7 +61,7 @@ def _carried_back(
         start = Guess(_before(x[: end - first + 1], window, first - begin), p)
         smoother = Smoother(library, window, known)
         for times in loosened:
-            start = smoother.fit(start, _noisier(rest.noise, times), ITERATIONS).guess
+            start = smoother.fit(start, rest.noise.noisier(times), ITERATIONS).guess
         fit = smoother.fit(start, rest.noise, ITERATIONS)
         if fit.settled and explained(fit, window):
             x, p = np.concatenate([fit.guess.x, x[end - first + 1 :]]), fit.guess.p
@@ -74,10 +71,6 @@ def _carried_back(
         else:
             return None
     return from_zero(Guess(x, p))
-
-
-def _noisier(noise: ProcessNoise, times: float) -> ProcessNoise:
-    return replace(noise, psi=times * noise.psi, omega0=times * noise.omega0)
 
 
 def from_zero(guess: Guess) -> Guess:

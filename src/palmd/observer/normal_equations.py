@@ -40,6 +40,14 @@ class ProcessNoise:
     omega0: float
     gate: float = math.inf
 
+    def noisier(self, times: float) -> ProcessNoise:
+        """So many times as dense, without a gate."""
+        return ProcessNoise(times * self.psi, times * self.omega0)
+
+
+LOOSENED = (1e3, 10.0)
+"""Factors on the process noise of the first iterations where a fit is far from its minimum or friction is stiff."""
+
 
 @dataclass(frozen=True, slots=True)
 class Guess:

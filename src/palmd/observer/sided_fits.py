@@ -13,7 +13,7 @@ from palmd.model import sharp
 from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import C
 from palmd.observer.factor import Prior
-from palmd.observer.normal_equations import Guess, ProcessNoise
+from palmd.observer.normal_equations import LOOSENED, Guess, ProcessNoise
 from palmd.observer.record import Record, lasting
 from palmd.observer.ridden import begun, calm, kept, narrowed, normal_at_first, trimmed
 from palmd.observer.rides import Ride, corner_of
@@ -30,7 +30,6 @@ FIXED = 1e-3
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and by how much the motion is noisier
 WAYS: tuple[Way, ...] = (((5e-4, 1.0), (2.5e-4, 1.0)), ((5e-4, 1e3), (5e-4, 10.0), (2.5e-4, 1.0)))  # to what rides
-LOOSENED = (1e3, 10.0)  # by which the motion is noisier at first, where rides are joined
 SHAPE_SD = 2.0  # times that of a smooth lump
 LN_GYRATION, LN_GYRATION_SD = math.log(0.67), 0.12  # of a triangle 0.61, of a square 0.64, of a disc 0.71
 MOST_CUT = 0.2  # of the rides, that may be left out as nothing explains it
@@ -151,7 +150,7 @@ class SidedFits:
     def loosened(self, record: Record, sides: tuple[FlatSide, ...], guess: Guess) -> Candidate:
         """As `fitted`, of a motion that is noisier at first, and sides that are as wide as they are."""
         for times in LOOSENED:
-            guess = self.fitted(record, sides, guess, (held(guess),), noise=_noisier(times)).fit.guess
+            guess = self.fitted(record, sides, guess, (held(guess),), noise=NOISE.noisier(times)).fit.guess
         return self.fitted(record, sides, guess, FINE, LAST_ITERATIONS)
 
     def along(self, way: Way, rides: Sequence[Ride]) -> Candidate:
@@ -163,7 +162,7 @@ class SidedFits:
         guess = begun(record, palm, corner_of(rides), p, self.prior(sides))
         for width, times in way:
             guess = narrowed(guess, record, palm, width)
-            guess = self.fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=_noisier(times)).fit.guess
+            guess = self.fitted(record, sides, guess, ((width, FIXED, math.inf),), noise=NOISE.noisier(times)).fit.guess
         return self.fitted(record, sides, guess)
 
     def on_one_side(self, rides: Sequence[Ride]) -> tuple[Candidate, ...]:
@@ -222,10 +221,6 @@ class SidedFits:
 def held(guess: Guess) -> Stage:
     """The sides' width kept as the guess has it."""
     return math.exp(guess.p[WIDTH]), FIXED, NOISE.gate
-
-
-def _noisier(times: float) -> ProcessNoise:
-    return ProcessNoise(times * NOISE.psi, times * NOISE.omega0)
 
 
 def smoother_of(sides: Sequence[FlatSide], record: Record, prior: Prior) -> SidedSmoother:
