@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
-from palmd.model.friction import Rattling, Vibrated, averaged, normal_forces
+from palmd.model.friction import SlipResponse, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
 VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 13)
-"""Where what the kernels are told of the rig has κ, λ, whether the old law holds, 1/(2f); by how much κ, λ are off."""
+"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ and λ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class BodyConstants:
 class Motion:
     """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
 
-    least: how little each contact bears meanwhile (m/s²).
+    least: the least force on each contact within a vibration (m/s²).
     """
 
     alpha0: SX
@@ -151,10 +151,10 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
     kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
     by_turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
-    rattling = Rattling(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
-    mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), rattling)
+    response = SlipResponse(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
+    mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response)
     along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
     f1, f2 = normal_forces(A, B, b, along)
     torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
     alpha0 = (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2
-    return Motion(alpha0, f1, f2, mean.least)
+    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)))

@@ -19,7 +19,7 @@ KINK = 0.02
 LEAST_DETERMINANT = 0.02  # of that without friction; less and the body is wedged, where no law of this kind holds
 LEAST_FORCE = 1e-9  # m/s², so that 0/0 of a contact that is never loaded is 0
 LEAST_RIPPLE = 1e-7  # m/s, so that a ripple has a derivative at 0
-BRIEF = 0.01  # share of the time
+BRIEF = KINK / 2  # share of time that the smooth kink leaves to the other sign at a slip of 1.2 V
 SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 SLOPE = math.pi / 2
 """u_d = `SLOPE` V: the averaged law with this u_d has the same slope at u = 0 as vibrations of speed V."""
@@ -110,8 +110,8 @@ def effective_directions(
 
 
 @dataclass(frozen=True, slots=True)
-class Rattling:
-    """What makes a body's own slip go up and down while friction alternates.
+class SlipResponse:
+    """How the slip of both contacts responds to friction that alternates.
 
     turning: G_i = ∂u_i/∂ω0 (m), by which the slip at contact i changes as the body turns with both contacts kept. d, r:
     of both contacts as in `model.contact`. rho2: ρ² (m²). half_period: 1/(2f) of the vibration (s), 0 for none of it.
@@ -125,13 +125,18 @@ class Rattling:
 
 
 def ripples(
-    forces: Sequence[Sequence[Any]], mu: Sequence[Any], sigma: Sequence[Any], kappa: Any, body: Rattling, xp: Any = ca
+    forces: Sequence[Sequence[Any]],
+    mu: Sequence[Any],
+    sigma: Sequence[Any],
+    kappa: Any,
+    body: SlipResponse,
+    xp: Any = ca,
 ) -> tuple[Any, Any]:
     """By how much (m/s) the slip of each contact goes up and down as contacts reverse (section 1, validity b).
 
     A reversal of contact j changes α0 by Δ_j: a triangle of amplitude a_ij = |G_i Δ_j| p_j (1 − p_j)/(2f). Slip i
     reverses at the tip of its own, anywhere on an independent palm's (1/√3 of it, RMS). Palms of one frequency reverse
-    about together, from one sign pair to its opposite. Told as the root of a mean square, in between for 0 < |κ| < 1.
+    about together, from one sign pair to its opposite. Returns the root mean square, interpolated for 0 < |κ| < 1.
     """
     both, one_only, two_only, none = (
         -sum(f * (d + m * s * r) for f, d, r, m, s in zip(pressed, body.d, body.r, mu, signs, strict=True)) / body.rho2
@@ -152,12 +157,28 @@ def ripples(
 class Averaged:
     """What friction does in the mean over the vibration.
 
-    directions: of friction at each contact, with which one solve of the contact equations gives the mean forces. least:
-    how little each contact bears while the vibration goes on (m/s²): 0, and it hops.
+    directions: of friction at each contact, with which one solve of the contact equations gives the mean forces.
+    pair_forces, shares: normal forces (m/s²) and share of time of each of `SIGN_PAIRS`. transmission: λ, 0 with the
+    averaged law.
     """
 
     directions: tuple[SX, ...]
-    least: tuple[SX, ...]
+    pair_forces: tuple[tuple[SX, ...], ...]
+    shares: tuple[SX, ...]
+    transmission: SX
+
+    def least_forces(self, means: Sequence[SX]) -> tuple[SX, ...]:
+        """The least force on each contact within a vibration (m/s²), of these mean forces; at 0 it hops.
+
+        Of the sign pairs that last for more than `BRIEF` of the time.
+        """
+        return tuple(self._least(i, mean) for i, mean in enumerate(means))
+
+    def _least(self, contact: int, mean: SX) -> SX:
+        least = mean
+        for pair, share in zip(self.pair_forces, self.shares, strict=True):
+            least = ca.fmin(least, ca.if_else(share > BRIEF, pair[contact], mean))
+        return mean + self.transmission * (least - mean)
 
 
 def averaged(
@@ -167,12 +188,13 @@ def averaged(
     mu: Sequence[SX],
     slip: Sequence[SX],
     vibrated: Vibrated,
-    body: Rattling,
+    body: SlipResponse,
 ) -> Averaged:
     """Friction at both contacts, of slips u_i (m/s), whichever law the vibration asks for."""
     forces = sign_pair_forces(A, B, b, mu)
     per_speed = SLOPE / vibrated.dither
     steady = [mean_direction(u * per_speed) for u in slip]
+    # a ripple of V or more would stick, where the law is void
     rippled = [ca.fmin(a, 1 / per_speed) for a in ripples(forces, mu, steady, vibrated.kappa, body)]
     new = [
         (mean_direction((u + a) * per_speed) + mean_direction((u - a) * per_speed)) / 2
@@ -180,19 +202,6 @@ def averaged(
     ]
     old = [averaged_direction(u, vibrated.dither) for u in slip]
     sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, old, strict=True)]
-    follows = vibrated.transmission * (1 - vibrated.averaged)
-    found = effective_directions(forces, sigma, vibrated.kappa, follows)
-    means = normal_forces(A, B, b, [m * s for m, s in zip(mu, found, strict=True)])
-    shares = sign_shares(sigma, vibrated.kappa)
-    least = tuple(
-        mean + follows * (_least_of([pair[i] for pair in forces], shares, mean) - mean) for i, mean in enumerate(means)
-    )
-    return Averaged(found, least)
-
-
-def _least_of(forces: Sequence[SX], shares: Sequence[SX], otherwise: SX) -> SX:
-    """The least of them that lasts for more than `BRIEF` of the time."""
-    least = otherwise
-    for force, share in zip(forces, shares, strict=True):
-        least = ca.fmin(least, ca.if_else(share > BRIEF, force, otherwise))
-    return least
+    transmission = vibrated.transmission * (1 - vibrated.averaged)
+    found = effective_directions(forces, sigma, vibrated.kappa, transmission)
+    return Averaged(found, forces, sign_shares(sigma, vibrated.kappa), transmission)

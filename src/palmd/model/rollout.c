@@ -11,7 +11,7 @@
 #define CONTACTS 2 /* s1, s2 */
 #define MOVE 6
 #define SUBSTEPS 4
-#define TOLD 10 /* psi, omega0, f1, f2 (least), s1, s2, f1, f2 (mean), theta1, theta2 */
+#define TOLD 10 /* psi, omega0, f1, f2 (least within a vibration), s1, s2, f1, f2 (mean), theta1, theta2 */
 #define S 4 /* where s1 is in it, */
 #define THETA 8 /* and theta1 */
 #define BINS 72
