@@ -27,7 +27,9 @@ def only_recorder(directory: Path, publish: str) -> Iterator[None]:
         directory.mkdir(parents=True, exist_ok=True)
         fd = _locked(path)
     except BlockingIOError:
-        other = path.read_text(errors="replace")[:20]
+        other = ""
+        with contextlib.suppress(OSError):  # which may have ended meanwhile
+            other = path.read_text(errors="replace")[:20]
         raise RecorderLockedError(
             f"process {other} already records {publish} into {directory}: end it first, or configure another folder"
         ) from None

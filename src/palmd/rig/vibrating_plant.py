@@ -153,7 +153,8 @@ class VibratingPlant(CurvedPlant):
     def touching(self) -> tuple[bool, bool]:
         """Which palms the body touches, or has touched within a period: normal forces alternate, and it may hop."""
         one, two = (
-            self._t - t <= 1.0 / palm.frequency for t, palm in zip(self._t_touched, self.shaking.palms, strict=True)
+            not self.fallen and self._t - t <= 1.0 / palm.frequency
+            for t, palm in zip(self._t_touched, self.shaking.palms, strict=True)
         )
         return one, two
 
@@ -198,14 +199,11 @@ class VibratingPlant(CurvedPlant):
         self._rates = m.ax, m.ay, m.al, m.f[0], m.f[1]
         self._theta = list(m.theta)
         self.fallen = m.fallen != 0.0
-        if self.fallen:
-            self._t_touched = [-math.inf] * _CONTACTS
 
     def take_away(self) -> None:
         """Removes the body from the palms until it is placed again."""
         super().take_away()
         self._memory = _Body(fallen=1.0)
-        self._t_touched = [-math.inf] * _CONTACTS
 
     def _compiled_scene(self) -> _CompiledScene:
         shakers, (mode, travel, base) = self.shaking.palms, astuple(self.hinge)
