@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.daemon.smoothing import BatchingProcess, described_by, work
+from palmd.daemon.smoothing import BatchingProcess, rig_from_json, work
 from palmd.events import Event
 from palmd.system.pivot import PivotAnswer, PivotRig
 
@@ -29,7 +29,7 @@ def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the rig's fields as JSON."""
     from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother  # SciPy, in this process alone
 
-    smoother = GrowingSmoother(described_by(rig, PivotRig))
+    smoother = GrowingSmoother(rig_from_json(rig, PivotRig))
 
     def answer() -> list[Any] | None:
         a = smoother.answer()

@@ -137,8 +137,8 @@ def work(
                 give_back_memory()  # not beside a thought: the collector stops it, for a third of its time
 
 
-def described_by(rig: str, kind: type[Rig]) -> Rig:
-    """The description that was handed to a process as JSON, down to its last dataclass."""
+def rig_from_json(rig: str, kind: type[Rig]) -> Rig:
+    """The rig of which a process was given the fields as JSON, nested dataclasses included."""
     from pydantic import TypeAdapter  # in the process alone
 
     return TypeAdapter(kind).validate_json(rig)
@@ -150,7 +150,7 @@ def serve(address: str, rig: str) -> None:
     from palmd.model import shape_map, smoothing
     from palmd.observer.incremental import IncrementalSmoother
 
-    described = described_by(rig, RigDescription)
+    described = rig_from_json(rig, RigDescription)
     smoother = IncrementalSmoother(described)
     smoothing.library(described.curved)
     shape_map.library(curved=described.curved)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd.daemon.smoothing import BatchingProcess, described_by, work
+from palmd.daemon.smoothing import BatchingProcess, rig_from_json, work
 from palmd.events import Event
 from palmd.system.three_palms import BodyAnswer, ThreePalmsRig
 from palmd.three_palms_messages import shaped
@@ -37,7 +37,7 @@ def serve(address: str, rig: str) -> None:
     from palmd.observer.three_palms.growing import GrowingBody  # SciPy, in this process alone
 
     sys.setswitchinterval(SWITCH_S)
-    smoother = GrowingBody(described_by(rig, ThreePalmsRig))
+    smoother = GrowingBody(rig_from_json(rig, ThreePalmsRig))
     pool = ThreadPoolExecutor(1)
     thought: Future[BodyAnswer | None] | None = None
 

@@ -35,7 +35,7 @@ TRAIL = 1.35  # times the drag at which the body just rolls
 BACK = 0.6  # share of that which the arm goes back while the body is raised
 STEP_M, STEP_SHARE = 8e-4, 0.09  # of height at a time, and as a share of e
 DOWN_M_S = 0.004
-# Of e, that the body must be set down with: and as a share of the pivot's height, which is beyond friction's cone.
+# Of e, that the body must be set down with; and as a share of the pivot's height, outside the friction cone of μ = 0.2.
 TILTED_M, TILTED_SHARE = 2.5e-3, 0.2
 LEAST_LEVER_M, LEVER_SHARE = 2e-3, 0.4  # of e, where it turns back: that, or a share of the largest on this side
 TAMED_SHARE, LEAST_FORCE_N = 0.55, 0.09  # of the limit (lifted off, it rises), and the force, where it turns back
@@ -85,7 +85,7 @@ class Drags:
         self._torque = 0.0  # about the pivot, that the pad gave at the last steps (N m)
         self._least_torque, self._torque_lost = math.inf, 0.0  # since the last step, and how much less that is by step
         self._weak = 0.0  # the least of the last step
-        self._mu = 0.0  # of friction, as far as it has shown
+        self._mu = 0.0  # lower bound of the friction coefficient, from measured forces
         self._z_felt = -math.inf  # where the body was felt last
         self._z_begun = -math.inf  # where it was set down: up to there a way up is known
         self._most = 0.0  # largest |e| of this touch
@@ -306,13 +306,13 @@ class Drags:
             self._slope += (0.6 if self._followed else 1.0) * (slope - self._slope)
             self._followed = True
         self._before = felt.z, square
-        self._mu = max(self._mu, self._shown_friction(felt))
+        self._mu = max(self._mu, self._least_friction(felt))
         self._torque = max(FADING * self._torque, felt.force * abs(felt.e))  # as before where no force is told
         self._torque_lost = max(self._weak - self._least_torque, 0.0)
         self._weak, self._least_torque = self._least_torque, math.inf
 
-    def _shown_friction(self, felt: Touching) -> float:
-        """The least μ by which the force has risen as the arm came to rest; 0 where it has not.
+    def _least_friction(self, felt: Touching) -> float:
+        """A lower bound of μ by how much the force has risen as the arm came to rest; 0 where it has not.
 
         Trailing, friction helps: the pad presses by τ/(|e| + μz), at rest by τ|e|/(e² − μ²z²) as in `_foreseen`.
         """
@@ -329,10 +329,10 @@ class Drags:
         one contact). What is felt on the way is less: so the largest of the last steps counts.
         """
         e = self._lever(felt, dz)
-        here, there = self._leaning(abs(felt.e), felt.z), self._leaning(e, felt.z + dz)
+        here, there = self._jam_margin(abs(felt.e), felt.z), self._jam_margin(e, felt.z + dz)
         return max(self._torque, felt.force * abs(felt.e)) / e * here / there if min(here, there) > 0.0 else math.inf
 
-    def _leaning(self, e: float, z: float) -> float:
+    def _jam_margin(self, e: float, z: float) -> float:
         """1 − (μz/e)² of a lever e (m) and a height z (m): where it comes to 0, friction holds the body."""
         return 1.0 - (self._mu * z / e) ** 2
 

@@ -208,4 +208,4 @@ class Clock:
 @pytest.mark.parametrize("kind", [RigDescription, PivotRig, ThreePalmsRig])
 def test_a_rig_crosses_unchanged(kind: type) -> None:
     rig = kind(vibration=Vibration("unknown", speed=0.012, speed_sd=0.001))
-    assert smoothing.described_by(json.dumps(asdict(rig)), kind) == rig
+    assert smoothing.rig_from_json(json.dumps(asdict(rig)), kind) == rig

@@ -19,7 +19,7 @@ LATELY_S = 0.05
 """Beyond the lag: for so long a commanded rate still widens the limits."""
 
 Contradiction = Callable[[Pose, float], str]
-"""What a reported pose contradicts of the rig as configured, in words or none; a tool angle, to so much."""
+"""(pose, tolerance of the tool angle in rad) → what the pose contradicts of the configured rig; empty where nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ def _arc_words(geometry: RigGeometry, pose: Pose, tool_rad: float) -> str:
     x, y = pose.x_m * 1e3, pose.y_m * 1e3
     return (
         f"the arm at x {x:.1f} mm, y {y:.1f} mm reports a tool angle of {math.degrees(pose.t_rad):.1f}°; base, yaw and "
-        f"palm lengths as configured give {math.degrees(expected):.1f}°, {math.degrees(off):+.1f}° off: or the tool "
+        f"palm lengths as configured give {math.degrees(expected):.1f}°, {math.degrees(off):+.1f}° off; or the tool "
         "was turned in its grip"
     )
 
