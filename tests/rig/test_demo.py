@@ -19,7 +19,8 @@ from palmd.record.run import read_run
 pytestmark = pytest.mark.rig
 
 SUMMARY = re.compile(
-    r"palmd demo: seed 3, shape observer settled after \d+\.\d s, object \d+ valid at the end, "
+    r"palmd demo: seed 3, shape observer settled after \d+\.\d s, object \d+ "
+    r"(?:valid|not valid \(last valid \d+\.\d s before\)) at the end, "
     r"lost (?:never|once|\d+ times), outline \d+ µm RMS \(\d+\.\d\d%\) on \d+% touched "
     r"normals \(sd \d+ µm\), whole outline within \d+\.\d{3} mm \(largest sd \d+\.\d{3} mm\), r \d\.\d{3} mm, "
     r"omega0 \d\.\d{3} rad/s, "
