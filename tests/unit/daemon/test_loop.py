@@ -119,7 +119,7 @@ class Wires:
                 command = parse_command(line.split(b"*")[0].decode())
                 reply = HelloReply(0.016, 0.1, 0.6, -0.4, 0.3, 2.0, 50.0)
                 if isinstance(command, Query):
-                    reply = Ack(command.ss, ArmState.READY, Pose(0.25, 0.0, 2.3))
+                    reply = Ack(command.ss, ArmState.READY, Pose(0.25, 0.0, 2.358))
                 os.write(self.masters["arm"], encode_reply(reply))
 
     def call(self, cmd):
