@@ -4,9 +4,10 @@ Following error (as LinuxCNC's FERROR and MIN_FERROR): e = actual(t) − command
 is linear in the commanded rate ω: limit(ω) = at_rest + (at_full_rate − at_rest)·|ω|/rate. The slope is a time: the
 error of L that is tolerated.
 
-Motion comparison: over 0.3 s the reported motion Δr must be more than half of the commanded motion Δc wherever Δc
-exceeds what noise and an error of L account for. A frozen or mirrored encoder fails it at speeds that the following
-error allows for a long time.
+Motion comparison: over 0.3 s the reported motion Δr must be more than half of the commanded motion Δc, unless Δc − Δr is
+no more than what noise and an error of L account for: noise + slope·(ω₀ + ω₁), of the rates about both ends, because a
+host that is late delays either end by itself. A frozen or mirrored encoder fails it at speeds that the following error
+allows for a long time.
 """
 
 from __future__ import annotations
@@ -80,7 +81,8 @@ class JointScale:
 class _Reported:
     t: float
     angles: Joints
-    meant: PalmMotion
+    meant: Joints
+    peak: Sequence[float]
 
 
 class FollowingGuard:
@@ -126,7 +128,7 @@ class FollowingGuard:
         """
         if self.reason or t - self._t_parted < SETTLE_S:
             return
-        self._past.append(_Reported(t, angles, meant))
+        self._past.append(_Reported(t, angles, meant.angles, peak))
         while t - self._past[0].t > WATCH_S:
             self._past.popleft()
         limits = tuple([self._limits.joint(rate) for rate in peak])
@@ -147,12 +149,11 @@ class FollowingGuard:
         """Which joint's reported motion is not the commanded one, in words; empty where there is none."""
         first, last = self._past[0], self._past[-1]
         for joint in self._judged:
-            commanded = last.meant.angles[joint] - first.meant.angles[joint]
-            change = last.meant.rates[joint] - first.meant.rates[joint]
-            if abs(commanded) <= self._limits.noise + self._limits.slope_s * abs(change):
-                continue
+            commanded = last.meant[joint] - first.meant[joint]
             reported = last.angles[joint] - first.angles[joint]
-            if reported * math.copysign(1.0, commanded) < MOVED_SHARE * abs(commanded):
+            explained = self._limits.noise + self._limits.slope_s * (abs(first.peak[joint]) + abs(last.peak[joint]))
+            missing = (commanded - reported) * math.copysign(1.0, commanded)
+            if missing > max(explained, (1.0 - MOVED_SHARE) * abs(commanded)):
                 name, unit, k = self._scale.names[joint], self._scale.unit, self._scale.scale
                 return (
                     f"within {last.t - first.t:.2f} s {name} was commanded to move by {commanded * k:.2f}{unit}, "

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from palmd.daemon.guards.following import SETTLE_S, FollowingGuard, FollowingLimits, JointScale
@@ -51,6 +52,24 @@ def test_a_blocked_arm_is_named_within_300_ms_of_passing_the_limit_and_500_of_th
 def test_an_encoder_that_is_mirrored_is_named_though_the_error_is_small(rate):
     guard = FollowingGuard(LIMITS, SCALE)
     assert drive(guard, rate, lambda _, c: -c) < 0.5
+
+
+@pytest.mark.parametrize("late_s", [0.01, 0.02, 0.04])
+@pytest.mark.parametrize("seed", range(5))
+def test_small_steps_by_hand_are_followed_though_the_host_is_late_now_and_then(late_s, seed):
+    def place(t):  # 0.4 s at 3 °/s there, 0.4 s at rest, and back
+        phase = math.fmod(max(t, 0.0), 1.6)
+        return math.radians(3.0) * (min(phase, 0.4) - min(max(phase - 0.8, 0.0), 0.4))
+
+    guard, rng = FollowingGuard(LIMITS, SCALE), np.random.default_rng(seed)
+    for n in range(1000):
+        t = CYCLE * n
+        rate = (place(t + 1e-4) - place(t - 1e-4)) / 2e-4
+        peak = max(abs(place(t - back + 1e-3) - place(t - back)) / 1e-3 for back in (0.0, 0.02, 0.04))
+        at = place(t - rng.choice((0.0, late_s))) + math.radians(0.02) * rng.normal()
+        meant = PalmMotion((place(t), 1.0), (rate, 0.0), (0.0, 0.0))
+        guard.report(t, (at, 1.0), meant, (at - place(t), 0.0), [peak, 0.0], 0.0)
+        assert not guard.reason
 
 
 def test_one_report_alone_is_not_believed():
