@@ -51,7 +51,8 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         self._rig = rig_description(config)
         self.rig_priors = prior_sds(self._rig)
         self._swap, self._sticking = SwapWatch(), StickingWatch(self._rig.vibration, self._rig.gravity)
-        self._signs = SignWatch([pad.zero_mm * 1e-3 for pad in config.pads.each()])
+        pads = config.pads.each()
+        self._signs = SignWatch([pad.zero_mm * 1e-3 for pad in pads], [pad.length_mm * 5e-4 for pad in pads])
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
         """As configured."""

@@ -1,9 +1,10 @@
 """Are the pads' signs right? Geometry fixes how the contacts move along the palms as these open. Pure.
 
 The centre of mass is r1 and r2 from the palms, so that s1 + s2 = (r1 + r2)/tan(φ2/2) + (h′ terms of either palm): a
-line through the origin over x = 1/tan(φ2/2), and what the outline adds. A pad whose sign is wrong reads 2·zero − s
-instead. Each combination of signs is a hypothesis about which readings to mirror before the line is fitted; the Laplace
-evidence of a line with an unknown variance is −n/2·ln(sum of squares), n being the number of independent readings.
+line through the origin over x = 1/tan(φ2/2), and what the outline adds. A pad whose sign is wrong reads 2·c − s
+instead, c being where it counts 0, or its middle where zero_mm was set for the wrong end. Each combination of signs and
+of c is a hypothesis about which readings to mirror before the line is fitted; the Laplace evidence of a line with an
+unknown variance is −n/2·ln(sum of squares), n being the number of independent readings.
 """
 
 from __future__ import annotations
@@ -25,18 +26,20 @@ OUTLINE_M = 1e-3
 """What any outline adds, at the least: a line that fits better than that is no better evidence."""
 
 LOG_ODDS = math.log(1e4)
+Signs = tuple[int, int]
 _PRODUCTS = tuple((i, j) for i in range(4) for j in range(i, 4))
-_HYPOTHESES = ((1, 1), (-1, -1), (1, -1), (-1, 1))
+_RIGHT: Signs = (1, 1)
+_WRONG: tuple[Signs, ...] = ((-1, -1), (1, -1), (-1, 1))
 
 
 class SignWatch:
     """`wrong` are the numbers of the pads whose sign is wrong, empty as long as nothing speaks for that."""
 
-    def __init__(self, zeros_m: Sequence[float]) -> None:
-        """`zeros_m`: where each pad counts 0, which a wrong sign mirrors its readings at."""
+    def __init__(self, zeros_m: Sequence[float], middles_m: Sequence[float]) -> None:
+        """`zeros_m`: where each pad counts 0, `middles_m`: its middle. A wrong sign mirrors readings at one of them."""
         self.wrong: tuple[int, ...] = ()
         self.log_odds = 0.0
-        self._zeros = tuple(zeros_m)
+        self._mirrors = (tuple(zeros_m), tuple(middles_m))
         self._last: dict[int, tuple[float, float]] = {}
         self._t = self._t_judged = -math.inf
         self._sums = [0.0] * len(_PRODUCTS)  # of products of x, 1 and both places, weighted
@@ -64,17 +67,17 @@ class SignWatch:
             self._judge()
 
     def _judge(self) -> None:
-        evidence = [self._evidence(signs) for signs in _HYPOTHESES]
-        best = max(range(1, len(_HYPOTHESES)), key=lambda each: evidence[each])
-        self.log_odds = evidence[best] - evidence[0]
+        found = [(self._evidence(signs, mirrors), signs) for signs in _WRONG for mirrors in self._mirrors]
+        evidence, signs = max(found)
+        self.log_odds = evidence - self._evidence(_RIGHT, self._mirrors[0])
         if self.log_odds > LOG_ODDS:
-            self.wrong = tuple(pad for pad, sign in zip(PALMS, _HYPOTHESES[best], strict=True) if sign < 0)
+            self.wrong = tuple(pad for pad, sign in zip(PALMS, signs, strict=True) if sign < 0)
         elif self.log_odds < -LOG_ODDS:
             self.wrong = ()
 
-    def _evidence(self, signs: tuple[int, int]) -> float:
-        """Logarithm, but for what all have in common, of how well a line fits with these readings mirrored."""
-        mirrored = sum(2.0 * zero for zero, sign in zip(self._zeros, signs, strict=True) if sign < 0)
+    def _evidence(self, signs: Signs, mirrors: Sequence[float]) -> float:
+        """Logarithm, but for what all have in common, of how well a line fits with these readings mirrored there."""
+        mirrored = sum(2.0 * at for at, sign in zip(mirrors, signs, strict=True) if sign < 0)
         row = (0.0, mirrored, *signs)  # of the reading y in x, 1 and both places
         sums = dict(zip(_PRODUCTS, self._sums, strict=True))
         xx, weight = sums[0, 0], sums[1, 1]
