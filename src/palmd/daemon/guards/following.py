@@ -5,9 +5,9 @@ is linear in the commanded rate ω: limit(ω) = at_rest + (at_full_rate − at_r
 error of L that is tolerated.
 
 Motion comparison: over 0.3 s the reported motion Δr must be more than half of the commanded motion Δc, unless Δc − Δr
-is no more than what noise and an error of L account for: noise + slope·(ω₀ + ω₁), of the rates about both ends, because
-a host that is late delays either end by itself. A frozen or mirrored encoder fails it at speeds that the following error
-allows for a long time.
+is no more than what noise and an error of L account for: noise + slope·(ω₀ + ω₁), of the rates about both ends, for
+a host that is late delays either end by itself. A frozen or mirrored encoder fails it at speeds that the following
+error allows for a long time.
 """
 
 from __future__ import annotations
