@@ -14,7 +14,7 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
 test: dev  ## all tests, linters, types and import contracts
-	@$(BIN)/palmd build --all
+	@$(BIN)/palmd doctor build --all
 	@$(BIN)/python tools/run_tests.py
 
 check: dev  ## the inner loop: linters, types, unit tests of what changed, a sample of the corpus
@@ -53,7 +53,7 @@ site: dev docs  ## the documentation as a site that reads without a network, in 
 
 build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
 	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"
-	@$(BIN)/palmd build
+	@$(BIN)/palmd doctor build
 
 setup: $(VENV)/.run-installed
 dev: $(VENV)/.dev-installed

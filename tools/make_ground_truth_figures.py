@@ -9,18 +9,23 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from palmd.events import PalmSample
-from palmd.lab import ground_truth_figure, pruning_figure
-from palmd.lab.camera import Camera, as_csv, filmed
-from palmd.lab.camera_signals import motion_of
-from palmd.lab.ground_truth import compared
-from palmd.lab.scoring import outline_errors, truth_of
-from palmd.lab.simulated import simulated
 from palmd.observer.reconstruct import Reconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
 from palmd.record.track import read_track
+from palmd.report import ground_truth_figure
+from palmd.report.camera_signals import motion_of
+from palmd.report.ground_truth import compared
 
-FIGURES = Path(__file__).parent.parent / "docs/figures"
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))  # for `tools.studies`
+
+from tools.studies import pruning_figure
+from tools.studies.camera import Camera, as_csv, filmed
+from tools.studies.scoring import outline_errors, truth_of
+from tools.studies.simulated import simulated
+
+FIGURES = ROOT / "docs/figures"
 
 
 def as_result(answer: Reconstruction) -> Result:

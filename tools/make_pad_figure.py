@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from palmd.calibration.pad_characteristic import characterise
 from palmd.calibration.pad_figure import save
 from palmd.config.pads import VersaPadConfig
-from palmd.lab.rolled_marble import rolled
 
-FIGURE = Path(__file__).parent.parent / "docs/figures/pad.svg"
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))  # for `tools.studies`
+
+from tools.studies.rolled_marble import rolled
+
+FIGURE = ROOT / "docs/figures/pad.svg"
 
 if __name__ == "__main__":
     config = VersaPadConfig(port="emulated")

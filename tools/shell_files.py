@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import shtab
@@ -31,6 +31,7 @@ def _add(parser: argparse.ArgumentParser, name: str) -> None:
         else:
             loaded(command).add_arguments(chosen)
             _files(chosen)
+            _beside(chosen, below(command.name))
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +43,23 @@ def _files(parser: argparse.ArgumentParser) -> None:
         if isinstance(action, argparse._SubParsersAction):
             for inner in action.choices.values():
                 _files(inner)
+
+
+def _beside(parser: argparse.ArgumentParser, names: Mapping[str, Command]) -> None:
+    """The commands below one with arguments: as its subcommands, else as values of its first argument."""
+    if not names:
+        return
+    place = next((action for action in parser._actions if not action.option_strings), None) or parser.add_subparsers()
+    for word, command in names.items():
+        if isinstance(place, argparse._SubParsersAction):
+            chosen = place.add_parser(word, help=said(command), description=said(command))
+            loaded(command).add_arguments(chosen)
+            _files(chosen)
+        else:
+            if hasattr(place, "complete"):
+                place.choices = list(shtab.Optional.FILE)
+                del place.complete
+            place.choices = [*(place.choices or ()), word]
 
 
 def _one_line(text: str) -> str:
@@ -67,7 +85,7 @@ def manual() -> str:
         "[\\fIargument\\fR ...]",
         ".SH COMMANDS",
     ]
-    for command in (each for each in COMMANDS if each.module and each.name != "report paper"):
+    for command in (each for each in COMMANDS if each.module):
         lines += _command(command)
     lines += [".SH EXIT STATUS", *(line for code, text in STATUSES for line in (".TP", f".B {code}", text))]
     lines += [

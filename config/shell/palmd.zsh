@@ -10,76 +10,43 @@
 
 _shtab_palmd_commands() {
   local _commands=(
-    bench:'studies of many runs: montecarlo, sbc, off, explore, recognise, curved, pivot, space, things, parts, speed, engines, peers, field, faults, simulate, soak'
-    build:'compile the observers now; the first run does it otherwise'
-    bundle:'a recorded run with versions and doctor'"'"'s findings as one zip, for a bug report'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
-    check:'find what is wrong with configurations and motion plans'
-    compare:'a reconstruction with a camera'"'"'s track of the same run'
-    completion:'what has a shell complete palmd'"'"'s commands, options and files'
-    ctl:'tell a running daemon what to do: status, arm, start, hold, stop, reset, plan, jog'
-    demo:'emulated rig and daemon together: an unknown object, live estimates'
-    doctor:'what is missing and how to mend it; the arm'"'"'s controller and the pads put to the test'
-    estimate:'an event log or a recorded run through the daemon'"'"'s observer'
-    explore:'have a running daemon find the whole outline of what lies on the palms'
-    export:'a recorded run as event log, CSV, MCAP with JSON, or for rerun'
-    init:'ask what the rig is made of, and write a configuration of it'
-    install:'services of this palmd for systemd: units, account, udev rules'
-    jog:'turn the palms by the arrow keys, for as long as one is held'
-    keys:'who may listen to a daemon and command it: new, allow, revoke, list'
-    latency:'how late the control loop is on this machine, idle and busy, beside a bare timer'
-    observability:'what the paper'"'"'s systems can observe: rank and conditioning, maps over the rates'
-    outlook:'the paper'"'"'s last questions: what curved palms cover, what a pivoting grasp can tell'
-    recognise:'which of the stored outlines lies on the palms, from an event log or recorded run'
-    reconstruct:'outline and motion from a whole event log or recorded run at once, offline'
-    record:'keep what a daemon publishes: one file a run'
-    recover:'make a whole recording of one that was cut off'
-    replay:'publish a recorded run again, or check that the observer still says the same'
-    report:'a recorded run as a page or PDF to print; paper: the runs of CMU-CS-01-107 again'
-    rig:'the emulated rig alone, its ports on pseudo-terminals'
-    run:'the daemon'
-    runs:'recordings listed, searched, compared, grouped by object'
-    top:'live status of a running daemon in this terminal'
-    view:'live page of a running daemon for browsers on this machine'
-    why:'what made a recorded run hold or stop, in plain words with the evidence'
+    check:'validate configurations and motion plans'
+    ctl:'command a running daemon'
+    demo:'run an emulated rig and the daemon on an unknown object'
+    doctor:'find what is missing or misconfigured, and test the arm and the pads'
+    estimate:'run the daemon'"'"'s observer over an event log or a recorded run'
+    export:'convert a recorded run to an event log, CSV, MCAP with JSON, or rerun'"'"'s format'
+    init:'write a configuration from questions about the rig'
+    install:'install this palmd as services of systemd'
+    jog:'turn the palms with the arrow keys'
+    keys:'create and manage the keys of daemon and clients'
+    recognise:'find which of the stored outlines the object of a run has'
+    reconstruct:'estimate outline and motion from a whole event log or recorded run'
+    record:'record what a daemon publishes, one file a run'
+    replay:'publish a recorded run again, or check that the observer repeats its estimates'
+    report:'make a page or PDF of a recorded run'
+    rig:'run the emulated rig alone, its ports on pseudo-terminals'
+    run:'run the daemon'
+    runs:'list, search and compare recordings'
+    top:'show the live status of a running daemon in this terminal'
+    view:'serve the live page of a running daemon to browsers on this machine'
+    why:'explain why a recorded run held or stopped'
   )
   _describe 'palmd commands' _commands
 }
 
-_shtab_palmd_bench_commands() {
-  local _commands=(
-    curved:'curved palms: reconstructed blind, explored, and how much they touch'
-    engines:'physics engines as judges: vibrating palms with dry friction'
-    explore:'unknown objects explored in the emulated rig, beside who knows them'
-    faults:'every fault provoked on the emulated rig: what comes of it, how soon the arm stands'
-    field:'the field'"'"'s benchmark: 200 runs with their truth, baselines, a scorer for anybody'"'"'s results'
-    montecarlo:'random objects reconstructed blind, scored against their truth and the Cramér–Rao bound'
-    off:'one thing is not as described: what is claimed, how far off, what is named'
-    parts:'what better or worse sensors and servos would do to the outline'
-    peers:'palmd'"'"'s estimators beside general-purpose ones'
-    pivot:'objects in a pivoting grasp reconstructed blind: outline about the pivot, friction'
-    recognise:'which of twenty similar objects lies on the palms, or none of them'
-    sbc:'simulation-based calibration: whether blind reconstructions are as sure as they may be'
-    simulate:'daemon and rig in virtual time with everything that may go wrong at once: what must hold all the same'
-    soak:'the demo for an hour with random mischief: leaks, lateness, lost packets'
-    space:'bodies between three palms in space reconstructed blind, with seeds'
-    speed:'how fast palmd is on this machine, as ratios to references beside it'
-    things:'dice, nuts, coins, blocks: how often a live estimate is wrong'
-  )
-  _describe 'palmd bench commands' _commands
-}
-
 _shtab_palmd_calibrate_commands() {
   local _commands=(
-    arm:'the arm'"'"'s base and the palms'"'"' lengths, while you swing the palms by hand'
-    curvature:'palms that are arcs: their curvature, with that cylinder'
-    force:'both touchpads: newtons per count, by the weight of that cylinder'
-    gravity:'gravity and the arm'"'"'s yaw, with a ball or cylinder that rolls down the palms'
+    arm:'the arm'"'"'s base and the palms'"'"' lengths, swung by hand'
+    curvature:'the curvature of palms that are arcs, with a cylinder'
+    force:'both touchpads'"'"' newtons per count, with a cylinder'"'"'s weight'
+    gravity:'gravity'"'"'s direction and the arm'"'"'s yaw, with a rolling ball'
     height:'a pivoting gripper'"'"'s height over the pad, with a dragged cylinder'
-    pad:'one touchpad: noise, resolution, timing, dead band, with a marble rolled over it'
-    pads:'both touchpads: zero, scale, sign, with a turned cylinder between the palms'
+    pad:'a touchpad'"'"'s noise, resolution, timing and dead band, with a marble'
+    pads:'both touchpads'"'"' zero, scale and sign, with a turned cylinder'
     self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
-    standoff:'both touchpads: height above the hinge line, zero, scale, sign, with two such cylinders'
+    standoff:'both touchpads'"'"' height above the hinge line, zero, scale and sign, with two turned cylinders'
   )
   _describe 'palmd calibrate commands' _commands
 }
@@ -87,6 +54,7 @@ _shtab_palmd_calibrate_commands() {
 _shtab_palmd_ctl_commands() {
   local _commands=(
     arm:'from ready: starts tracking and stands at the present pose'
+    explore:'have a running daemon touch the whole outline of the object'
     hold:'stops the motion along its path; tracking goes on'
     jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
     new_object:'begins a new object: the observer forgets the one on the palms (two palms only)'
@@ -98,6 +66,13 @@ _shtab_palmd_ctl_commands() {
     stop:'planned stop, back to ready'
   )
   _describe 'palmd ctl commands' _commands
+}
+
+_shtab_palmd_install_commands() {
+  local _commands=(
+    completion:'print or install the completion of commands for shells'
+  )
+  _describe 'palmd install commands' _commands
 }
 
 _shtab_palmd_keys_commands() {
@@ -126,280 +101,6 @@ _shtab_palmd_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_defaults_added=0
-
-_shtab_palmd_bench_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_defaults_added=0
-
-_shtab_palmd_bench_curved_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[logs of each kind (default\: 34)]:N:"
-  "--shapes[objects on each curvature (default\: 60)]:N:"
-  "--objects[objects to explore, or to move at random (default\: 12)]:N:"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long a log is (default\: 10.0)]:S:"
-  "--only[one part of it\; default\: all]:only:(logs coverage plans exploring)"
-  "--figure[draw the touched share against curvature\; needs matplotlib]:OUT.svg:_files"
-  {-o,--output}"[a file of JSON lines for the explorations, overwritten]:ROWS:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_curved_defaults_added=0
-
-_shtab_palmd_bench_engines_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each combination (default\: 2)]:N:"
-  "--engine[whose physics (default\: all)]:engine:(mujoco drake chipmunk all)"
-  "--kind[friction and vibration (default\: all)]:kind:(vibrating in_phase antiphase slick dry all)"
-  "--imperfections[of the rig, drawn (default\: all)]:imperfections:(none calibrated all)"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 10.0)]:S:"
-  {-o,--output}"[a JSON line for each run, to resume (default\: engines.jsonl)]:FILE:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_engines_defaults_added=0
-
-_shtab_palmd_bench_explore_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many objects of each kind (default\: 10)]:N:"
-  "--kind[what sort of object (default\: all)]:kind:(nominal friction rig odd all)"
-  "--seed[the first object\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each may take (default\: 60.0)]:S:"
-  {-o,--output}"[for runs.jsonl and the figure, which are overwritten (default\: explore)]:FOLDER:_files"
-  "--imperfections[of the rig, drawn (default\: none)]:imperfections:(none calibrated)"
-  "--config[the rig, with its imperfections\; default\: VersaPads and an arm]:config:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_explore_defaults_added=0
-
-_shtab_palmd_bench_faults_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--rig[an arm and VersaPads, or servos with strips or input devices (default\: adept)]:rig:(adept tabletop input)"
-  "--only[these rows alone\; with an arm there are pad1-dead, pad1-garbled, pad1-late, pad1-mute, pad1-replaced, pad1-foreign, pad2-dead, pad2-garbled, pad2-late, pad2-mute, pad2-replaced, pad2-foreign, object-lifted, arm-blocked, arm-frozen, arm-jump, arm-impossible, pad1-saturated, pad2-saturated, arm-dead, arm-garbled, arm-late, arm-mute, arm-replaced, arm-foreign, controller-break, controller-estop, controller-power-off, controller-manual, controller-watchdog, daemon-paused-50, daemon-paused-300, daemon-killed, observer-raises, observer-nan, disk-full, recorder-killed, recorder-stuck, smoother-stopped, page-killed, page-stuck, address-taken, clock-step]:NAME:"
-  "--times[how often each is provoked (default\: 1)]:N:"
-  "--seed[which object and noise (default\: 3)]:seed:"
-  {-o,--output}"[for runs.jsonl, which is overwritten, and the recordings (default\: faults)]:FOLDER:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_faults_defaults_added=0
-
-_shtab_palmd_bench_field_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many (default\: 200)]:N:"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 4)]:S:"
-  "--results[score these too\: your own method\'s]:FILE:_files"
-  "--no-baselines[make the runs, and score what is there, without the baselines]"
-  {-o,--output}"[(default\: field)]:FOLDER:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_field_defaults_added=0
-
-_shtab_palmd_bench_montecarlo_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 100)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(nominal friction rig odd all)"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 10.0)]:S:"
-  {-o,--output}"[for runs.jsonl and the figure, which are overwritten (default\: montecarlo)]:FOLDER:_files"
-  {--causal,--no-causal}"[also through the daemon\'s observer]"
-  "--imperfections[of the rig, drawn (default\: none)]:imperfections:(none calibrated)"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_montecarlo_defaults_added=0
-
-_shtab_palmd_bench_off_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each (default\: 4)]:N:"
-  "--taken-for[what the rest of the rig is\: exact, calibrated (default\: both)]:WORLD:(exact calibrated)"
-  "--only[what is off\: nothing\; pad 1\'s zero 0.1 mm\; pad 1\'s zero 0.3 mm\; both zeros 0.3 mm\; pad 2\'s scale 1 \%\; φ1 0.3\°\; gravity 0.5\°\; φ2 0.3\°\; φ2 1\°\; pad 1 0.5 mm high\; pad 1 bowed 0.1 mm\; pad 1 bowed 0.3 mm\; pad 1 0.1 mm\/N\; pad 1 0.3 mm\/N\; μ1 \= 2 μ2\; μ1 \= μ2 \/ 5\; pad 2 15 ms late\; stick-slip\; vibration 0.3 m\/s²\; 16 ms batches\; 5 \% outliers\; 30 \% dropped\; Student\'s noise (default\: each of them)]:WHAT:(nothing pad 1's zero 0.1 mm pad 1's zero 0.3 mm both zeros 0.3 mm pad 2's scale 1 % φ1 0.3° gravity 0.5° φ2 0.3° φ2 1° pad 1 0.5 mm high pad 1 bowed 0.1 mm pad 1 bowed 0.3 mm pad 1 0.1 mm/N pad 1 0.3 mm/N μ1 = 2 μ2 μ1 = μ2 / 5 pad 2 15 ms late stick-slip vibration 0.3 m/s² 16 ms batches 5 % outliers 30 % dropped Student's noise)"
-  "--explored[explore, on a rig declared exact of which a constant is off]"
-  "--live[replay each log through the live observer too, as \`palmd estimate\` does]"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 20)]:S:"
-  {-o,--output}"[a JSON line for each run, overwritten (default\: off.jsonl)]:FILE:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_off_defaults_added=0
-
-_shtab_palmd_bench_parts_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many objects (default\: 8)]:N:"
-  "--kind[what sort of object (default\: rig)]:kind:(nominal friction rig odd)"
-  "--seed[the first object\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each run is (default\: 10.0)]:S:"
-  ":the rig\; default\: strips and servos:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_parts_defaults_added=0
-
-_shtab_palmd_bench_peers_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--kind[of a simulated run\; default\: nominal]:kind:(nominal friction rig odd)"
-  "--seed[of run and good start\; default\: 100]:seed:"
-  "--seconds[of the run\; default\: 10]:seconds:"
-  {-o,--output}"[write peers.json there]:FOLDER:_files"
-  ":an event log, its truth beside it:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_peers_defaults_added=0
-
-_shtab_palmd_bench_pivot_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 100)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(tilt float all)"
-  "--trouble[with the readings (default\: none)]:trouble:(none outliers gaps noise coulomb)"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 12.0)]:S:"
-  "--live[explore in closed loop and score what is claimed live]"
-  "--slide[live\: with a gripper on a slide]"
-  "--perfect[live\: on rigs exactly as configured, which is known]"
-  "--period[live\: how often the smoother is begun (default\: 5.0)]:S:"
-  {-o,--output}"[a JSON line for each run (default\: pivot.jsonl, live pivot-live.jsonl)]:FILE:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_pivot_defaults_added=0
-
-_shtab_palmd_bench_recognise_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 50)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(nominal friction rig odd all)"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 3.0)]:S:"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_recognise_defaults_added=0
-
-_shtab_palmd_bench_sbc_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 500)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(nominal friction rig odd all)"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 10.0)]:S:"
-  {-o,--output}"[a JSON line for each run, to go on with (default\: sbc.jsonl)]:FILE:_files"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-  "--scheduler[of a Dask cluster, such as tcp\:\/\/127.0.0.1\:8786]:ADDRESS:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_sbc_defaults_added=0
-
-_shtab_palmd_bench_simulate_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seeds[from A up to B, both included]:A..B:"
-  "--fresh[seeds nobody has tried, for so many processor seconds\; default\: 60]:S:"
-  "--standstill[instead\: N times each cause that stops the arm, and how soon it stands]:N:"
-  "--clean[instead\: H hours in which nothing happens\: every hold, and who leaks]:H:"
-  "--long[instead\: H hours of trouble for one daemon\: what breaks, and who leaks]:H:"
-  "--seed[of --standstill, --clean, --long]:N:"
-  "--reach[each seed seeks one fault in every state, for every command to find it\; default\: all of them once]"
-  "--coarse[for more hours\: longer steps of the rig, adapters that deliver each 4 ms]"
-  "--rate[of the daemon\'s loop\; default\: 100]:HZ:"
-  "--jobs[of --seeds\: so many processes\; default\: 1]:J:"
-  "--keep[of one seed\'s happenings only these]:N,N…:"
-  "--list[tell a single seed\'s happenings]"
-  "--unreached[tell every (state, fault, command) that was not seen]"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_simulate_defaults_added=0
-
-_shtab_palmd_bench_soak_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seconds[how long (default\: 3600)]:N:"
-  "--seed[which object, noise and mischief\; default\: a random one, printed]:seed:"
-  {-o,--output}"[for soak.jsonl, which is overwritten, and the recording (default\: soak)]:FOLDER:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_soak_defaults_added=0
-
-_shtab_palmd_bench_space_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 8)]:N:"
-  "--kind[what sort of run (default\: all)]:kind:(friction vibrating large drag free released all)"
-  "--seed[of bodies and motions (default\: 0)]:N:"
-  "--seconds[how long each lasts (default\: 20.0)]:S:"
-  "--live[in the emulated rig, by the shipped plan, judged tick by tick]"
-  "--exploring[how much of each the palms show when the body is known to who plans, within wider limits than shipped]"
-  "--blind[with --exploring\: in the emulated rig, by the shipped plan that explores, nothing known beforehand]"
-  "--pace[with --live and --blind\: answers and decisions come after X times the processor time that they take here (1.3 to 1.5\: two cores of their own)\; default\: after fixed times, the same on any machine]:X:"
-  {-o,--output}"[a JSON line for each run (default\: space.jsonl)]:FILE:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_space_defaults_added=0
-
-_shtab_palmd_bench_speed_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--turns[of each, and its reference (default\: 7)]:N:"
-  "--records[whole records of so many seconds, shortest first (default\: 10 40\; without one\: none)]:S:"
-  "--markdown[as a table for docs\/results\/speed.md]"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_speed_defaults_added=0
-
-_shtab_palmd_bench_things_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--runs[how many of each kind (default\: 10)]:N:"
-  "--kind[what lies on the palms (default\: all)]:kind:(die nut coin ellipse triangle block D-profile L-profile gear lump corners of 3 mm corners of 1 mm dent of 4 mm dent of 10 mm dry lump all)"
-  "--offline[reconstruct logs of the kinds that are told by their corners or dents, or that stick]"
-  "--explored[the same of recordings\: each is explored in the emulated rig]"
-  "--plan[the same of recordings of a motion plan in the emulated rig]:FILE:_files"
-  "--seed[the first run\'s (default\: 0)]:FIRST:"
-  "--seconds[how long each lasts (default\: 15\; 20 where it is reconstructed)]:S:"
-  "--imperfections[what the rig is off by, drawn by the seed (default\: none)]:imperfections:(none calibrated)"
-  "--jobs[processes on this machine (default\: one a processor)]:J:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bench_things_defaults_added=0
-
-_shtab_palmd_build_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--all[what other systems need too\: curved palms, flat sides, a pivoting grasp, three palms in space]"
-  ":what a run with this configuration needs, and no more (default\: what any rig with flat palms needs):_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_build_defaults_added=0
-
-_shtab_palmd_bundle_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--config[the configuration (default\: that of the recording)]:FILE:_files"
-  {-o,--output}"[default\: RUN\'s name with .zip, here]:FILE:_files"
-  ":a recording (MCAP) or an event log:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_bundle_defaults_added=0
 
 _shtab_palmd_calibrate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -524,27 +225,6 @@ _shtab_palmd_check_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_check_defaults_added=0
 
-_shtab_palmd_compare_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--log[event log or recording of the run\: places are compared too]:LOG:_files"
-  "--outline[the object\'s true outline (.json, .csv)]:FILE:_files"
-  {-o,--output}"[everything found, as JSON\; - for standard output]:REPORT.json:_files"
-  "--figure[outline and orientation, after figure 3.15 of the paper]:FILE.svg:_files"
-  ":as written by palmd reconstruct:_files"
-  ":t_s,object_x_mm,object_y_mm,object_angle_deg\[,palm1_angle_deg,palm2_angle_deg\]:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_compare_defaults_added=0
-
-_shtab_palmd_completion_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  ":which shell\; or man\: where the manual page is:(bash zsh man)"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_completion_defaults_added=0
-
 _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
@@ -568,6 +248,20 @@ _shtab_palmd_ctl_arm_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_ctl_arm_defaults_added=0
+
+_shtab_palmd_ctl_explore_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--coverage[of the normals that can be reached, after which it is enough (default\: 0.95)]:SHARE:"
+  "--band-mm[go on until the outline\'s sd is below this on all of them too]:MM:"
+  "--seconds[at most (default\: 60)]:S:"
+  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
+  "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_ctl_explore_defaults_added=0
 
 _shtab_palmd_ctl_hold_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -722,20 +416,6 @@ _shtab_palmd_estimate_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_estimate_defaults_added=0
 
-_shtab_palmd_explore_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--coverage[of the normals that can be reached, after which it is enough (default\: 0.95)]:SHARE:"
-  "--band-mm[go on until the outline\'s sd is below this on all of them too]:MM:"
-  "--seconds[at most (default\: 60)]:S:"
-  "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
-  "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
-  "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_explore_defaults_added=0
-
 _shtab_palmd_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
@@ -763,6 +443,14 @@ _shtab_palmd_install_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_install_defaults_added=0
+
+_shtab_palmd_install_completion_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  ":which shell\; or man\: where the manual page is:(bash zsh man)"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_install_completion_defaults_added=0
 
 _shtab_palmd_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -833,35 +521,6 @@ _shtab_palmd_keys_revoke_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_keys_revoke_defaults_added=0
 
-_shtab_palmd_latency_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seconds[for each case (default\: 10)]:N:"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_latency_defaults_added=0
-
-_shtab_palmd_observability_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--states[how many random states (default\: 2000)]:N:"
-  "--seed[of the states (default\: 0)]:SEED:"
-  {-o,--output}"[also draw maps over the rates\: observability.svg]:FOLDER:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_observability_defaults_added=0
-
-_shtab_palmd_outlook_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--objects[on each curvature (default\: 16)]:N:"
-  "--bodies[in the gripper (default\: 8)]:N:"
-  "--seed[the first one\'s (default\: 0)]:FIRST:"
-  {-o,--output}"[also draw outlook_coverage.svg and outlook_pivot.svg]:FOLDER:_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_outlook_defaults_added=0
-
 _shtab_palmd_recognise_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[as JSON\; - for standard output alone]:OUT.json:_files"
@@ -894,15 +553,6 @@ _shtab_palmd_record_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_record_defaults_added=0
 
-_shtab_palmd_recover_options=(
-  "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[where to\; default\: in place of RUN, or RUN.recovered.mcap where something of RUN cannot be read]:FILE:_files"
-  ":the recording (.mcap):_files"
-)
-
-# guard to ensure default positional specs are added only once per session
-_shtab_palmd_recover_defaults_added=0
-
 _shtab_palmd_replay_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--speed[times the recorded pace (default\: 1)]:X:"
@@ -918,9 +568,8 @@ _shtab_palmd_replay_defaults_added=0
 
 _shtab_palmd_report_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[FILE.html or FILE.pdf (default\: RUN\'s name with .html, here)\; for paper a folder (default\: here)]:FILE:_files"
-  ":a recording\; an event log (.jsonl) of three palms, which is reconstructed for it\; or the word paper\: figures 3.6, 3.8 to 3.11 and 3.15 (for a recording of that name\: .\/paper):"
-  "(*)::for paper\: event logs with their truth beside them (LOG without .jsonl, plus .truth.json)\; default\: four simulated runs:_files"
+  {-o,--output}"[FILE.html or FILE.pdf (default\: RUN\'s name with .html, here)]:FILE:_files"
+  ":a recording, or an event log (.jsonl) of three palms, which is reconstructed for it:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1023,30 +672,20 @@ _shtab_palmd() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_palmd-$line[1]:"
       case $line[1] in
-        bench) _shtab_palmd_bench ;;
-        build) _arguments -C -s $_shtab_palmd_build_options ;;
-        bundle) _arguments -C -s $_shtab_palmd_bundle_options ;;
         calibrate) _shtab_palmd_calibrate ;;
         check) _arguments -C -s $_shtab_palmd_check_options ;;
-        compare) _arguments -C -s $_shtab_palmd_compare_options ;;
-        completion) _arguments -C -s $_shtab_palmd_completion_options ;;
         ctl) _shtab_palmd_ctl ;;
         demo) _arguments -C -s $_shtab_palmd_demo_options ;;
         doctor) _arguments -C -s $_shtab_palmd_doctor_options ;;
         estimate) _arguments -C -s $_shtab_palmd_estimate_options ;;
-        explore) _arguments -C -s $_shtab_palmd_explore_options ;;
         export) _arguments -C -s $_shtab_palmd_export_options ;;
         init) _arguments -C -s $_shtab_palmd_init_options ;;
-        install) _arguments -C -s $_shtab_palmd_install_options ;;
+        install) _shtab_palmd_install ;;
         jog) _arguments -C -s $_shtab_palmd_jog_options ;;
         keys) _shtab_palmd_keys ;;
-        latency) _arguments -C -s $_shtab_palmd_latency_options ;;
-        observability) _arguments -C -s $_shtab_palmd_observability_options ;;
-        outlook) _arguments -C -s $_shtab_palmd_outlook_options ;;
         recognise) _arguments -C -s $_shtab_palmd_recognise_options ;;
         reconstruct) _arguments -C -s $_shtab_palmd_reconstruct_options ;;
         record) _arguments -C -s $_shtab_palmd_record_options ;;
-        recover) _arguments -C -s $_shtab_palmd_recover_options ;;
         replay) _arguments -C -s $_shtab_palmd_replay_options ;;
         report) _arguments -C -s $_shtab_palmd_report_options ;;
         rig) _arguments -C -s $_shtab_palmd_rig_options ;;
@@ -1055,45 +694,6 @@ _shtab_palmd() {
         top) _arguments -C -s $_shtab_palmd_top_options ;;
         view) _arguments -C -s $_shtab_palmd_view_options ;;
         why) _arguments -C -s $_shtab_palmd_why_options ;;
-      esac
-  esac
-}
-
-_shtab_palmd_bench() {
-  local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->bench'
-
-  # Add default positional/remainder specs only if none exist, and only once per session
-  if (( ! _shtab_palmd_bench_defaults_added )); then
-    if (( ${_shtab_palmd_bench_options[(I)${(q)one_or_more}*]} +          ${_shtab_palmd_bench_options[(I)${(q)remainder}*]} +          ${_shtab_palmd_bench_options[(I)${(q)default}]} == 0 )); then
-      _shtab_palmd_bench_options+=(': :_shtab_palmd_bench_commands' '*::: :->bench')
-    fi
-    _shtab_palmd_bench_defaults_added=1
-  fi
-  _arguments -C -s $_shtab_palmd_bench_options
-
-  case $state in
-    bench)
-      words=($line[1] "${words[@]}")
-      (( CURRENT += 1 ))
-      curcontext="${curcontext%:*:*}:_shtab_palmd_bench-$line[1]:"
-      case $line[1] in
-        curved) _arguments -C -s $_shtab_palmd_bench_curved_options ;;
-        engines) _arguments -C -s $_shtab_palmd_bench_engines_options ;;
-        explore) _arguments -C -s $_shtab_palmd_bench_explore_options ;;
-        faults) _arguments -C -s $_shtab_palmd_bench_faults_options ;;
-        field) _arguments -C -s $_shtab_palmd_bench_field_options ;;
-        montecarlo) _arguments -C -s $_shtab_palmd_bench_montecarlo_options ;;
-        off) _arguments -C -s $_shtab_palmd_bench_off_options ;;
-        parts) _arguments -C -s $_shtab_palmd_bench_parts_options ;;
-        peers) _arguments -C -s $_shtab_palmd_bench_peers_options ;;
-        pivot) _arguments -C -s $_shtab_palmd_bench_pivot_options ;;
-        recognise) _arguments -C -s $_shtab_palmd_bench_recognise_options ;;
-        sbc) _arguments -C -s $_shtab_palmd_bench_sbc_options ;;
-        simulate) _arguments -C -s $_shtab_palmd_bench_simulate_options ;;
-        soak) _arguments -C -s $_shtab_palmd_bench_soak_options ;;
-        space) _arguments -C -s $_shtab_palmd_bench_space_options ;;
-        speed) _arguments -C -s $_shtab_palmd_bench_speed_options ;;
-        things) _arguments -C -s $_shtab_palmd_bench_things_options ;;
       esac
   esac
 }
@@ -1148,6 +748,7 @@ _shtab_palmd_ctl() {
       curcontext="${curcontext%:*:*}:_shtab_palmd_ctl-$line[1]:"
       case $line[1] in
         arm) _arguments -C -s $_shtab_palmd_ctl_arm_options ;;
+        explore) _arguments -C -s $_shtab_palmd_ctl_explore_options ;;
         hold) _arguments -C -s $_shtab_palmd_ctl_hold_options ;;
         jog) _arguments -C -s $_shtab_palmd_ctl_jog_options ;;
         new_object) _arguments -C -s $_shtab_palmd_ctl_new_object_options ;;
@@ -1157,6 +758,29 @@ _shtab_palmd_ctl() {
         start) _arguments -C -s $_shtab_palmd_ctl_start_options ;;
         status) _arguments -C -s $_shtab_palmd_ctl_status_options ;;
         stop) _arguments -C -s $_shtab_palmd_ctl_stop_options ;;
+      esac
+  esac
+}
+
+_shtab_palmd_install() {
+  local context state line curcontext="$curcontext" one_or_more='(*)' remainder='(-)*:' default='*::: :->install'
+
+  # Add default positional/remainder specs only if none exist, and only once per session
+  if (( ! _shtab_palmd_install_defaults_added )); then
+    if (( ${_shtab_palmd_install_options[(I)${(q)one_or_more}*]} +          ${_shtab_palmd_install_options[(I)${(q)remainder}*]} +          ${_shtab_palmd_install_options[(I)${(q)default}]} == 0 )); then
+      _shtab_palmd_install_options+=(': :_shtab_palmd_install_commands' '*::: :->install')
+    fi
+    _shtab_palmd_install_defaults_added=1
+  fi
+  _arguments -C -s $_shtab_palmd_install_options
+
+  case $state in
+    install)
+      words=($line[1] "${words[@]}")
+      (( CURRENT += 1 ))
+      curcontext="${curcontext%:*:*}:_shtab_palmd_install-$line[1]:"
+      case $line[1] in
+        completion) _arguments -C -s $_shtab_palmd_install_completion_options ;;
       esac
   esac
 }

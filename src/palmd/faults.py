@@ -391,7 +391,7 @@ FAULTS: tuple[Fault, ...] = (
         "recorder-silent",
         Severity.NOTE,
         "the recorder has not been heard for 3 s",
-        "start it again with palmd record; what it has written is safe, palmd recover packs it",
+        "start it again with palmd record; what it has written is safe, palmd runs recover packs it",
     ),
     Fault(
         "vm-backend",

@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from palmd.daemon.bus import Bus
 from palmd.daemon.core import Core
 from palmd.daemon.lifecycle import State
-from palmd.lab.silent_observer import SilentObserver
 from palmd.rig.emulated import STEP_S
 from palmd.rig.pads import GOOD_PADS
 from palmd.rig.world import World
+from tools.studies.silent_observer import SilentObserver
 
 TICK_STEPS = 20
 

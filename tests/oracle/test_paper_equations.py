@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from palmd.lab.equations import errata, paper
-from palmd.lab.equations.equation_check import EquationCheck
+from tools.studies.equations import errata, paper
+from tools.studies.equations.equation_check import EquationCheck
 
 TOLERANCE = 1e-10
 POINTS = 20

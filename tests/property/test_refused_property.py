@@ -17,15 +17,15 @@ from palmd.daemon.core import Core
 from palmd.daemon.planner import Plan
 from palmd.daemon.setpoints import SetPoints
 from palmd.events import PalmMotion
-from palmd.lab.simulation.happenings import PLAN_TEXTS
-from palmd.lab.simulation.light_observer import LightObserver
-from palmd.lab.simulation.light_rig import STEP_S, LightRig
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Angles
 from palmd.motion.trajectory_executor import MotionError
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
+from tools.studies.simulation.happenings import PLAN_TEXTS
+from tools.studies.simulation.light_observer import LightObserver
+from tools.studies.simulation.light_rig import STEP_S, LightRig
 
 CONFIG = default_config()
 LIMITS = motion_limits(CONFIG)

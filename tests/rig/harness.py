@@ -6,9 +6,12 @@ how long a slow machine may take until it holds.
 
 import signal
 import socket
+import subprocess
+import sys
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgpack
 import zmq
@@ -34,6 +37,15 @@ segments:
   - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 0.8}
   - {sine: {phi1_deg: 18, phi2_deg: 8}, frequency_hz: [0.5, 0.6], duration_s: 60}
 """
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def run_study(*arguments, timeout_s):
+    """A study of the checkout to its end, with what it printed."""
+    command = [sys.executable, "-m", "tools.studies", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=timeout_s)
 
 
 class Process(Child):

@@ -1,11 +1,11 @@
-"""`palmd bench faults`, its short form: a pad, the controller, an address and a neighbour, with real processes.
+"""The study faults, its short form: a pad, the controller, an address and a neighbour, with real processes.
 
 The recordings are asked why."""
 
 import json
 
 import pytest
-from harness import Process
+from harness import run_study
 
 pytestmark = pytest.mark.rig
 
@@ -19,15 +19,11 @@ SOME = {
 @pytest.mark.parametrize("rig", SOME)
 def test_some_faults(tmp_path, rig):  # a short name: it is part of the path of a socket
     names = SOME[rig]
-    process = Process(["bench", "faults", "--rig", rig, "--only", *names, "-o", tmp_path], tmp_path)
-    try:
-        status = process.wait(100)
-    finally:
-        process.stop()
+    done = run_study("faults", "--rig", rig, "--only", *names, "-o", tmp_path, timeout_s=100)
     lines = [json.loads(line) for line in (tmp_path / "runs.jsonl").read_text().splitlines()]
-    assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in names}, process.all_said
+    assert {line["name"]: line["differs"] for line in lines} == {name: [] for name in names}, done.stderr
     judged = [line["why"] for line in lines if not line["why"]["spoilt"]]
     assert [told for told in judged if not told["right"]] == []
     assert len(judged) >= len(names) // 2, "a busy machine may spoil one or two, not nearly all"
-    assert status == 0
-    assert f"{len(names)} of {len(names)} rows did as promised" in (tmp_path / "bench.out").read_text()
+    assert done.returncode == 0
+    assert f"{len(names)} of {len(names)} rows did as promised" in done.stdout

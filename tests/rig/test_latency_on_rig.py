@@ -1,4 +1,4 @@
-"""`palmd latency` as a whole: every case is measured, and nothing is left behind."""
+"""`palmd doctor latency` as a whole: every case is measured, and nothing is left behind."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from palmd.lab.latency import CASES
+from palmd.doctor.latency import CASES
 
 pytestmark = pytest.mark.rig
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.rig
 def test_every_case_has_its_line(tmp_path):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     done = subprocess.run(
-        [sys.executable, "-m", "palmd", "latency", "--seconds", "2"],
+        [sys.executable, "-m", "palmd", "doctor", "latency", "--seconds", "2"],
         capture_output=True,
         text=True,
         env=environment,

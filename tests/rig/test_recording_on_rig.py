@@ -87,7 +87,9 @@ def test_a_recorder_that_is_killed_loses_next_to_nothing_and_harms_nobody(light_
 
     light_bench.until_faults("recorder-silent")
     messages = sum(1 for _ in run.messages())
-    done = subprocess.run([sys.executable, "-m", "palmd", "recover", path], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "palmd", "runs", "recover", path], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert f"{path}: {messages} messages of" in done.stdout
     assert is_packed(path)

@@ -1,9 +1,9 @@
-"""`palmd bench soak`, its short form: half a minute with real processes, everything judged but slopes and lateness."""
+"""The study soak, its short form: half a minute with real processes; slopes and lateness are not judged."""
 
 import json
 
 import pytest
-from harness import Process
+from harness import run_study
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 
@@ -12,15 +12,10 @@ SEED = 170  # a lost port, damaged bytes on two lines, another object, a page
 
 def soaked(folder):
     """Exit status, what was done and the findings by name."""
-    folder.mkdir()
-    process = Process(["bench", "soak", "--seconds", "25", "--seed", SEED, "-o", folder], folder)
-    try:
-        status = process.wait(150)
-    finally:
-        process.stop()
+    done = run_study("soak", "--seconds", "25", "--seed", SEED, "-o", folder, timeout_s=150)
     rows = [json.loads(line) for line in (folder / "soak.jsonl").read_text().splitlines()]
     findings = {row["name"]: row for row in rows if row["row"] == "finding"}
-    return status, [row for row in rows if row["row"] == "doing"], findings
+    return done.returncode, [row for row in rows if row["row"] == "doing"], findings
 
 
 def test_half_a_minute(tmp_path):

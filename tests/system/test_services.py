@@ -72,7 +72,7 @@ def test_companions_and_rig_come_with_it_and_the_companions_go_with_it(services)
         "640",
     ] * len(runs)
     newest = max(runs, key=lambda run: run.stat().st_mtime)
-    said = services.machine.run(PALMD, "recover", f"{RUNS}/{newest.name}", "-o", "/run/whole.mcap")
+    said = services.machine.run(PALMD, "runs", "recover", f"{RUNS}/{newest.name}", "-o", "/run/whole.mcap")
     assert "messages" in said
 
 

@@ -14,11 +14,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from palmd.blas import one_thread
 from palmd.cli.table import COMMANDS
 from palmd.events import Estimate
-from palmd.lab.silent_observer import SilentObserver
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import replay
 from palmd.rig.simulate import simulate_log
+from tools.studies.silent_observer import SilentObserver
 
 MANY = 3
 ASKED_FOR_MANY = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), str(MANY))

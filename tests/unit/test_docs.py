@@ -81,5 +81,6 @@ def test_the_papers_map_names_what_is_there() -> None:
     named = re.findall(r"`([a-z_0-9/]+)\.py:(\w+)`", (ROOT / "docs/theory/paper.md").read_text())
     assert len(named) > 20
     for path, name in named:
-        module = importlib.import_module("palmd." + path.replace("/", "."))
+        package = "" if path.startswith("tools/") else "palmd."
+        module = importlib.import_module(package + path.replace("/", "."))
         assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which is not there"

@@ -179,7 +179,7 @@ def test_two_names_for_one_key_are_refused(folders):
 
 def test_a_client_needs_the_daemons_public_key(folders, capsys):
     (folders / "mine/server.key").unlink()
-    for command in (["ctl", "status"], ["top", "--once"], ["view", "--no-browser"], ["explore"]):
+    for command in (["ctl", "status"], ["top", "--once"], ["view", "--no-browser"], ["ctl", "explore"]):
         assert fails(capsys, *command, "--key", "mine/desk.key_secret") == (
             "mine/server.key: no such file; copy the daemon's server.key there"
         )

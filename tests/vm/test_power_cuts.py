@@ -70,7 +70,7 @@ def test_power_cuts(pc, rig, tmp_path, capsys):
             disk = Path(shutil.copy(pc.machine.disk, folder / "disk.qcow2"))
         taken = _mounted(disk, run, folder)
         disk.unlink()
-        assert cli.main(["recover", str(taken)]) == 0
+        assert cli.main(["runs", "recover", str(taken)]) == 0
         lost_ms.append((cut_ns - _last_ns(taken)) * 1e-6)
         with capsys.disabled():
             print(json.dumps({"cut": number + 1, "lost_ms": round(lost_ms[-1], 1), "said": capsys.readouterr().out}))

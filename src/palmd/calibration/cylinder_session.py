@@ -71,7 +71,7 @@ def pads(config: Config) -> tuple[PadConfig, ...]:
 
 @contextmanager
 def ending(status: int) -> Iterator[None]:
-    """What `palmd.lab` refuses ends the command with this status."""
+    """A measurement that cannot be used ends the command with this status."""
     try:
         yield
     except CylinderError as error:

@@ -7,11 +7,11 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 
 from palmd import __version__, blas
-from palmd.cli.table import Command, below, loaded, parser_of, said
+from palmd.cli.table import MOVED, RENAMED, STUDIES, Command, below, listed, loaded, parser_of
 from palmd.console import output
 from palmd.console.arguments import Parser, one_of
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
@@ -25,12 +25,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Raises SystemExit for usage, help and version, as argparse does.
     """
+    return status_of(lambda: _asked_for(argv))
+
+
+def status_of(asked_for: Callable[[], tuple[ModuleType, argparse.Namespace]]) -> int:
+    """Run the module with the arguments that are asked for; returns the exit status as `main` does."""
     blas.one_thread_from_here()
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of every package to find them
     output.take_over()
     _take_any_terminal()
     try:
-        module, arguments = _asked_for(argv)
+        module, arguments = asked_for()
         _start_logging()
         status: int = module.run(arguments)
     except CliError as error:
@@ -52,17 +57,38 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
-    """The module of the command that is asked for, and its arguments."""
-    chosen = _parser().parse_args(argv)
+    """The module of the command that is asked for, and its arguments. Raises CliError for a command that has moved."""
+    given = _with_new_names(list(sys.argv[1:] if argv is None else argv))
+    chosen = _parser().parse_args(given)
     if chosen.command is None:
         _parser().print_help(sys.stderr)
         raise SystemExit(USAGE)
     command, words = below()[chosen.command], chosen.arguments
+    names = below(command.name)
     if command.module is None:
         chosen = _group_parser(command).parse_args(words)
-        command, words = below(command.name)[chosen.name], chosen.arguments
+        command, words = names[chosen.name], chosen.arguments
+    elif words and words[0] in names:
+        command, words = names[words[0]], words[1:]
     module = loaded(command)
     return module, parser_of(command, module).parse_args(words)
+
+
+def _with_new_names(words: list[str]) -> list[str]:
+    """The words with a former spelling replaced, which a line on standard error says.
+
+    Raises CliError for a command that is a study now.
+    """
+    for count in range(1, 3):
+        name = " ".join(words[:count])
+        if name in MOVED:
+            study = MOVED[name] or " ".join(words[1:2]) or "NAME"
+            raise CliError(USAGE, f"palmd {name}: studies are not installed; in a checkout run: {STUDIES} {study}")
+    if words and words[0] in RENAMED:
+        new = RENAMED[words[0]]
+        print(f"palmd {words[0]} is now: palmd {new}", file=sys.stderr)
+        return [*new.split(), *words[1:]]
+    return words
 
 
 def _take_any_terminal() -> None:
@@ -78,17 +104,12 @@ def _start_logging() -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
-def _listed(commands: Mapping[str, Command]) -> str:
-    width = max(map(len, commands))
-    return "\n".join(f"  {name:{width}}  {said(each)}" for name, each in commands.items())
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="palmd",
         description="An unknown planar object on two touchpad palms, reconstructed live.",
         epilog="commands:\n"
-        + _listed(below())
+        + listed(below())
         + "\n\nexit status: 0 success, 1 the input is wrong, 2 usage, 3 the rig failed",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -104,7 +125,7 @@ def _group_parser(command: Command) -> argparse.ArgumentParser:
     parser = Parser(
         prog=f"palmd {command.name}",
         description=command.help,
-        epilog="names:\n" + _listed(names),
+        epilog="names:\n" + listed(names),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", type=one_of(names), help="one of the names below")

@@ -89,7 +89,7 @@ def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None)
             try:
                 made = connection.recv()
             except EOFError:
-                advice = "for want of memory most often: make fewer at once with `taskset -c 0 palmd build`"
+                advice = "for want of memory most often: make fewer at once with `taskset -c 0 palmd doctor build`"
                 made = CliError(RIG_FAILED, f"{what}: what compiled it was killed, {advice}")
             if isinstance(made, Exception):
                 raise made

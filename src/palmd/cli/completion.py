@@ -1,7 +1,7 @@
 """Prints what has a shell complete palmd's commands, options and files; each session sources it.
 
-bash: `source <(palmd completion bash)` in ~/.bashrc. zsh: `eval "$(palmd completion zsh)"` in ~/.zshrc, after
-`compinit`. The manual page lies beside these files: `palmd completion man` prints where, for `man -l`.
+bash: `source <(palmd install completion bash)` in ~/.bashrc. zsh: `eval "$(palmd install completion zsh)"` in ~/.zshrc,
+after `compinit`. The manual page lies beside these files: `palmd install completion man` prints where, for `man -l`.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ def _following(command: Path) -> Iterator[Step]:
         yield Step(["systemctl", "restart", "systemd-modules-load"], vital=False)
     if Path("/run/udev/control").exists():
         yield Step(["udevadm", "control", "--reload"])
-    yield Step(["env", f"CACHE_DIRECTORY={CACHE}", str(command), "build"])
+    yield Step(["env", f"CACHE_DIRECTORY={CACHE}", str(command), "doctor", "build"])
 
 
 def _put(item: Item, root: Path, dry_run: bool) -> None:

@@ -93,11 +93,11 @@ class _Packing:
 
     def take(self, ended: Ended, *, in_time: bool) -> None:
         """Pack it now if it is whole and the recording goes on."""
-        beside = start_beside(["recover", str(ended.path)]) if in_time and ended.whole else None
+        beside = start_beside(["runs", "recover", str(ended.path)]) if in_time and ended.whole else None
         self._ended.append((ended, beside))
 
     def finish(self) -> None:
-        """Pack what is left. What cannot be packed stays as it is, and `palmd recover` may have more luck."""
+        """Pack what is left. What cannot be packed stays as it is, and `palmd runs recover` may have more luck."""
         for ended, beside in self._ended:
             if beside is not None:
                 beside.wait()

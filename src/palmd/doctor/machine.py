@@ -78,7 +78,7 @@ def observers() -> Finding:
     """The compiled observers; whether they are this version's is known when they are loaded."""
     from palmd.model.compiled import cache_directory
 
-    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd build"
+    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd doctor build"
     try:
         folder = cache_directory()
     except RuntimeError:
@@ -90,7 +90,7 @@ def observers() -> Finding:
         return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
     if count:
         return Finding("observers", "ok", f"{count} compiled in {folder}")
-    return Finding("observers", "missing", f"none compiled in {folder}", "palmd build" if makes_more else own)
+    return Finding("observers", "missing", f"none compiled in {folder}", "palmd doctor build" if makes_more else own)
 
 
 def real_time() -> Finding:

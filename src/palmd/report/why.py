@@ -23,7 +23,7 @@ _ACTS = {"hold": ("hold", "stop"), "fault": ("stop",), "ready": (), "idle": ()}
 _HAPPENED = {"hold": "the motion was held", "fault": "the arm was stopped", "ready": "the arm was stopped",
              "idle": "the rig was gone"}  # fmt: skip
 ENDINGS = ("died", "cut", "goes-on", "recorder-ended")
-DAMAGED_HINT = "palmd recover keeps what can be read in a new file; look for a fault of the disk"
+DAMAGED_HINT = "palmd runs recover keeps what can be read in a new file; look for a fault of the disk"
 OTHERS = 8
 """So many of the other times are listed."""
 

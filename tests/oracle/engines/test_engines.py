@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from palmd.lab.engines import study
-from palmd.lab.engines.scene import ENGINE_KINDS, draw_scene, engine_log
-from palmd.lab.simulated import written
 from palmd.record.eventlog import read_log
 from palmd.rig.plant import AS_ASSUMED
 from palmd.rig.simulate import STEP_S
 from palmd.rig.vibrating_plant import resolves
+from tools.studies.engines import study
+from tools.studies.engines.scene import ENGINE_KINDS, draw_scene, engine_log
+from tools.studies.simulated import written
 
 SECONDS = 0.3
 MOST_M = 2e-6

@@ -18,11 +18,12 @@ from palmd.config.any_config import config_hash
 from palmd.config.pads import VersaPadConfig
 from palmd.config.two_palms import rig_description
 from palmd.console.extras import install_line
+from palmd.console.shipped import shipped
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
-from palmd.lab.rolled_marble import rolled
 from palmd.rig.pads import PadOptions
 from palmd.yamlfile import load_config
+from tools.studies.rolled_marble import rolled
 
 CONFIG = "pads: {{palm1: {{port: {port}{more}}}, palm2: {{port: /dev/none2}}}}\narm: {{port: /dev/none3}}\n"
 
@@ -295,3 +296,8 @@ def test_each_pad_s_noise_is_the_observer_s(configured):
     }
     differing = config.model_copy(update={"pads": config.pads.model_copy(update=pads)})
     assert [pad.noise for pad in rig_description(differing).pads] == pytest.approx([2e-4, 3e-4])
+
+
+def test_what_rolls_is_not_evaluated_on_curved_palms(capsys):
+    assert main(["calibrate", "gravity", str(shipped("cradle.yaml"))]) == 1
+    assert "is evaluated on flat palms only, and these are curved" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`palmd build CONFIG`: what a configuration needs, and no more."""
+"""`palmd doctor build CONFIG`: what a configuration needs, and no more."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_another_observer_needs_neither_smoother_nor_explorer(tmp_path: Path) ->
 
 def test_it_makes_just_these_and_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(build, "needed_by", lambda _: [("curved palms, smoother", lambda: "c")])
-    assert main(["build", str(shipped("cradle.yaml"))]) == 0
+    assert main(["doctor", "build", str(shipped("cradle.yaml"))]) == 0
     assert re.fullmatch(r"curved palms, smoother: compiled C, \d+\.\d s\n", capsys.readouterr().out)
 
 
 def test_a_configuration_that_is_not_there_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["build", "nowhere.yaml"]) == 1
+    assert main(["doctor", "build", "nowhere.yaml"]) == 1
     assert "no such file" in capsys.readouterr().err
 
 

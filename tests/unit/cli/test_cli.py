@@ -13,7 +13,7 @@ import pytest
 
 import palmd
 from palmd import cli
-from palmd.cli.table import COMMANDS, below, loaded
+from palmd.cli.table import COMMANDS, RENAMED, below, loaded
 from palmd.console.errors import CliError
 from palmd.console.extras import install_line
 from palmd.console.progress import Progress, working
@@ -52,7 +52,7 @@ def test_without_a_command_there_is_help(capsys):
         (("rnu",), "there is no 'rnu'; is run meant?"),
         (("recrod", "x.yaml"), "there is no 'recrod'; is record meant?"),
         (("calibrate", "pda"), "there is no 'pda'; is pad meant?"),
-        (("bench", "waltz"), "there is no 'waltz'; there are montecarlo, "),
+        (("calibrate", "waltz"), "there is no 'waltz'; there are pad, "),
     ],
 )
 def test_a_slip_is_told_what_may_be_meant(argv, told, capsys):
@@ -94,24 +94,37 @@ def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
 def test_every_command_has_its_module_and_help(command, capsys):
     assert command.module is None or callable(loaded(command).run)
     assert usage(*command.name.split(), "--help") == 0
-    assert capsys.readouterr().out.startswith(f"usage: palmd {command.name.removesuffix(' paper')}")
+    assert capsys.readouterr().out.startswith(f"usage: palmd {command.name} ")
 
 
-def test_a_package_that_only_the_laboratory_needs_is_told_when_it_is_missing(monkeypatch, capsys):
-    monkeypatch.delitem(sys.modules, "palmd.lab.bench_recognise", raising=False)
-    monkeypatch.setitem(sys.modules, "palmd.lab.recognition", None)
-    with pytest.raises(ModuleNotFoundError):  # a module of ours is a fault, nothing to be installed
-        cli.main(["bench", "recognise"])
+@pytest.mark.parametrize("old", RENAMED)
+def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
+    assert usage(old, "--help") == 0
+    shown = capsys.readouterr()
+    assert shown.out.startswith(f"usage: palmd {RENAMED[old]} ")
+    assert shown.err == f"palmd {old} is now: palmd {RENAMED[old]}\n"
 
-    def not_there(_name):
-        raise ModuleNotFoundError(name="filterpy")
 
-    monkeypatch.setattr(importlib, "import_module", not_there)
-    assert cli.main(["bench", "peers"]) == 1
-    told = f"palmd bench peers needs filterpy, which is not installed: {install_line('filterpy', 'lab')}\n"
-    assert capsys.readouterr().err == told
-    with pytest.raises(ModuleNotFoundError):
-        cli.main(["run"])
+@pytest.mark.parametrize(
+    ("argv", "study"),
+    [
+        (("bench",), "NAME"),
+        (("bench", "montecarlo", "--runs", "3"), "montecarlo"),
+        (("outlook",), "outlook"),
+        (("observability", "--states", "5"), "observability"),
+        (("report", "paper", "-o", "x"), "paper"),
+    ],
+)
+def test_a_command_that_is_a_study_now_names_where_it_is(argv, study, capsys):
+    assert cli.main(argv) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.endswith(f"python -m tools.studies {study}\n")
+
+
+def test_few_commands_are_listed():
+    assert len(below()) <= 22
+    assert all(len(each.help) <= 100 for each in COMMANDS)
 
 
 @pytest.mark.parametrize("argv", [["--help"], ["ctl", "status", "--help"]])
@@ -310,14 +323,14 @@ def test_what_has_no_measure_is_named_while_it_lasts():
 
 def test_a_missing_package_is_told_with_the_exact_line_to_type(monkeypatch, tmp_path):
     def declared(_name):
-        return ["numpy>=1.26", "matplotlib>=3.8; extra == 'report'", 'matplotlib>=3.8; extra == "lab"',
-                "filterpy>=2.0; extra == 'lab'"]  # fmt: skip
+        return ["numpy>=1.26", "matplotlib>=3.8; extra == 'report'", 'matplotlib>=3.8; extra == "studies"',
+                "filterpy>=2.0; extra == 'studies'"]  # fmt: skip
 
     monkeypatch.setattr("importlib.metadata.requires", declared)
     monkeypatch.setattr(sys, "executable", str(tmp_path / ".venv/bin/python"))
     assert install_line("matplotlib", "report") == f"{tmp_path}/.venv/bin/python -m pip install 'matplotlib>=3.8'"
     monkeypatch.chdir(tmp_path)
-    assert install_line("filterpy", "lab") == ".venv/bin/python -m pip install 'matplotlib>=3.8' 'filterpy>=2.0'"
+    assert install_line("filterpy", "studies") == ".venv/bin/python -m pip install 'matplotlib>=3.8' 'filterpy>=2.0'"
 
     def none(_name):
         raise importlib.metadata.PackageNotFoundError

@@ -30,7 +30,9 @@ def completed(*words: str) -> list[str]:
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
 def test_bash_completes_commands_options_and_choices() -> None:
-    assert set(completed("palmd", "rec")) == {"record", "recover", "reconstruct", "recognise"}
+    assert set(completed("palmd", "rec")) == {"record", "reconstruct", "recognise"}
+    assert "latency" in completed("palmd", "doctor", "la")
+    assert completed("palmd", "ctl", "explore", "--cov") == ["--coverage"]
     assert set(completed("palmd", "calibrate", "pa")) == {"pad", "pads"}
     assert set(completed("palmd", "ctl", "st")) == {"status", "start", "stop"}
     assert completed("palmd", "check", "--dr") == ["--draw"]
@@ -38,7 +40,7 @@ def test_bash_completes_commands_options_and_choices() -> None:
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh")
 def test_zsh_takes_the_script_as_its_help_tells() -> None:
-    told = re.search(r'`eval "\$\((palmd completion zsh)\)"`', inspect.getdoc(completion) or "")
+    told = re.search(r'`eval "\$\((palmd install completion zsh)\)"`', inspect.getdoc(completion) or "")
     assert told
     program = (
         "autoload -U compinit; compinit -u -D\n"
@@ -51,7 +53,7 @@ def test_zsh_takes_the_script_as_its_help_tells() -> None:
 
 
 def test_the_manual_page_tells_of_every_command(capsys) -> None:
-    assert main(["completion", "man"]) == 0
+    assert main(["install", "completion", "man"]) == 0
     page = Path(capsys.readouterr().out.strip()).read_text()
     told = set(re.findall(r"^\.SS palmd (.*)$", page, re.MULTILINE))
     assert told == {each.name for each in COMMANDS if each.module} - {"report paper"}
@@ -59,6 +61,6 @@ def test_the_manual_page_tells_of_every_command(capsys) -> None:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_the_script_is_printed(shell: str, capsys) -> None:
-    assert main(["completion", shell]) == 0
+    assert main(["install", "completion", shell]) == 0
     script = capsys.readouterr().out
     assert all(name in script for name in below())

@@ -12,12 +12,12 @@ import pytest
 from palmd import observer
 from palmd.cli import main
 from palmd.events import Estimate, PadSample, ShapeEstimate
-from palmd.lab.silent_observer import SilentObserver
 from palmd.quantities import ESTIMATE, SHAPE, STAMP
 from palmd.record.eventlog import EventLog, read_log
 from palmd.record.replay import as_said, replay, texts, tick_count
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
+from tools.studies.silent_observer import SilentObserver
 
 SECONDS = 3.0
 

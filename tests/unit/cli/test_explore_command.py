@@ -1,4 +1,4 @@
-"""`palmd explore` against the daemon's own sockets: what it asks, in which order, what it tells, and how it ends."""
+"""`palmd ctl explore` against the daemon's own sockets: its requests in their order, its output, its end."""
 
 import os
 import signal
@@ -99,7 +99,7 @@ def quick(monkeypatch):
 def test_it_arms_starts_tells_and_leaves_the_arm_as_it_was(tmp_path, capsys):
     daemon = Daemon()
     with serving(tmp_path, daemon) as where:
-        assert main(["explore", *where, "--coverage", "0.9", "--band-mm", "0.05", "--seconds", "30"]) == 0
+        assert main(["ctl", "explore", *where, "--coverage", "0.9", "--band-mm", "0.05", "--seconds", "30"]) == 0
     assert daemon.asked == ["plan", "arm", "start", "stop"]
     spec = PlanSpec.model_validate(daemon.plan)
     goal = spec.segments[-1].explore
@@ -113,7 +113,7 @@ def test_it_arms_starts_tells_and_leaves_the_arm_as_it_was(tmp_path, capsys):
 def test_an_arm_that_tracked_before_tracks_on(tmp_path):
     daemon = Daemon(armed=True)
     with serving(tmp_path, daemon) as where:
-        assert main(["explore", *where]) == 0
+        assert main(["ctl", "explore", *where]) == 0
     assert daemon.asked == ["plan", "start"]
 
 
@@ -124,7 +124,7 @@ def test_an_arm_that_tracked_before_tracks_on(tmp_path):
 def test_a_refusal_is_one_line_in_the_daemons_own_words(tmp_path, capsys, command, asked):
     daemon = Daemon(refuses=(command,))
     with serving(tmp_path, daemon) as where:
-        assert main(["explore", *where]) == 1
+        assert main(["ctl", "explore", *where]) == 1
     assert daemon.asked == asked
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
@@ -134,7 +134,7 @@ def test_a_refusal_is_one_line_in_the_daemons_own_words(tmp_path, capsys, comman
 def test_a_fault_ends_it_as_a_failure_of_the_rig(tmp_path, capsys):
     daemon = Daemon(looks=1000, fault_at=4)
     with serving(tmp_path, daemon) as where:
-        assert main(["explore", *where]) == 3
+        assert main(["ctl", "explore", *where]) == 3
     err = capsys.readouterr().err.splitlines()[-1]
     assert "explored 50% of the 90%" in err
     assert "pad1-lifted: put the object back" in err
@@ -145,7 +145,7 @@ def test_a_hold_is_told_and_given_up_after_a_while(tmp_path, capsys, monkeypatch
     monkeypatch.setattr(operator, "HELD_S", 0.3)
     daemon = Daemon(looks=1000, held_at=3)
     with serving(tmp_path, daemon) as where:
-        assert main(["explore", *where]) == 3
+        assert main(["ctl", "explore", *where]) == 3
     err = capsys.readouterr().err
     assert "pad1-lifted: put the object back (palmd ctl start goes on)" in err
     assert "held for 0.3 s" in err
@@ -162,7 +162,7 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
     thread = threading.Thread(target=interrupt)
     with serving(tmp_path, daemon) as where:
         thread.start()
-        assert main(["explore", *where]) == 0
+        assert main(["ctl", "explore", *where]) == 0
         thread.join()
     assert daemon.asked == ["plan", "start", "hold", "stop"]
     assert capsys.readouterr().out.startswith("explored 50% of the 90%")
@@ -170,7 +170,7 @@ def test_ctrl_c_holds_and_then_stops(tmp_path, capsys):
 
 def test_without_a_daemon_one_line_says_so(tmp_path, capsys):
     address = f"ipc://{tmp_path}/nobody"
-    assert main(["explore", "--address", address, "--listen", address]) == 3
+    assert main(["ctl", "explore", "--address", address, "--listen", address]) == 3
     assert "is a palmd running there" in capsys.readouterr().err
 
 
@@ -179,7 +179,7 @@ def test_without_a_daemon_one_line_says_so(tmp_path, capsys):
 )
 def test_usage(wrong, capsys):
     with pytest.raises(SystemExit) as caught:
-        main(["explore", *wrong])
+        main(["ctl", "explore", *wrong])
     assert caught.value.code == 2
     assert "must be more than 0" in capsys.readouterr().err
 

@@ -59,10 +59,10 @@ MISTAKES = {
         "rig --seed x", 2, "palmd rig: error: argument --seed: must be a whole number, got 'x'"
     ),
     "per cent for a share": Mistake(
-        "explore --coverage 95",
+        "ctl explore --coverage 95",
         2,
-        "palmd explore: error: argument --coverage: must be more than 0 and at most 1, got 95; is a share of 1 meant,"
-        " such as 0.95?",
+        "palmd ctl explore: error: argument --coverage: must be more than 0 and at most 1, got 95; is a share of 1 "
+        "meant, such as 0.95?",
     ),
     "an observer that does not exist": Mistake(
         "estimate run.jsonl -o out.jsonl --observer kalman",

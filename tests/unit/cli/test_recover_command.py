@@ -1,4 +1,4 @@
-"""`palmd recover` and `palmd record`: what they say, and what they refuse."""
+"""`palmd runs recover` and `palmd record`: what they say, and what they refuse."""
 
 import pytest
 import recorded
@@ -21,33 +21,33 @@ def cut_off(tmp_path):
 def test_a_run_that_lacks_its_end_only_is_finished_in_place(tmp_path, capsys):
     file, _ = recorded.begun(tmp_path)
     file.abandon()
-    assert main(["recover", str(file.path)]) == 0
+    assert main(["runs", "recover", str(file.path)]) == 0
     assert capsys.readouterr().out == f"{file.path}: 12 messages of 0.5 s saved\n"
     assert list(read_messages(file.path)) == list(recorded.messages(5))
     assert is_packed(file.path)
     assert read_run(file.path).complete
-    assert main(["recover", str(file.path)]) == 0
+    assert main(["runs", "recover", str(file.path)]) == 0
     assert capsys.readouterr().out == f"{file.path}: is whole already\n"
 
 
 def test_what_cannot_be_read_stays_where_it_is(cut_off, capsys):
     before = cut_off.read_bytes()
     saved = cut_off.with_name(f"{cut_off.stem}.recovered.mcap")
-    assert main(["recover", str(cut_off)]) == 1
+    assert main(["runs", "recover", str(cut_off)]) == 1
     out = capsys.readouterr().out
     assert out.startswith(f"{saved}: 10 messages of 0.4 s saved, ")
     assert out.endswith(" torn bytes at the end left out\n")
     assert cut_off.read_bytes() == before
     assert list(read_messages(saved)) == list(recorded.messages(5))[:-2]
     assert read_run(saved).complete
-    assert main(["recover", str(cut_off), "-o", str(cut_off)]) == 1
+    assert main(["runs", "recover", str(cut_off), "-o", str(cut_off)]) == 1
     assert "cannot be read, and would be lost in its place" in capsys.readouterr().err
     assert cut_off.read_bytes() == before
 
 
 def test_the_output_may_be_named(cut_off, tmp_path, capsys):
     before = cut_off.read_bytes()
-    assert main(["recover", str(cut_off), "-o", str(tmp_path / "b.mcap")]) == 1
+    assert main(["runs", "recover", str(cut_off), "-o", str(tmp_path / "b.mcap")]) == 1
     assert capsys.readouterr().out.startswith(f"{tmp_path / 'b.mcap'}: 10 messages")
     assert cut_off.read_bytes() == before
     assert is_packed(tmp_path / "b.mcap")
@@ -56,10 +56,10 @@ def test_the_output_may_be_named(cut_off, tmp_path, capsys):
 def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys):
     path = tmp_path / "run.mcap"
     path.write_bytes(b"not a recording")
-    assert main(["recover", str(path)]) == 1
+    assert main(["runs", "recover", str(path)]) == 1
     assert capsys.readouterr().err == f"{path}: is no MCAP file\n"
     assert path.read_bytes() == b"not a recording"
-    assert main(["recover", str(tmp_path / "none.mcap")]) == 1
+    assert main(["runs", "recover", str(tmp_path / "none.mcap")]) == 1
     assert (
         capsys.readouterr().err
         == f"{tmp_path / 'none.mcap'}: no such file; `palmd runs FOLDER` lists what has been recorded there\n"
@@ -68,7 +68,7 @@ def test_what_cannot_be_recovered_is_refused_and_left_as_it_is(tmp_path, capsys)
 
 def test_an_output_that_cannot_be_written_is_told(cut_off, tmp_path, capsys):
     target = tmp_path / "none" / "b.mcap"
-    assert main(["recover", str(cut_off), "-o", str(target)]) == 1
+    assert main(["runs", "recover", str(cut_off), "-o", str(target)]) == 1
     assert capsys.readouterr().err == f"{target}: cannot be written: No such file or directory\n"
 
 

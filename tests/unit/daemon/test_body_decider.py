@@ -10,7 +10,6 @@ from palmd.config.three_palms import TiltGoal
 from palmd.daemon import body_decider
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.exploration_requests import ExplorationTask, Question
-from palmd.lab.space_exploring import WIDE, BodyStand, known_parameters
 from palmd.model.convex_bodies import least_radii
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp
@@ -23,6 +22,7 @@ from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
+from tools.studies.space_exploring import WIDE, BodyStand, known_parameters
 
 RIG, SEED = ThreePalmsRig(), 4
 LIMITS = TiltLimits.over(WIDE, 75.0)

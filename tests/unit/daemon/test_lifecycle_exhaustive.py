@@ -9,7 +9,7 @@ from abstract_rig import Rig, happenings
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.faults import FAULTS, TABLE, FaultMonitor
 from palmd.harness.rules import Rules
-from palmd.lab.simulation.reached import unreachable
+from tools.studies.simulation.reached import unreachable
 
 pytestmark = pytest.mark.timeout(3600)  # a busy machine takes its time over half a million ticks
 

@@ -22,10 +22,10 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.armlink import Ack, ArmState, HelloReply, Pose, Query, encode_reply, parse_command
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
-from palmd.lab.silent_observer import SilentObserver
 from palmd.messages import info_fields, validate
 from palmd.rig.world import default_config
 from palmd.topics import TOPICS
+from tools.studies.silent_observer import SilentObserver
 
 PERIOD = 0.01
 

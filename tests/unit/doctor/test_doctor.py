@@ -129,7 +129,7 @@ def test_compiler(monkeypatch, tmp_path):
 
 def test_observers(monkeypatch, tmp_path):
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
-    assert machine.observers().mend == "palmd build"
+    assert machine.observers().mend == "palmd doctor build"
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache/shape-12.so").touch()
     assert machine.observers().verdict == "ok"
@@ -142,7 +142,7 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     with shut(tmp_path / "cache"):
         finding, user = machine.observers(), realtime.user()
     assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
-    assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd build"
+    assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd doctor build"
 
 
 def test_observers_of_who_has_no_home(monkeypatch):

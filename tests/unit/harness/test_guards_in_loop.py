@@ -7,9 +7,9 @@ import yaml
 
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.harness.wireless import Wireless, WirelessError
-from palmd.lab.simulation.light_observer import LightObserver
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
+from tools.studies.simulation.light_observer import LightObserver
 
 PLAN = PlanSpec.model_validate(
     yaml.safe_load(

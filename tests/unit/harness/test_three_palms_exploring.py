@@ -8,12 +8,12 @@ from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
 from palmd.harness.three_palms_comparison import matrix
 from palmd.harness.three_palms_wireless import ThreePalmsWireless
-from palmd.lab.space_exploring import known_parameters
-from palmd.lab.space_live import SpaceLiveRow, TrueCoverage, told_of_exploring
 from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config
+from tools.studies.space_exploring import known_parameters
+from tools.studies.space_live import SpaceLiveRow, TrueCoverage, told_of_exploring
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
 TOLD_S, SECONDS = 2.2, 6.5

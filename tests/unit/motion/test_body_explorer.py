@@ -7,8 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palmd.lab import space_exploring
-from palmd.lab.space_exploring import WIDE, known_parameters
 from palmd.model import rotation
 from palmd.model.body_rollout import ROUGH_ORDER
 from palmd.model.icosphere import icosphere
@@ -24,6 +22,8 @@ from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import ThreePalmsRig, palms_at
+from tools.studies import space_exploring
+from tools.studies.space_exploring import WIDE, known_parameters
 
 GRAVITY, SIDE, SEED = 9.81, 0.075, 4
 RIG = ThreePalmsRig()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from palmd.config.three_palms import ThreePalmsLimitsConfig
-from palmd.lab.space_exploring import WIDE
 from palmd.motion.body_swing import FARTHEST_RAD, SWING_RAD, Swing
 from palmd.motion.three_palms import TiltLimits
+from tools.studies.space_exploring import WIDE
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])

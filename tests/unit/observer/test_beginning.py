@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.lab import sbc
-from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
 from palmd.observer.beginning import known_of, with_beginning
@@ -16,6 +14,8 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.search import Attempt, Search, explained
 from palmd.observer.smoother import Smoother
+from tools.studies import sbc
+from tools.studies.simulated import simulated as calibrated_run
 
 LATER = Attempt(2.0, 3, later_s=0.7)
 

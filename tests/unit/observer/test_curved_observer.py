@@ -65,7 +65,7 @@ def test_taken_for_flat_it_is_not_claimed(cradle):
 
 @pytest.mark.parametrize("as_described", [True, False])
 def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatch, as_described):
-    """Dome 2042 of `palmd bench curved`: a worse minimum that a contradicted rig made fit was claimed."""
+    """Dome 2042 of `python -m tools.studies curved`: a worse minimum that a contradicted rig made fit was claimed."""
     _, log, _ = cradle
     refined, looks = reconstruct_module._refined, []
 

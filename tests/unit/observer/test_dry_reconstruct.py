@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from palmd.events import PadSample
-from palmd.lab.simulated import written
-from palmd.lab.thing_logs import SharpTask, simulated
 from palmd.model import shape
 from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C, R, contact_function
@@ -42,6 +40,8 @@ from palmd.rig.simulate import Rock, Rocking, simulate_log
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
+from tools.studies.simulated import written
+from tools.studies.thing_logs import SharpTask, simulated
 
 STEP = 5e-4
 ROCKING = Rocking(Rock(0.75, 0.5, 0.5, 0.3), Rock(1.65, 0.25, 0.8, 1.0))

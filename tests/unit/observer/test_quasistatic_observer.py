@@ -10,12 +10,12 @@ import pytest
 from simulated import simulated
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
-from palmd.lab.balanced import BalancedRun, balanced_run
 from palmd.messages import estimate_fields, sound, stamp, validate
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.quantities import ESTIMATE
 from palmd.system.description import RigDescription
+from tools.studies.balanced import BalancedRun, balanced_run
 
 LUMP = np.array([0.020, 0.0015, -0.001, 0.004, 0.0, 0.0004, 0.0005])
 RIG = RigDescription(hinge="fixed")

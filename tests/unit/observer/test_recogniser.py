@@ -14,9 +14,6 @@ from library import THETA, library, run_with
 from palmd import observer
 from palmd.daemon.core import Core
 from palmd.events import DECIDED, ObjectEstimate, PadSample
-from palmd.lab import recognition
-from palmd.lab.recognition import RecognitionRow, RecognitionTask
-from palmd.lab.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 from palmd.messages import object_fields, stamp, validate
 from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE
@@ -25,6 +22,9 @@ from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import as_said, lines, replay
 from palmd.rig.world import default_config
 from palmd.score import score_outline
+from tools.studies import recognition
+from tools.studies.recognition import RecognitionRow, RecognitionTask
+from tools.studies.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 
 
 def said(t, *probability, names=("a", "b")):

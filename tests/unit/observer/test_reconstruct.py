@@ -10,8 +10,6 @@ import pytest
 from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapped
 
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.lab import sbc
-from palmd.lab.simulated import simulated as calibrated_run
 from palmd.model.smoothing import R
 from palmd.observer import criticism
 from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
@@ -21,6 +19,8 @@ from palmd.observer.seeker import attempts_for
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline
+from tools.studies import sbc
+from tools.studies.simulated import simulated as calibrated_run
 
 SECONDS = 5.0
 EACH_S = 3.5  # of two objects

@@ -8,7 +8,6 @@ import pytest
 from simulated import simulated
 
 from palmd.events import PadSample, PalmSample
-from palmd.lab.simulated import written
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import C
 from palmd.observer import seeker
@@ -23,6 +22,7 @@ from palmd.record.eventlog import read_log
 from palmd.rig.shapes import Body, Support
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
+from tools.studies.simulated import written
 
 RUN = ("friction", 107, 3.0)
 STARVED_S = 0.8

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from curvature import curvatures
 
-from palmd.lab.space import errors
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
@@ -28,6 +27,7 @@ from palmd.observer.three_palms.search import SPACING_S, Task, eased
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.rig.three_palms.simulate import simulate
+from tools.studies.space import errors
 
 SECONDS = 3.0
 COARSE_ORDER = 3

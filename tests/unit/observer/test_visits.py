@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.lab import pruning_figure
-from palmd.lab.scoring import outline_errors
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.visits import HYSTERESIS_RAD, kept_by_band, kept_by_visits, visits_of
+from tools.studies import pruning_figure
+from tools.studies.scoring import outline_errors
 
 
 def path(*degrees, steps=200):

@@ -154,7 +154,7 @@ def test_the_commands_go_on_and_say_what_is_missing(packed, tmp_path, capsys):
     assert rows == read_layout(packed).count - len(lost)
     assert main(["runs", str(folder), "--json"]) == 0
     assert expected in json.loads(capsys.readouterr().out)[0]["damage"]
-    assert main(["recover", str(run)]) == 1
+    assert main(["runs", "recover", str(run)]) == 1
     saved = read_any_run(folder / "run.recovered.mcap")
     assert saved.complete
     assert not saved.damage.damaged

@@ -17,8 +17,6 @@ from palmd.daemon.commands import Request
 from palmd.harness.pivot_wireless import PivotWireless
 from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.harness.wireless import Wireless
-from palmd.lab.fault_wireless import WirelessRecorder
-from palmd.lab.silent_observer import SilentObserver
 from palmd.record.run import RunError, read_any_run, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
@@ -26,6 +24,8 @@ from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
+from tools.studies.fault_wireless import WirelessRecorder
+from tools.studies.silent_observer import SilentObserver
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 

@@ -1,1 +1,0 @@
-"""Apart from all that a rig runs: what the paper's reproduction and the studies need."""

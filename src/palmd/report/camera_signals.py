@@ -1,0 +1,85 @@
+"""A reconstructed motion and a camera's track of the same run, as functions of time. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from palmd.events import FloatArray, PalmSample
+from palmd.observer.palm_path import smoothed_path
+from palmd.record.resultfile import Result
+from palmd.record.track import LEAST_ROWS, CameraTrack
+from palmd.system.description import RigDescription
+
+GAP_S = 0.1  # of the reconstruction: nothing is made up across more
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class KnownMotion:
+    """The run as palmd knows it at times t (n, s): psi (rad); com (n, 2) in m and palms φ1, φ12 (n, 2) with a log."""
+
+    t: FloatArray
+    psi: FloatArray
+    com: FloatArray | None
+    palms: FloatArray | None
+
+
+def motion_of(result: Result, rig: RigDescription | None, palms: list[PalmSample]) -> KnownMotion:
+    """The reconstructed motion, its centre of mass in the world where the log's palm angles are given."""
+    if rig is None or not palms:
+        return KnownMotion(result.t, result.psi, None, None)
+    angles = smoothed_path(palms, rig.palm_angle_noise).at(result.t)[:, :2]
+    com = com_of(angles, result.radii, rig)
+    return KnownMotion(result.t, result.psi, com, np.stack([angles[:, 0], angles.sum(axis=1)], axis=1))
+
+
+def com_of(angles: FloatArray, radii: FloatArray, rig: RigDescription) -> FloatArray:
+    """The centre of mass in the world (n, 2), m: n1·c′ = r1, n2·c′ = r2 about the hinge O = B − L1 t1(φ1) of an arc.
+
+    angles (n, 2): φ1, φ2 (rad); radii (2, n): r1, r2. Since n1·t2 = −sin φ2 and n2·t1 = sin φ2,
+    c′ = (r2 t1 − r1 t2) / sin φ2.
+    """
+    directions = angles.cumsum(axis=1)
+    along = np.stack([np.cos(directions), np.sin(directions)], axis=-1)  # t1 and −t2
+    from_hinge = (radii[1, :, None] * along[:, 0] + radii[0, :, None] * along[:, 1]) / np.sin(angles[:, 1])[:, None]
+    base, length = rig.arc
+    return np.asarray(np.array(base) - length * along[:, 0] + from_hinge)
+
+
+class Signals:
+    """Both records as functions of time."""
+
+    def __init__(self, motion: KnownMotion, track: CameraTrack) -> None:
+        self.motion, self.track = motion, track
+        self.psi = CubicSpline(motion.t, motion.psi)
+        self.com = None if motion.com is None else CubicSpline(motion.t, motion.com)
+        self.palms = None
+        self.seen = np.isfinite(track.angle)
+        if motion.palms is not None and (np.isfinite(track.palms) & self.seen[:, None]).sum() >= LEAST_ROWS:
+            self.palms = CubicSpline(motion.t, motion.palms)
+        self._gaps = np.flatnonzero(np.diff(motion.t) > GAP_S)
+
+    def known_at(self, log_t: FloatArray) -> Bools:
+        """Where the reconstruction tells something, and no gap is bridged."""
+        known = np.ones(len(log_t), dtype=np.bool_)
+        for i in self._gaps:
+            known &= ~((log_t > self.motion.t[i]) & (log_t < self.motion.t[i + 1]))
+        return known
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Spans of log time that the reconstruction leaves out."""
+        return [(float(self.motion.t[i]), float(self.motion.t[i + 1])) for i in self._gaps]
+
+    def angles(self, rows: npt.NDArray[np.intp]) -> list[tuple[FloatArray, FloatArray]]:
+        """What tells the clock: the camera's angle on the rows, and the log's on `motion.t`.
+
+        The palms where the camera sees them, since the log knows them whatever the reconstruction is worth.
+        """
+        if self.palms is None or self.motion.palms is None:
+            return [(self.track.angle[rows], self.motion.psi)]
+        return [(self.track.palms[rows, i], self.motion.palms[:, i]) for i in range(2)]

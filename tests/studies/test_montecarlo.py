@@ -1,0 +1,488 @@
+"""The Monte Carlo study: what a run is scored as, what many come to, and that it matters not where they are done."""
+
+import contextlib
+import dataclasses
+import json
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from multiprocessing import connection
+from pathlib import Path
+
+import numpy as np
+import pytest
+from answered import NO_SHAPE, THETA, answer, support, told
+
+from palmd.events import Estimate, ShapeEstimate
+from palmd.observer.bound import Bound
+from palmd.record.eventlog import read_log
+from palmd.rig.simulate import simulate_log
+from palmd.system.description import AS_CALIBRATED
+from tools.studies import montecarlo, montecarlo_figure, runs
+from tools.studies.montecarlo import MonteCarloTask
+from tools.studies.montecarlo_summary import quantile, remarks, summaries, table
+from tools.studies.scoring import (
+    Causal,
+    MonteCarloRow,
+    ObserverAnswers,
+    Scalar,
+    as_line,
+    causal_of,
+    outline_errors,
+    row_of,
+    truth_of,
+)
+from tools.studies.silent_observer import SilentObserver
+
+NAN = math.nan
+A_DAY_S = 86_400.0
+
+
+TRUTH = truth_of(told())
+BOUND = Bound(np.full(360, 2e-5), 5e-4, 0.05, 0.005)
+
+
+def scored(reconstruction, bound=BOUND, causal=None):
+    return row_of("friction", 3, TRUTH, reconstruction, outline_errors(reconstruction, TRUTH), bound, causal)
+
+
+# --------------------------------------------------------------------------------------------------- scoring
+
+
+def test_a_perfect_answer_has_no_errors_whatever_its_gauge():
+    row = scored(answer())
+    assert row.e_h_m < 1e-8
+    assert row.max_error_m < 1e-7
+    assert row.nees_h < 1e-5
+    assert row.psi_rms_rad < 1e-6
+    assert row.omega0_rms_rad_s < 1e-4
+    assert row.rho_m == Scalar(0.014, 0.0, 1e-3, 5e-4)
+    assert (row.kind, row.seed, row.converged, row.seconds) == ("friction", 3, True, 1.5)
+    assert row.mean_radius_m == pytest.approx(0.02)
+    assert row.right
+    assert not row.wrong
+
+
+def test_errors_of_known_size():
+    wave = 4e-5 * np.cos(12 * THETA)
+    row = scored(answer(h=support(THETA + 0.7) + wave, touched=THETA >= 0.0, rho=0.0147, mu=0.15, mass=0.11))
+    assert row.e_h_m == pytest.approx(4e-5 / math.sqrt(2), rel=1e-3)
+    assert row.max_error_m == pytest.approx(4e-5, rel=1e-3)
+    assert row.nees_h == pytest.approx(8.0, rel=1e-3)
+    assert row.efficiency == pytest.approx(2e-5 / row.e_h_m)
+    assert row.touched == 1.0
+    assert row.rho_m.error == pytest.approx(7e-4)
+    assert row.rho_m.relative_error == pytest.approx(0.05)
+    assert (row.mu.error, row.mass_kg.error) == (pytest.approx(-0.05), pytest.approx(0.01))
+
+
+def test_only_touched_normals_count():
+    touched = THETA < 2.0
+    bound = dataclasses.replace(BOUND, h_sd=np.where(touched, 3e-6, 1.0))
+    row = scored(answer(h=np.where(touched, support(THETA + 0.7), NAN), h_sd=np.where(touched, 1e-5, 0.0)), bound)
+    assert row.e_h_m < 1e-8
+    assert row.nees_h < 1e-5
+    assert row.h_bound_m == pytest.approx(3e-6)
+    assert row.touched == touched.mean()
+
+
+def test_the_bound_is_asked_for_on_the_normals_as_the_truth_names_them():
+    errors = outline_errors(answer(), TRUTH)
+    np.testing.assert_allclose(support(errors.true_theta), support(THETA + 0.7), atol=1e-8)
+    assert 0.0 <= errors.true_theta.min() < errors.true_theta.max() < math.tau
+
+
+def test_motion_is_compared_up_to_one_constant_on_any_branch():
+    wobble = 2e-3 * np.sin(50.0 * answer().t)
+    psi = answer().psi + wobble
+    wrapped = np.angle(np.exp(1j * (psi + 3.0)))
+    assert np.abs(np.diff(wrapped)).max() > 6.0
+    for given in (psi, psi - 20.0, wrapped):
+        assert scored(answer(psi=given)).psi_rms_rad == pytest.approx(np.std(wobble), rel=1e-3)
+    assert scored(answer(omega0=answer().omega0 + 0.3)).omega0_rms_rad_s == pytest.approx(0.3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [NO_SHAPE, {"touched": THETA > 7.0}, {"h": np.full(360, NAN)}],
+    ids=["no shape", "nothing touched", "no numbers"],
+)
+def test_without_an_outline_there_are_no_numbers_of_it(changes):
+    row = scored(answer(**changes))
+    assert all(math.isnan(x) for x in (row.e_h_m, row.max_error_m, row.touched, row.efficiency, row.nees_h))
+    assert not row.right
+    assert not row.wrong
+    assert row.rho_m.bound == 5e-4
+
+
+def test_right_and_wrong():
+    assert scored(answer(h=np.full(360, 0.02))).wrong
+    assert not scored(answer(h=np.full(360, 0.02), converged=False)).wrong
+    between = scored(answer(h=support(THETA + 0.7) + 2.8e-4 * np.cos(12 * THETA)))
+    assert (between.right, between.wrong) == (False, False)
+
+
+def test_a_row_is_strict_json():
+    line = as_line(scored(answer(**NO_SHAPE, chi2=NAN), causal=Causal(NAN, 1.0, 1e-5, 1.0)))
+    assert json.loads(json.dumps(line, allow_nan=False)) == line
+    assert line["e_h_m"] is None
+    assert line["causal"] == {"converged_after_s": None, "first_valid_s": 1.0, "r_rms_m": 1e-5, "nees_r": 1.0}
+    assert line["rho_m"] == {"true": 0.014, "error": 0.0, "sd": 1e-3, "bound": 5e-4}
+
+
+# ---------------------------------------------------------------------------------------------------- causal
+
+TICKS = np.arange(1, 1001) * 0.01
+
+
+def causal(**changes):
+    """Valid from 1 s, right in all from 2 s, r off by one sd of 0.1 mm."""
+    values = {
+        "t": TICKS, "valid": TICKS > 0.995, "r_error": np.full((1000, 2), 1e-4), "r_sd": np.full((1000, 2), 1e-4),
+        "e_h": np.where(TICKS > 1.995, 1e-4, NAN),
+    }  # fmt: skip
+    return causal_of(ObserverAnswers(**values | changes))
+
+
+def test_lasting_convergence_needs_everything_to_the_end():
+    told = causal()
+    assert (told.converged_after_s, told.first_valid_s) == (pytest.approx(2.0), pytest.approx(1.0))
+    assert (told.r_rms_m, told.nees_r) == (pytest.approx(1e-4), pytest.approx(1.0))
+    off = np.full((1000, 2), 1e-4)
+    off[499, 1] = -3.1e-4
+    assert causal(r_error=off).converged_after_s == pytest.approx(5.01)
+    assert causal(valid=(TICKS > 0.995) & (np.arange(1000) != 699)).converged_after_s == pytest.approx(7.01)
+    assert causal(e_h=np.where(TICKS < 8.0, 2.1e-4, 1e-4)).converged_after_s == pytest.approx(8.0)
+    assert causal(e_h=np.full(1000, 1e-4), valid=TICKS > 0.0).converged_after_s == pytest.approx(0.01)
+
+
+def test_what_ends_badly_never_converged():
+    for changes in ({"valid": TICKS < 9.0}, {"e_h": np.where(TICKS > 9.995, 3e-4, 1e-4)}, {"e_h": TICKS * NAN}):
+        assert math.isnan(causal(**changes).converged_after_s)
+    never = causal(valid=TICKS < 0.0)
+    assert all(math.isnan(x) for x in (never.first_valid_s, never.r_rms_m, never.nees_r))
+
+
+def test_only_valid_ticks_of_the_last_five_seconds_are_averaged():
+    error = np.where((TICKS <= 5.0)[:, None], 1.0, [1e-4, 3e-4])
+    error[TICKS > 9.0] = NAN
+    told = causal(r_error=error, valid=(TICKS > 2.0) & (TICKS < 9.0))
+    assert told.r_rms_m == pytest.approx(math.sqrt(5.0) * 1e-4)
+    assert told.nees_r == pytest.approx(5.0)
+
+
+class Oracle(SilentObserver):
+    """An observer that knows r1 and r2 to 0.1 mm from the first tick, and the outline from 0.6 s."""
+
+    def __init__(self, truth, turn=0.4):
+        self._truth, self._turn = truth, turn
+        self.fed = []
+
+    def feed(self, event):
+        self.fed.append(event)
+
+    def estimate(self, t):
+        values = dict.fromkeys(Estimate.__dataclass_fields__, NAN)
+        r1, r2 = (np.interp(t, self._truth["t"], self._truth[name]) for name in ("r1_m", "r2_m"))
+        values |= {"t": t, "valid": t > 0.3, "r1": r1 + 1e-4, "r2": r2, "sd": {"r1": 2e-4, "r2": 2e-4}}
+        return Estimate(**values)
+
+    def shape(self, t):
+        if t < 0.35:
+            return None
+        h = np.interp(THETA + self._turn, THETA, self._truth["h_m"], period=math.tau)
+        h = h if t > 0.55 else np.full(360, NAN)
+        return ShapeEstimate(t, THETA, h, h, THETA < 3.0)
+
+
+def log_of(tmp_path, kind="nominal", seed=1, seconds=1.0):
+    lines, truth = simulate_log(kind, seed, seconds)
+    path = tmp_path / "log.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return read_log(path), truth
+
+
+def test_a_causal_replay_is_judged_tick_by_tick(tmp_path):
+    log, truth = log_of(tmp_path)
+    oracle = Oracle(truth)
+    answers = montecarlo.answers(log, truth, oracle)
+    assert oracle.fed == list(log.events)
+    assert answers.t == pytest.approx(np.arange(1, len(answers.t) + 1) * 0.01)
+    np.testing.assert_allclose(answers.r_error, np.tile([1e-4, 0.0], (len(answers.t), 1)), atol=1e-9)
+    told = causal_of(answers)
+    assert told.first_valid_s == pytest.approx(0.31)
+    assert told.converged_after_s == pytest.approx(0.6)
+    assert told.nees_r == pytest.approx(0.125)
+
+
+# ------------------------------------------------------------------------------------------------- the run
+
+
+def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tmp_path, monkeypatch):
+    log, truth = log_of(tmp_path, "rig", 5)
+    seen = {}
+
+    def reconstruct(events, rig):
+        seen["read"] = (events, rig)
+        t = np.array(truth["t"])
+        return answer(h=np.array(truth["h_m"]), psi=np.array(truth["psi_rad"]), omega0=t, t=t, rho=truth["rho_m"])
+
+    def cramer_rao(events, rig, told, theta):
+        seen["bound"] = (events, rig, told.rho, len(theta))
+        return BOUND
+
+    monkeypatch.setattr(montecarlo, "reconstruct", reconstruct)
+    monkeypatch.setattr(montecarlo, "cramer_rao", cramer_rao)
+    row = montecarlo.run(MonteCarloTask("rig", 5, 1.0, causal=False))
+    assert seen["read"] == (log.events, log.rig)
+    assert seen["bound"] == (log.events, log.rig, truth["rho_m"], 360)
+    assert row.error == ""
+    assert row.e_h_m < 1e-8
+    assert row.psi_rms_rad < 1e-9
+    assert row.rho_m.error == 0.0
+    assert row.causal is None
+
+
+def test_the_daemons_observer_is_replayed_unless_it_is_not_wanted(monkeypatch):
+    monkeypatch.setattr(montecarlo, "reconstruct", lambda *_: answer(**NO_SHAPE))
+    monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
+    row = montecarlo.run(MonteCarloTask("nominal", 1, 3.0))
+    assert row.error == ""
+    assert 0.3 < row.causal.first_valid_s <= row.causal.converged_after_s < 3.0
+    assert row.causal.r_rms_m < 1e-4
+
+
+def test_a_rig_may_be_as_calibration_leaves_one(monkeypatch):
+    read = []
+    monkeypatch.setattr(montecarlo, "reconstruct", lambda _, rig: read.append(rig) or answer(**NO_SHAPE))
+    monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
+    for word in ("none", "calibrated"):
+        (task,) = montecarlo.tasks_of(("nominal",), 1, 1, 1.0, False, word)
+        assert montecarlo.run(task).error == ""
+    assert [rig.pads[0].zero_sd for rig in read] == [0.0, AS_CALIBRATED["zero_sd"]]
+
+
+def test_what_raises_becomes_a_row(monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("no ground")
+
+    monkeypatch.setattr(montecarlo, "reconstruct", broken)
+    row = montecarlo.run(MonteCarloTask("odd", 7, 0.5))
+    assert row.error == "ZeroDivisionError: no ground"
+    assert (row.kind, row.seed, row.converged, row.right) == ("odd", 7, False, False)
+    assert as_line(row)["e_h_m"] is None
+
+
+def test_tasks_and_their_order():
+    tasks = montecarlo.tasks_of(("nominal", "odd"), 5, 2, 3.0, False)
+    assert {(task.kind, task.seed) for task in tasks} == {(k, s) for k in ("nominal", "odd") for s in (5, 6)}
+    assert {(task.seconds, task.causal) for task in tasks} == {(3.0, False)}
+    rows = montecarlo.in_order(
+        [
+            MonteCarloRow("odd", 1),
+            MonteCarloRow("friction", 10),
+            MonteCarloRow("friction", 9),
+            MonteCarloRow("nominal", 2),
+        ]
+    )
+    assert [(row.kind, row.seed) for row in rows] == [("nominal", 2), ("friction", 9), ("friction", 10), ("odd", 1)]
+
+
+# ----------------------------------------------------------------------------------------------- execution
+
+
+def told_failed(task, error):
+    return f"{task}: {type(error).__name__}"
+
+
+TASKS = montecarlo.tasks_of(("nominal", "friction"), 3, 1, 0.8, False)
+
+
+def lines_of(executor):
+    """What comes of some short runs, but for how long they took."""
+    rows = montecarlo.in_order(runs.finished(executor, montecarlo.run, montecarlo.failed, TASKS))
+    assert [row.error for row in rows] == ["", ""]
+    return [as_line(dataclasses.replace(row, seconds=0.0)) for row in rows]
+
+
+@pytest.fixture(scope="module")
+def locally():
+    with runs.local(1) as executor:
+        return lines_of(executor)
+
+
+def test_the_number_of_processes_changes_nothing(locally):
+    with runs.local(2) as executor:
+        assert lines_of(executor) == locally
+
+
+def test_a_cluster_gives_the_same(locally):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask,
+        runs.cluster(dask.scheduler_address) as executor,
+    ):
+        assert lines_of(executor) == locally
+
+
+def test_a_cluster_forgets_what_is_undone():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask:
+        with runs.cluster(dask.scheduler_address) as executor:
+            results = runs.finished(executor, time.sleep, told_failed, [0.0, *[0.3] * 100])
+            assert next(results) is None
+        t_end = time.monotonic() + 10.0  # a third of what all of it would take; the news takes a moment to get there
+        while dask.scheduler.tasks and time.monotonic() < t_end:
+            time.sleep(0.05)
+        assert not dask.scheduler.tasks
+
+
+def test_a_failure_far_away_is_a_result():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask,
+        runs.cluster(dask.scheduler_address) as executor,
+    ):
+        assert set(runs.finished(executor, math.sqrt, told_failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
+
+
+def test_what_raises_in_a_process_or_kills_it_is_a_result():
+    with runs.local(2) as executor:
+        assert set(runs.finished(executor, math.sqrt, told_failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
+    with runs.local(1) as executor:
+        assert list(runs.finished(executor, os._exit, told_failed, [3])) == ["3: BrokenProcessPool"]
+
+
+def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    with runs.local(1) as executor:
+        assert executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
+        assert executor.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
+    program = "import sys; import tools.studies.runs; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], env=ENVIRONMENT, check=False).returncode == 0
+
+
+def test_an_interruption_does_not_wait_for_the_runs_in_hand():
+    """They would last longer than this test is given: it ends only because they are cut short."""
+    workers = []
+    try:
+        with contextlib.suppress(KeyboardInterrupt), runs.local(2) as executor:
+            next(runs.finished(executor, time.sleep, told_failed, [0.0, A_DAY_S, A_DAY_S, A_DAY_S]))
+            workers += multiprocessing.active_children()
+            raise KeyboardInterrupt
+        assert len(workers) == 2
+        for worker in workers:
+            connection.wait([worker.sentinel])  # its end; for join() the executor's own thread may take the status away
+    finally:
+        for worker in workers:
+            worker.kill()
+
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+
+ORPHAN = """
+import os, time
+from tools.studies import runs
+
+if __name__ == "__main__":
+    with runs.local(1) as executor:
+        print(executor.submit(os.getpid).result(), flush=True)
+        time.sleep(60.0)
+"""
+
+
+def test_workers_do_not_outlive_their_parent(tmp_path):
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    with subprocess.Popen([sys.executable, str(script)], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as parent:
+        worker = Path("/proc") / parent.stdout.readline().strip()
+        assert worker.exists()
+        parent.send_signal(signal.SIGKILL)
+    t_end = time.monotonic() + 10.0
+    while worker.exists():
+        assert time.monotonic() < t_end
+        time.sleep(0.05)
+
+
+# ------------------------------------------------------------------------------------------------- summary
+
+
+def row(kind="nominal", seed=0, e_h=1e-5, **changes):
+    values = {
+        "converged": True, "e_h_m": e_h, "max_error_m": 2 * e_h, "touched": 0.3, "efficiency": 0.5, "nees_h": 1.2,
+        "rho_m": Scalar(0.02, -1e-3, 1e-3, 5e-4), "mu": Scalar(0.0, 0.1, 0.04, 0.02),
+        "mass_kg": Scalar(0.1, 0.01, 4e-3, 0.0), "seconds": 2.0, "causal": Causal(3.0, 1.0, 1e-5, 0.9),
+    }  # fmt: skip
+    return MonteCarloRow(kind, seed, **values | changes)
+
+
+FEW = [
+    row(seed=0),
+    row(seed=1, e_h=4e-4),
+    row(seed=2, e_h=2e-4, causal=Causal(7.0, 5.0, 3e-5, 1.1)),
+    row(seed=3, e_h=NAN, converged=False, max_error_m=NAN, causal=Causal(NAN, NAN, NAN, NAN)),
+    MonteCarloRow("nominal", 4, error="ValueError: no"),
+    row("odd", 0),
+]
+
+
+def test_a_summary_counts_every_run():
+    nominal, odd = summaries(FEW)
+    assert (nominal.kind, nominal.runs, nominal.errors, nominal.wrong) == ("nominal", 5, 1, 1)
+    assert (nominal.right, nominal.converged) == (0.2, 0.6)
+    assert nominal.e_h_m.median == 4e-4
+    assert nominal.e_h_m.p90 == nominal.max_error_m.p95 == math.inf
+    assert nominal.rho.relative_error == pytest.approx(0.05)
+    assert (nominal.rho.within_2_sd, nominal.mu.within_2_sd, nominal.mass.within_2_sd) == (1.0, 0.0, 0.0)
+    assert nominal.rho.sd_over_bound == pytest.approx(2.0)
+    assert math.isnan(nominal.mu.relative_error)
+    assert math.isnan(nominal.mass.sd_over_bound)
+    assert nominal.causal.converged_after_s.median == 7.0
+    assert nominal.causal.within_goal == 0.4
+    assert nominal.causal.first_valid_s == 1.0
+    assert (odd.kind, odd.runs, odd.right, odd.causal.within_goal) == ("odd", 1, 1.0, 1.0)
+
+
+def test_the_table_has_a_column_for_each_kind():
+    lines = {line[:54].strip(): line[54:].split("  ") for line in table(summaries(FEW)).splitlines()}
+    cells = {name: [cell.strip() for cell in rest if cell.strip()] for name, rest in lines.items()}
+    assert cells[""] == ["nominal", "odd"]
+    assert cells["right: e_h < 0.1 mm (%)"] == ["20.0", "100.0"]
+    assert cells["e_h, median / p90 / p95 (µm)"] == ["400 / ∞ / ∞", "10 / 10 / 10"]
+    assert cells["μ: |error|, median (%)"] == ["–", "–"]
+    assert cells["causal: within 6 s (%)"] == ["40.0", "100.0"]
+    without = table(summaries([dataclasses.replace(each, causal=None) for each in FEW]))
+    assert "causal" not in without
+
+
+def test_remarks_name_the_runs_to_look_at():
+    assert remarks(FEW) == ["nominal 1: claimed but wrong by 400 µm", "nominal 4: ValueError: no"]
+
+
+def test_quantiles():
+    random = np.random.default_rng(0).normal(size=37)
+    for q in (0.0, 0.5, 0.9, 0.95, 1.0):
+        assert quantile(random, q) == pytest.approx(np.quantile(random, q))
+    assert quantile([1.0, math.inf], 0.5) == math.inf
+    assert quantile([math.inf, 1.0, 2.0], 0.5) == 2.0
+    assert quantile([math.inf] * 2, 0.5) == math.inf
+    assert math.isnan(quantile([], 0.5))
+
+
+def test_the_figure_is_the_same_for_the_same_rows(tmp_path):
+    (tmp_path / "again").mkdir()
+    first, again = (montecarlo_figure.save(FEW, folder) for folder in (tmp_path, tmp_path / "again"))
+    assert [path.suffix for path in first] == [".svg", ".png"]
+    assert first[0].read_bytes() == again[0].read_bytes()
+    assert first[1].read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("rows", [FEW[4:5], [dataclasses.replace(FEW[0], causal=None)]])
+def test_a_figure_of_one_row_and_of_none_of_the_daemons_is_drawn(rows):
+    figure = montecarlo_figure.drawn(rows)
+    figure.draw_without_rendering()  # all but the writing, which takes most of the time
+    assert [bool(axes.lines) for axes in figure.axes] == [True] * 4

@@ -1,0 +1,109 @@
+"""One thing is not as described: what is off is off by what the table says, and verdicts are right."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from answered import answer
+
+from palmd.events import PadSample, PalmSample
+from palmd.observer.criticism import LEFT
+from palmd.rig.imperfections import PERFECT, drawn
+from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.rig_constants import RIG_NAMES
+from tools.studies import off
+from tools.studies.off import OFF, Off, OffRow, OffTask, report, tasks_of, verdict, with_constants
+from tools.studies.scoring import ObserverAnswers, as_line
+
+
+def test_every_constant_can_be_off_by_its_published_name_and_the_rest_stays():
+    rest = drawn(RigDescription().known_to(AS_CALIBRATED), 3)
+    drawn_names = [name for name, sd in zip(RIG_NAMES, LEFT, strict=True) if sd > 0.0]
+    for number, name in enumerate(drawn_names, 1):
+        value = number * 1e-3
+        assert with_constants(rest, {name: value}).constants() == pytest.approx(rest.constants() | {name: value})
+    assert with_constants(PERFECT, {}) == PERFECT
+
+
+def test_the_table_names_constants_that_there_are():
+    assert all(set(each.constants) <= set(RIG_NAMES) for each in OFF)
+    assert len({each.name for each in OFF}) == len(OFF)
+
+
+def test_verdicts():
+    both = Off("both zeros", {"pad1_zero_m": 1e-4, "pad2_zero_m": 1e-4})
+    named = {
+        (): "none",
+        ("pad2_zero_m",): "right",
+        ("pad1_zero_m", "pad2_zero_m"): "right",
+        ("pad1_zero_m", "phi2_rad"): "with others",
+        ("phi2_rad",): "wrong",
+    }
+    assert {each: verdict(both, each) for each in named} == named
+    assert verdict(Off("nothing"), ("phi2_rad",)) == "wrong"
+    assert verdict(Off("batches", as_well=("pad1_lag_s",)), ("pad1_lag_s",)) == "right"
+
+
+def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
+    events = [PadSample(0.001 + 0.007 * k, 1 + k % 2, 0.02 + 1e-4 * k, 1.0) for k in range(40)]
+    events += [PalmSample(0.016 * k, (0.7, 1.6), (0.0, 0.0), (0.0, 0.0)) for k in range(10)]
+    batched = off._batched(sorted(events, key=lambda event: event.t_sample), np.random.default_rng(0))
+    assert len(batched) == len(events)
+    assert [each.t_sample for each in batched] == sorted(each.t_sample for each in batched)
+    before, after = ({e.s: e.t_sample for e in of if isinstance(e, PadSample)} for of in (events, batched))
+    late = np.array([after[s] - t for s, t in before.items()])
+    assert -off._PACKET_S < late.min() < late.max() <= off._BATCH_S
+    one = [each.t_sample for each in batched if isinstance(each, PadSample) and each.pad == 1]
+    assert len(set(one)) == len(one), "two readings of a pad at one time would count as one"
+
+
+def test_worlds_kinds_and_seeds_take_turns():
+    tasks = tasks_of(["nothing"], ["exact", "calibrated"], 4, 2, 9.0)
+    assert [(task.taken_for, task.kind, task.seed) for task in tasks] == [
+        ("exact", "friction", 4), ("exact", "rig", 5), ("calibrated", "friction", 4), ("calibrated", "rig", 5),
+    ]  # fmt: skip
+
+
+def test_what_is_claimed_too_sharply_is_told_with_its_seed():
+    good = OffRow("φ2 1°", "exact", "rig", 3, claimed=True, e_h_m=2e-5, h_sd_m=1e-5, z=0.5, named=("phi2_rad",),
+                  named_early=("phi2_rad",))  # fmt: skip
+    rows = [good, replace(good, seed=4, e_h_m=3.1e-5), replace(good, seed=5, claimed=False, reason="too little")]
+    text = report(rows)
+    assert "1 of 2 claims are more than 3 sd off, 1 of 2 where touch can tell" in text
+    high = replace(rows[1], off="pad 1 0.5 mm high")
+    assert "2 of 3 claims are more than 3 sd off, 1 of 2 where touch can tell" in report([*rows, high])
+    assert "φ2 1°, rig 4: 31 µm off, sd 10 µm" in text
+    assert "φ2 1°, rig 5: too little" in text
+    assert "rig 3" not in text
+    assert json.loads(json.dumps(as_line(rows[2]), allow_nan=False))["reason"] == "too little"
+
+
+def test_ticks_of_the_live_observer_are_counted_where_it_was_asked(monkeypatch):
+    """Two valid ticks of four: one is 3.5 sd off by RMS and 0.4 mm, the other within its band though that is wide."""
+    said = ObserverAnswers(
+        t=np.arange(4.0), valid=np.array([False, True, True, False]), e_h=np.zeros(4),
+        r_error=1e-4 * np.array([[90.0, 90.0], [4.0, 3.0], [-4.0, 0.0], [90.0, 90.0]]),
+        r_sd=1e-4 * np.array([[1.0, 1.0], [1.0, 1.0], [4.0, 1.0], [1.0, 1.0]]),
+    )  # fmt: skip
+    monkeypatch.setattr(off, "answers", lambda *_: said)
+    monkeypatch.setattr(off, "reconstruct", lambda *_: answer(converged=False))
+    row = off.run(OffTask("nothing", "exact", "friction", 1, 0.6, live=True))
+    assert (row.error, row.ticks, row.valid, row.live_far, row.live_wrong) == ("", 4, 2, 1, 2)
+    text = report([row])
+    assert "live: 1 of 2 valid ticks are more than 3 sd off, 2 by more than 0.3 mm; valid are 50%" in text
+    assert off.run(OffTask("nothing", "exact", "friction", 1, 0.6)).ticks == 0
+    assert "live: 1" not in report([replace(row, ticks=0, valid=0)])
+
+
+def test_a_real_run_is_off_by_what_it_says_and_what_raises_becomes_a_row(monkeypatch):
+    row = off.run(OffTask("φ2 1°", "exact", "friction", 3, 8.0))
+    assert row.error == ""
+    assert row.claimed
+    assert not row.far
+    assert verdict(next(each for each in OFF if each.name == row.off), row.named_early) in ("right", "with others")
+    assert row.z < 4.0
+    monkeypatch.setattr(off, "reconstruct", lambda *_: 1 / 0)
+    assert off.run(OffTask("nothing", "exact", "nominal", 1, 0.6)).error == "ZeroDivisionError: division by zero"
+    assert math.isnan(off.run(OffTask("nothing", "exact", "nominal", 1, 0.6)).e_h_m)

@@ -1,0 +1,355 @@
+"""Simulation-based calibration: statistics with known answers, what a run is told as, files that are gone on with."""
+
+import json
+import math
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from answered import NO_SHAPE, THETA, answer, support, told
+from scipy import stats
+
+from palmd.model.shape import basis
+from palmd.observer import prior
+from palmd.observer.first_guess import LN_GYRATION_SD
+from palmd.observer.outline import gauge_free_sd
+from palmd.rig.imperfections import drawn
+from palmd.system.description import AS_CALIBRATED, RigDescription
+from palmd.system.rig_constants import RIG_NAMES, prior_sds
+from tools.studies import runs, sbc
+from tools.studies.commands import main
+from tools.studies.sbc import (
+    CONSTANTS,
+    DRAWN,
+    MarginalPosterior,
+    SbcRow,
+    SbcTask,
+    as_line,
+    gauge_free_error,
+    row_from,
+    row_of,
+)
+from tools.studies.sbc_summary import TOGETHER, Count, Uniformity, crooked, far, report, seeds, uniformities, wrong
+
+TASK = SbcTask("friction", 3, 10.0)
+EVEN = stats.norm.ppf((np.arange(1000) + 0.5) / 1000)
+
+RIG = len(RIG_NAMES)
+
+
+# ------------------------------------------------------------------------------------------------ statistics
+
+
+def test_z_of_even_ranks_are_uniform_to_half_a_step():
+    told = Uniformity.of(EVEN)
+    assert told.distance == pytest.approx(0.5 / 1000)
+    assert (told.runs, told.mean, told.sd) == (1000, pytest.approx(0.0, abs=1e-12), pytest.approx(1.0, abs=0.01))
+    assert told.within == pytest.approx((0.683, 0.954, 0.997), abs=0.0011)
+    assert told.p > 0.999
+
+
+def claimed(z, seed=0, **changes):
+    return SbcRow(
+        "rig", seed, 10.0, converged=True, rig_distance2=15.0, beliefs={"mu": MarginalPosterior(z, 0.0, 1.0)}, **changes
+    )
+
+
+def study(z):
+    """Of as many posteriors about 0 of one-sigma 1, with these truths."""
+    return uniformities([claimed(float(each), seed) for seed, each in enumerate(z)])
+
+
+@pytest.mark.parametrize(
+    ("z", "expected"),
+    [(EVEN, []), (EVEN / 0.8, ["mu"]), (EVEN * 0.8, ["mu"]), (EVEN + 0.2, ["mu"])],
+    ids=["right", "too sure by a quarter", "too unsure", "biased by a fifth"],
+)
+def test_only_right_bands_have_uniform_ranks(z, expected):
+    assert crooked({"mu": study(z)["mu"]}) == expected
+
+
+def test_the_rigs_constants_are_told_together_too():
+    random = np.random.default_rng(5)
+    distances = np.sum(random.standard_normal((2000, len(CONSTANTS))) ** 2, axis=1)
+    for scale, right in ((1.0, True), (1.1**2, False)):
+        rows = [SbcRow("rig", i, 10.0, converged=True, rig_distance2=d * scale) for i, d in enumerate(distances)]
+        told = uniformities(rows)
+        assert (TOGETHER not in crooked(told)) == right
+    assert told[TOGETHER].mean > 0.2
+
+
+def test_refused_runs_and_what_is_no_number_do_not_count():
+    rows = [
+        claimed(0.5),
+        claimed(math.nan, 1),
+        SbcRow("rig", 2, 10.0, beliefs={"mu": MarginalPosterior(9.0, 0.0, 1.0)}),
+    ]
+    assert uniformities(rows)["mu"].runs == 1
+
+
+def test_what_a_claim_is_wrong_by():
+    assert not far(claimed(5.9, worst_z=5.9))
+    assert far(claimed(-6.1)) == ["mu"]
+    assert far(claimed(0.0, worst_z=6.1)) == ["a touched normal"]
+    assert (wrong(claimed(0.0, beyond_m=3.1e-4)), wrong(claimed(0.0, beyond_m=2.9e-4))) == (True, False)
+
+
+def test_a_count_tells_how_often_it_may_be():
+    assert Count(0, 300).at_most == pytest.approx(1 - 0.05 ** (1 / 300))
+    assert Count(2, 10).at_most == pytest.approx(0.5069, abs=1e-4)  # Clopper and Pearson's table
+    assert Count(4, 4).at_most == 1.0
+
+
+def test_the_report_tells_seeds_claims_and_what_to_look_at():
+    rows = [claimed(float(z), seed, worst_z=1.0, beyond_m=0.0) for seed, z in enumerate(EVEN)]
+    rows += [
+        SbcRow("rig", 1001, 10.0, reason="too little"),
+        SbcRow("rig", 1002, 10.0, error="ValueError: no ground"),
+        claimed(7.0, 1003, beyond_m=4e-4, contradicted={"phi2_rad": 4.7}),
+    ]
+    text = report(rows)
+    assert "rig: seeds 0–999, 1001–1003\n" in text
+    assert "claimed: 1001 of 1003\n" in text
+    assert "not claimed: 1: too little\n" in text
+    assert "0.3 mm off beyond its band: 1 of 1001 (at most 0.47 %" in text
+    assert text.endswith(
+        "rig 1002: ValueError: no ground\n"
+        "rig 1003: claimed, and 0.40 mm off beyond its band\n"
+        "rig 1003: claimed, and more than 6 sd off: mu\n"
+        "rig 1003: contradicted: phi2_rad (+4.7 sd)"
+    )
+    (line,) = [line for line in text.splitlines() if line.startswith("mu ")]
+    assert not line.endswith("not uniform")
+
+
+def test_all_kinds_are_told_together_where_there_are_several():
+    rows = [
+        SbcRow("nominal", seed, 10.0, converged=True, beliefs={"mu": MarginalPosterior(0.5, 0.0, 1.0)})
+        for seed in (1, 2)
+    ]
+    assert "all kinds" not in report(rows)
+    assert "all kinds: seeds 1–3\n  claimed: 3 of 3\n" in report([*rows, claimed(0.1, 3)])
+
+
+def test_seeds_in_words():
+    assert seeds([5, 3, 4, 9, 11, 12, 4]) == "3–5, 9, 11–12"
+
+
+def test_imperfections_are_drawn_from_what_reconstruct_believes():
+    """Of constants that no motion tells the ranks are uniform only then."""
+    rig = RigDescription().known_to(AS_CALIBRATED)
+    true = [drawn(rig, 1, seed).constants() for seed in range(3000)]
+    z = np.array([[each[name] for name in CONSTANTS] for each in true]) / prior_sds(rig)[DRAWN]
+    assert crooked({name: Uniformity.of(column) for name, column in zip(CONSTANTS, z.T, strict=True)}) == []
+
+
+def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruct_believes():
+    drawn = [sbc.believed("friction", seed) for seed in range(400)]
+    z = {
+        "rho": [
+            math.log(body.rho / body.support.sample(THETA).mean() / prior.GYRATION) / LN_GYRATION_SD
+            for body, _ in drawn
+        ],
+        "dither": [math.log(surface.dither / prior.DITHER) / prior.LN_DITHER_SD for _, surface in drawn],
+    }
+    assert crooked({name: Uniformity.of(np.array(each)) for name, each in z.items()}) == []
+    friction = np.array([surface.mu for _, surface in drawn])
+    assert friction.min() > 0.0
+    assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without what is negative
+    assert sbc.believed("nominal", 1)[1] is None
+    assert sbc.believed("rig", 1)[0] == sbc.believed("rig", 1)[0]
+
+
+# ------------------------------------------------------------------------------------------------------ runs
+
+
+def test_a_perfect_answer_believes_the_truth_whatever_its_gauge():
+    row = row_of(TASK, told(), answer())
+    assert row.task == TASK
+    assert row.converged
+    assert row.e_h_m < 1e-8
+    assert row.rig_distance2 == 0.0
+    assert row.contradicted == {}
+    assert {*CONSTANTS, "ln_rho", "ln_mass", "mu", "turned_rad", "h_touched_1_m", "h_untouched_8_m"} < {*row.beliefs}
+    assert max(abs(belief.z) for belief in row.beliefs.values()) < 1e-2
+
+
+def test_a_wrong_part_of_the_outline_that_fits_by_a_turn_is_wrong():
+    """The score looks for the best rotation of all; what ψ says of the motion is part of what is believed."""
+    row = row_of(TASK, told(), answer(h=support(THETA + 1.0), psi=answer().psi))
+    assert row.best_e_h_m < 1e-8
+    assert row.e_h_m > 1e-5
+    assert far(row)
+
+
+def test_a_small_turn_of_the_whole_is_no_error():
+    turned = support(THETA + 0.7 + 1e-3)
+    assert np.abs(turned - support(THETA + 0.7)).max() > 1e-6
+    assert np.abs(gauge_free_error(THETA, turned, support(THETA), 0.7, THETA < 2.0)).max() < 5e-9
+
+
+def test_the_errors_one_sigma_is_what_reconstruct_says():
+    """Of outlines off by a column of a covariance's root: the band is `observer.outline`'s, the error this study's."""
+    order, random = 5, np.random.default_rng(2)
+    mean = np.array([0.02, 0.0, 0.0, 8e-4, 2e-4, 3e-4, 1e-4, 5e-5, 4e-5, 3e-5, 2e-5])
+    root = 1e-6 * random.standard_normal((len(mean), len(mean)))
+    touched = THETA < 2.0
+    h_sd = gauge_free_sd(THETA, THETA[touched], mean, root @ root.T)
+    h = basis(THETA, order) @ mean
+    off = np.array([gauge_free_error(THETA, h, h + basis(THETA, order) @ each, 0.0, touched) for each in root.T])
+    np.testing.assert_allclose(np.sqrt((off**2).sum(axis=0)) / h_sd, 1.0, atol=0.01)
+
+
+def test_z_of_known_size():
+    wave = 4e-5 * np.cos(24 * THETA)
+    off = answer(
+        h=support(THETA + 0.7) + wave, rho=0.013, mu=0.25, mass=0.098, psi=answer().psi + 2e-3 * answer().t,
+        rig=np.linspace(-1.0, 1.0, RIG), rig_covariance=np.diag(np.arange(1.0, RIG + 1.0) ** 2),
+        contradicted=5.0 * (np.arange(RIG) == 11),
+    )  # fmt: skip
+    row = row_of(TASK, told(), off)
+    assert row.beliefs["ln_rho"].z == pytest.approx(math.log(14 / 13) * 13.0)
+    assert row.beliefs["ln_mass"].z == pytest.approx(math.log(100 / 98) * 9.8)
+    assert row.beliefs["mu"].z == pytest.approx(-0.5)
+    assert row.beliefs["turned_rad"].z == pytest.approx(-2.0 * np.ptp(off.t), rel=1e-3)
+    off_by = (np.linspace(-1, 1, RIG) / np.arange(1, RIG + 1))[DRAWN]
+    assert [row.beliefs[name].z for name in CONSTANTS] == pytest.approx(-off_by)
+    assert row.rig_distance2 == pytest.approx(np.sum(off_by**2))
+    assert (row.e_h_m, row.h_sd_m) == (pytest.approx(4e-5 / math.sqrt(2), rel=0.02), pytest.approx(1e-5))
+    assert (row.worst_z, row.beyond_m) == (pytest.approx(4.0, rel=0.02), pytest.approx(3e-5, rel=0.03))
+    assert row.contradicted == {"phi2_rad": 5.0}
+
+
+def test_normals_are_asked_where_they_were_touched_and_elsewhere():
+    row = row_of(TASK, told(), answer(h_sd=np.where(THETA < 2.0, 1e-5, 1e-3)))
+    sds = {
+        name: {b.sd for key, b in row.beliefs.items() if key.startswith(f"h_{name}_")}
+        for name in ("touched", "untouched")
+    }
+    assert sds == {"touched": {1e-5}, "untouched": {1e-3}}
+
+
+def test_where_there_is_no_friction_or_no_outline_none_is_asked_for():
+    assert "mu" not in row_of(TASK, told(mu=0.0, dither_m_s=None), answer()).beliefs
+    row = row_of(TASK, told(), answer(**NO_SHAPE, reason="too little"))
+    assert (row.converged, row.reason, row.beliefs) == (False, "too little", {})
+
+
+def test_a_line_tells_the_whole_row():
+    for row in (row_of(TASK, told(), answer(turned_sd=math.nan)), sbc.failed(TASK, ValueError("no ground"))):
+        line = json.loads(json.dumps(as_line(row), allow_nan=False))
+        assert as_line(row_from(line)) == as_line(row)
+
+
+def test_what_raises_becomes_a_row(monkeypatch):
+    monkeypatch.setattr(sbc, "reconstruct", lambda *_: 1 / 0)
+    assert sbc.run(SbcTask("nominal", 1, 0.6)).error == "ZeroDivisionError: division by zero"
+
+
+def test_a_small_study_of_real_runs():
+    """Too few for ranks of one quantity; but a wrong sign, unit or order, or bands a third too narrow, are far off."""
+    rows = [sbc.run(SbcTask(kind, seed, 4.0)) for kind in ("friction", "rig") for seed in (5, 6, 7)]
+    assert [row.error for row in rows] == [""] * len(rows)
+    claimed = [row for row in rows if row.converged]
+    assert len(claimed) >= 5
+    prior_sd = prior_sds(RigDescription().known_to(AS_CALIBRATED))[DRAWN]
+    for row in claimed:
+        assert far(row, 4.0) == []
+        assert not row.contradicted
+        true, sd = ([getattr(row.beliefs[name], what) for name in CONSTANTS] for what in ("true", "sd"))
+        assert (np.abs(true) > 0.0).all()
+        assert (np.abs(true) <= 3.0 * math.sqrt(2.0) * prior_sd).all()
+        wider = (
+            np.array(sd) > 1.01 * prior_sd
+        )  # by a doubt about the rig alone, which is in its bands: of few constants
+        assert wider.mean() < 0.25
+        assert (np.array(sd) <= 1.5 * prior_sd).all()
+    together = stats.chi2(len(CONSTANTS) * len(claimed))
+    assert together.ppf(1e-3) < sum(row.rig_distance2 for row in claimed) < together.ppf(1.0 - 1e-3)
+
+
+# --------------------------------------------------------------------------------------------------- command
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """The tasks that were really done, none of which takes any time."""
+    tasks = []
+
+    @contextmanager
+    def threads(_jobs):
+        with ThreadPoolExecutor(1) as executor:
+            yield executor
+
+    def quick(task):
+        tasks.append(task)
+        return SbcRow(
+            *(task.kind, task.seed, task.seconds), converged=True, beliefs={"mu": MarginalPosterior(0.1, 0.0, 1.0)}
+        )
+
+    monkeypatch.setattr(runs, "local", threads)
+    monkeypatch.setattr(sbc, "run", quick)
+    return tasks
+
+
+def bench(path, *arguments):
+    return main(["sbc", "--kind", "rig", "-o", str(path), *arguments])
+
+
+def test_a_study_is_gone_on_with_and_merged(done, tmp_path, capsys):
+    path, other = tmp_path / "new" / "a.jsonl", tmp_path / "b.jsonl"
+    assert bench(path, "--runs", "2", "--seed", "10") == 0
+    assert bench(path, "--runs", "4", "--seed", "10") == 0
+    assert [task.seed for task in done] == [10, 11, 12, 13]
+    assert bench(other, "--runs", "2", "--seed", "13") == 0
+    capsys.readouterr()
+    path.write_text(path.read_text() + other.read_text())
+    done.clear()
+    assert bench(path, "--runs", "4", "--seed", "10") == 0
+    assert done == []
+    assert "rig: seeds 10–14\n" in capsys.readouterr().out
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [10, 11, 12, 13, 14]
+
+
+def test_earlier_runs_stay_on_disk_while_others_are_done(done, tmp_path, monkeypatch):
+    path, counts = tmp_path / "a.jsonl", []
+
+    def watched(_executor, work, _failed, tasks):
+        for task in tasks:
+            yield work(task)
+            counts.append(path.read_text().count("\n"))
+
+    assert bench(path, "--runs", "2") == 0
+    monkeypatch.setattr(runs, "finished", watched)
+    assert bench(path, "--runs", "4") == 0
+    assert counts == [3, 4]
+
+
+@pytest.mark.parametrize("text", ["{}\n", "no json\n", "[1]\n", '{"kind": "rig", "beliefs": {"mu": [1]}}\n'])
+def test_any_other_file_is_left_alone(text, done, tmp_path, capsys):
+    path = tmp_path / "file.jsonl"
+    path.write_text(text)
+    assert bench(path) == 1
+    assert capsys.readouterr().err.startswith(f"{path}: is no file of this study: ")
+    assert (path.read_text(), done) == (text, [])
+
+
+def test_runs_that_last_otherwise_are_another_study(done, tmp_path, capsys):
+    path = tmp_path / "file.jsonl"
+    assert bench(path, "--runs", "1", "--seconds", "5") == 0
+    assert bench(path, "--runs", "2") == 1
+    assert capsys.readouterr().err == f"{path}: has runs of 5 s, not 10 s\n"
+
+
+def test_a_line_that_was_cut_off_is_told_by_its_number(done, tmp_path, capsys):
+    """As a machine that lost its power leaves one."""
+    path = tmp_path / "file.jsonl"
+    assert bench(path, "--runs", "2") == 0
+    left = path.read_text()[:-40]
+    path.write_text(left)
+    done.clear()
+    assert bench(path, "--runs", "3") == 1
+    assert "line 2 is no run; remove it" in capsys.readouterr().err
+    assert not done
+    assert path.read_text() == left

@@ -1,0 +1,112 @@
+"""The study of logs of polygons and dented lumps: what it simulates, and how it counts."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmd.config.plans import ExploreGoal
+from palmd.console.shipped import shipped
+from palmd.events import PadSample, PalmSample
+from palmd.rig.dry_plant import DRY
+from palmd.rig.world import default_config
+from palmd.yamlfile import load_plan
+from tools.studies import bench_things, thing_logs
+from tools.studies.commands import main
+from tools.studies.exploring_plans import plan
+from tools.studies.thing_logs import KINDS, SharpRow, SharpTask, simulated, tasks_of
+
+
+def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
+    (log, truth, _), (again, *_), (other, *_) = (simulated(SharpTask("dent of 10 mm", seed, 0.5)) for seed in (0, 0, 1))
+    assert log.events == again.events
+    assert log.events != other.events
+    slopes = np.diff(np.array(truth["h_m"])) / np.diff(truth["theta_rad"])
+    assert 9e-3 < np.abs(slopes[2:] - slopes[:-2]).max() < 14e-3  # h′ jumps by the chord's length
+
+
+def test_all_kinds_have_the_same_seeds() -> None:
+    assert {(task.kind, task.seed) for task in tasks_of(KINDS, 5, 2, 3.0, "none")} == {
+        (kind, seed) for kind in KINDS for seed in (5, 6)
+    }
+
+
+def test_what_raises_becomes_a_row_that_says_so() -> None:
+    row = thing_logs.run(SharpTask("teapot", 0))
+    assert row.error.startswith("KeyError")
+    assert thing_logs.remarks([row]) == [f"teapot 0: {row.error}"]
+
+
+def test_right_wrong_and_refused_are_counted_apart() -> None:
+    kind = KINDS[0]
+    rows = [
+        SharpRow(kind, 0, claimed=True, e_h_m=9e-5, most_m=2e-4, sd_m=3e-5, touched=0.1, explained_s=9.0, seconds=4.0),
+        SharpRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
+        SharpRow(kind, 2, reason="why", seconds=30.0),
+    ]
+    rough = replace(rows[1], perfect=False, sd_m=9e-5)
+    told = thing_logs.table(rows).splitlines()[-1]
+    assert told.split("  ")[0] == kind
+    assert re.findall(r"(\d) of 3", told) == ["1", "0", "1", "1"]
+    assert "most 10.0" in told
+    said = thing_logs.remarks(rows)
+    assert ": right, 90 µm" in said[0]
+    assert ": WRONG, 200 µm" in said[1]
+    assert said[2] == f"{kind} 2: refused: why"
+    assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
+    assert replace(rough, sd_m=6e-5).wrong  # 3.3 of them
+    assert ": in its band, 200 µm" in thing_logs.remarks([rough])[0]
+
+
+def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["things", "--offline", "--kind", "coin"]) == 1
+    assert "--kind coin is without --offline, --explored and --plan" in capsys.readouterr().err
+
+
+def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> None:
+    """Dry palms rub by what is dry, and the recording is what the daemon was fed, its rig as the configuration says."""
+    exploring = plan("explore", default_config(), ExploreGoal(), seed=0)
+    task = SharpTask("dry lump", 3, 0.4, "calibrated", exploring)
+    log, truth, _ = simulated(task)
+    pads = {event.pad for event in log.events if isinstance(event, PadSample)}
+    assert pads == {1, 2}
+    assert any(isinstance(event, PalmSample) for event in log.events)
+    assert truth["mass_kg"] == simulated(replace(task, seconds=0.1, plan=None)).truth["mass_kg"]
+    assert truth["mu"] == DRY.mu
+    assert log.rig.pads[0].standoff_sd > 0.0
+
+
+def test_explored_is_a_study_of_recordings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[SharpTask] = []
+
+    def collected(what: str, tasks: list[SharpTask], *_: object) -> tuple[list[SharpRow], int]:
+        asked.extend(tasks)
+        return [SharpRow(task.kind, task.seed) for task in tasks], 0
+
+    monkeypatch.setattr(bench_things, "collected", collected)
+    assert main(["things", "--explored", "--kind", "dry lump", "--runs", "2", "--jobs", "1"]) == 0
+    exploring = plan("explore", default_config(), ExploreGoal(coverage=1.0, time_limit_s=20.0), seed=0)
+    assert asked == [SharpTask("dry lump", seed, 20.0, "none", exploring) for seed in (0, 1)]
+    assert "seeds 0 to 1" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["things", "--explored", "--offline"])
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wide = tmp_path / "wide.yaml"
+    wide.write_text("name: wide\nsegments:\n  - {move: {phi1_deg: 12, phi2_deg: 170}, duration_s: 2}\n")
+    assert main(["things", "--plan", str(wide), "--kind", "die"]) == 1
+    assert f"{wide}:3" in capsys.readouterr().err
+
+
+def test_what_tips_shows_one_side_after_the_other() -> None:
+    """A nut, carried over on one palm and back on the other, shows more than half of its outline in 13 s."""
+    moved = simulated(SharpTask("nut", 1, 13.0, plan=load_plan(shipped("plans/tip.yaml"))))
+    assert moved.shown > 0.5

@@ -1,0 +1,109 @@
+"""Scenes in Chipmunk (pymunk): impulses with friction between a body of arcs and two conveyor palms.
+
+The body's outline is made of arcs. Each palm touches a disc of its own, with the radius and the centre of the arc that
+the palm's normal points at; where arcs join, both discs have the same contact point. A palm is a kinematic segment
+through the hinge; its vibration is Chipmunk's surface velocity, which is exactly what a flat palm's motion along itself
+does to friction. The steps are short against the vibration: friction reverses within one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pymunk
+
+from palmd.events import FloatArray
+from palmd.rig.shapes import Body, SupportFunction
+from palmd.rig.sharp_shapes import ArcSupport
+from palmd.rig.simulate import STEP_S
+from palmd.system.mechanism import PALMS
+from tools.studies.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
+
+STEPS = 12
+"""Of the engine in each row of a run: 42 µs."""
+_ARCS = 240
+_ITERATIONS = 60
+_BIAS = 1e-200  # of a penetration, this share is left after a second
+_PALM_M = (-0.1, 0.2)
+_EVERYTHING = 0xFFFFFFFF
+
+
+def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
+    """The outline made of `count` arcs, each as wide in normals; within 2 µm of a smooth one for 240.
+
+    Each has the outline's mean radius of curvature over its normals, but for what closes the outline.
+    """
+    theta: FloatArray = np.arange(count, dtype=np.float64) * (math.tau / count)
+    fine = 64
+    inner: FloatArray = (np.arange(count * fine, dtype=np.float64) + 0.5) * (math.tau / count / fine)
+    curvature_radius: FloatArray = np.add(support.sample(inner), support.sample(inner, 2))
+    v = curvature_radius.reshape(count, fine).mean(axis=1)
+    # an outline of arcs closes where Σ v_j (u(θ_{j+1}) − u(θ_j)) = 0
+    step = np.exp(1j * (theta + math.tau / count)) - np.exp(1j * theta)
+    basis = np.array([step.real, step.imag])
+    v -= basis.T @ np.linalg.solve(basis @ basis.T, basis @ v)
+    h0, slope0 = float(support.sample(theta[:1])[0]), float(support.sample(theta[:1], 1)[0])
+    centres, h, slope = [], h0, slope0
+    for angle, radius in zip(theta.tolist(), v.tolist(), strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = (h - radius) * c - slope * s, (h - radius) * s + slope * c
+        centres.append((x, y))
+        after = angle + math.tau / count
+        c, s = math.cos(after), math.sin(after)
+        h, slope = x * c + y * s + radius, y * c - x * s
+    return ArcSupport(tuple(theta.tolist()), tuple(v.tolist()), tuple(centres))
+
+
+def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
+    """Runs the scene; see `tools.studies.engines.scene.Engine`."""
+    run, q = scene.run, scene.start
+    outline = arcs_of(run.body.support)
+    body = Body(run.body.shape, outline, run.body.rho, run.body.mass)
+    space = pymunk.Space()
+    space.gravity, space.iterations = (0.0, -9.81), _ITERATIONS
+    space.collision_slop, space.collision_bias = 0.0, _BIAS
+    moving = pymunk.Body(body.mass, body.mass * body.rho**2)
+    moving.position = q.x, q.y
+    discs = [pymunk.Circle(moving, radius) for radius in (outline.radii[0], outline.radii[0])]
+    palms = [pymunk.Body(body_type=pymunk.Body.KINEMATIC) for _ in discs]
+    levels = scene.heights[0], -scene.heights[1]
+    surfaces = [
+        pymunk.Segment(palm, (_PALM_M[0], level), (_PALM_M[1], level), 0.0)
+        for palm, level in zip(palms, levels, strict=True)
+    ]
+    for number, (disc, surface, mu) in enumerate(zip(discs, surfaces, scene.frictions, strict=True)):
+        disc.friction, surface.friction = 1.0, mu  # the engine multiplies both
+        disc.filter = pymunk.ShapeFilter(categories=1 << number, mask=4 << number)
+        surface.filter = pymunk.ShapeFilter(categories=4 << number, mask=1 << number)
+        surface.collision_type = number + 1
+    space.add(moving, *discs, *palms, *surfaces)
+    rows, normals = RunRows(q), [(0.0, 0.0), (0.0, 0.0)]
+
+    def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        del space, data
+        palm = max(shape.collision_type for shape in arbiter.shapes) - 1
+        (nx, ny), impulse = normals[palm], arbiter.total_impulse
+        rows.press(palm, abs(impulse.x * nx + impulse.y * ny), -arbiter.contact_point_set.points[0].distance)
+
+    for palm in PALMS:
+        space.on_collision(palm, 0, post_solve=pressed)
+    in_use, width = [-1, -1], math.tau / len(outline.radii)
+    for row in range(round(duration_s / STEP_S)):
+        for both in palm_steps(scene, row, steps):
+            for number, (step, side) in enumerate(zip(both, (1.0, -1.0), strict=True)):
+                c, s = math.cos(step.angle), math.sin(step.angle)
+                normals[number] = -side * s, side * c
+                palms[number].angle, palms[number].angular_velocity = step.angle, step.rate
+                surfaces[number].surface_velocity = (c * step.speed, s * step.speed)
+                arc = int(((step.angle - side * 0.5 * math.pi - moving.angle) % math.tau) / width)
+                if arc != in_use[number]:
+                    in_use[number] = arc
+                    discs[number].unsafe_set_radius(outline.radii[arc])
+                    discs[number].unsafe_set_offset(outline.centres[arc])
+            space.step(STEP_S / steps)
+        x, y = moving.position
+        if not rows.end(x, y, moving.angle, moving.angular_velocity):
+            break
+    return rows.simulated(body)

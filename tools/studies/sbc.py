@@ -1,0 +1,237 @@
+"""Simulation-based calibration: what one blind reconstruction believes of each quantity, beside the truth.
+
+A rig's constants, ρ and friction are drawn from the very priors that `reconstruct` goes by, outline, mass and motion as
+the simulator's kinds have them, and a record is simulated and reconstructed. Were all priors the same and the posterior
+right, the truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here
+the posterior is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings
+alone, so ranks of claimed runs should be uniform as well. The outlines are narrower than those believed: where readings
+hardly tell them ranks crowd about the middle without the band being wrong. The vibration's constants are not asked for:
+the palms vibrate as described, on mounts that are drawn from no prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from palmd.events import FloatArray
+from palmd.jsonvalues import or_none
+from palmd.observer import prior
+from palmd.observer.bound import Truth
+from palmd.observer.criticism import LEFT
+from palmd.observer.first_guess import LN_GYRATION_SD
+from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
+from palmd.rig.plant import FrictionSurface, random_surface
+from palmd.rig.shapes import KINDS, Body, Kind, random_body
+from palmd.score import support_at
+from palmd.system.rig_constants import RIG_NAMES
+from tools.studies.runs import with_failures
+from tools.studies.scoring import Bools, Line, outline_errors, truth_of
+from tools.studies.simulated import simulated
+
+DRAWN = np.flatnonzero(LEFT)
+CONSTANTS = tuple(RIG_NAMES[i] for i in DRAWN)
+"""Of the rig, those that are drawn."""
+NORMALS = 8  # of the outline that are asked, of those touched and of the others
+_FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
+_LEAST_MU = 0.01  # the belief is a Gaussian, friction is not negative
+_STREAM = 31  # of a seed's random numbers: the body's, not the motion's
+_ALL_ROUND: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
+
+
+@dataclass(frozen=True, slots=True)
+class SbcTask:
+    """One run to do: as `simulated` takes it, lasting so many seconds."""
+
+    kind: Kind
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class MarginalPosterior:
+    """A quantity's true value, and the mean and one-sigma of its Gaussian posterior; SI units."""
+
+    true: float
+    mean: float
+    sd: float
+
+    @property
+    def z(self) -> float:
+        """(truth − mean)/sd, standard normal where the posterior is right."""
+        return (self.true - self.mean) / self.sd
+
+
+@dataclass(frozen=True, slots=True)
+class SbcRow:
+    """A run in numbers; NaN for what there is not.
+
+    error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
+    over the touched normals of the outline's error, as `gauge_free_error` has it, and of its one-sigma; best_e_h: of
+    the error after the best rotation of all, as `palmd.score` has it. beyond: the most by which a touched normal's
+    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all
+    true `CONSTANTS`, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas, though
+    the rig is as it is described.
+    """
+
+    kind: Kind
+    seed: int
+    seconds: float
+    error: str = ""
+    converged: bool = False
+    reason: str = ""
+    chi2: float = math.nan
+    touched: float = math.nan
+    e_h_m: float = math.nan
+    best_e_h_m: float = math.nan
+    h_sd_m: float = math.nan
+    beyond_m: float = math.nan
+    worst_z: float = math.nan
+    rig_distance2: float = math.nan
+    beliefs: Mapping[str, MarginalPosterior] = field(default_factory=dict)
+    contradicted: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def task(self) -> SbcTask:
+        """What was asked for."""
+        return SbcTask(self.kind, self.seed, self.seconds)
+
+
+def tasks_of(
+    kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, done: Container[SbcTask] = ()
+) -> list[SbcTask]:
+    """So many runs of each kind, all kinds with the same seeds, without those that are done."""
+    tasks = [SbcTask(kind, first_seed + i, seconds) for i in range(runs) for kind in kinds]
+    return [task for task in tasks if task not in done]
+
+
+def failed(task: SbcTask, error: BaseException) -> SbcRow:
+    """The row of a run that came to nothing."""
+    return SbcRow(task.kind, task.seed, task.seconds, error=f"{type(error).__name__}: {error}")
+
+
+@with_failures(failed)
+def run(task: SbcTask) -> SbcRow:
+    """Simulate, reconstruct and compare; what raises becomes a row that says so."""
+    body, surface = believed(task.kind, task.seed)
+    log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
+    return row_of(task, told, reconstruct(log.events, log.rig))
+
+
+def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
+    """A body of the kind, ρ and friction from what `reconstruct` believes of any; None where there is no friction."""
+    rng = np.random.default_rng([KINDS.index(kind), seed, _STREAM])
+    body = random_body(kind, rng)
+    ratio = prior.GYRATION * math.exp(LN_GYRATION_SD * rng.standard_normal())
+    body = replace(body, rho=ratio * float(np.mean(body.support.sample(_ALL_ROUND))))
+    if not random_surface(kind, rng).mu:
+        return body, None
+    dither = prior.DITHER * math.exp(prior.LN_DITHER_SD * rng.standard_normal())
+    mu = 0.0
+    while mu < _LEAST_MU:
+        mu = prior.FRICTION + prior.FRICTION_SD * rng.standard_normal()
+    return body, FrictionSurface(mu=mu, dither=dither)
+
+
+def in_order(rows: Iterable[SbcRow]) -> list[SbcRow]:
+    """By kind and seed, whichever was finished first."""
+    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
+
+
+def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
+    """What an answer believes beside what the simulator `told` of the truth."""
+    row = SbcRow(task.kind, task.seed, task.seconds, reason=answer.reason, chi2=float(answer.chi2))
+    truth = truth_of(told)
+    scored = outline_errors(answer, truth)
+    if scored is None or answer.h is None:
+        return row
+    first, last = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]]).tolist()
+    error = gauge_free_error(answer.theta, answer.h, truth.h, float(answer.psi[0]) - first, scored.touched)
+    at = scored.touched
+    true_rig = np.array([told["rig"][name] for name in CONSTANTS])
+    off = true_rig - answer.rig[DRAWN]
+    normals = np.column_stack([answer.h - error, answer.h, scored.h_sd])
+    return replace(
+        row,
+        converged=bool(answer.converged),
+        touched=scored.score.touched,
+        e_h_m=_rms(error[at]),
+        best_e_h_m=scored.score.e_h,
+        h_sd_m=_rms(scored.h_sd[at]),
+        beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
+        worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
+        rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance[np.ix_(DRAWN, DRAWN)], off)),
+        beliefs=_of_scalars(answer, truth, last - first)
+        | _beliefs(CONSTANTS, np.column_stack([true_rig, answer.rig[DRAWN], answer.rig_sd[DRAWN]]))
+        | _of_normals("touched", normals[at])
+        | _of_normals("untouched", normals[~at]),
+        contradicted={name: z for name, z in zip(RIG_NAMES, answer.contradicted.tolist(), strict=True) if z != 0.0},
+    )
+
+
+def gauge_free_error(
+    theta: FloatArray, h: FloatArray, true_h: FloatArray, rotation: float, touched: Bools
+) -> FloatArray:
+    """ĥ(θ) − h(θ + rotation) − ĥ′(θ) ε (m), ε the small rotation by least squares over the touched normals.
+
+    That is what `h_sd` is the one-sigma of, to first order: see `observer.outline.gauge_free_sd`. The `rotation`
+    between the frames is that of ψ (rad). theta, h: on evenly spaced normals from 0.
+    """
+    error = h - support_at(true_h, theta + rotation)
+    slope = np.fft.irfft(1j * np.arange(len(h) // 2 + 1) * np.fft.rfft(h), len(h))
+    across = slope[touched]
+    return np.asarray(error - slope * float(across @ error[touched]) / max(float(across @ across), _FLAT_M2))
+
+
+def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, MarginalPosterior]:
+    """ρ and mass as logarithms, in which the smoother's posterior is Gaussian; μ where there is friction."""
+    found = {
+        "ln_rho": _logarithm(truth.rho, answer.rho, answer.rho_sd),
+        "ln_mass": _logarithm(truth.mass, answer.mass, answer.mass_sd),
+        "turned_rad": MarginalPosterior(turned_rad, float(answer.psi[-1] - answer.psi[0]), answer.turned_sd),
+    }
+    return found | {"mu": MarginalPosterior(truth.mu, answer.mu, answer.mu_sd)} if truth.mu else found
+
+
+def _logarithm(true: float, mean: float, sd: float) -> MarginalPosterior:
+    return MarginalPosterior(math.log(true), math.log(mean), sd / mean)
+
+
+def _of_normals(name: str, normals: FloatArray) -> dict[str, MarginalPosterior]:
+    """Of `NORMALS` spread evenly over those from which to choose, rows of (true h, h, its one-sigma)."""
+    chosen = np.floor((np.arange(NORMALS) + 0.5) * len(normals) / NORMALS).astype(np.intp)
+    names = [f"h_{name}_{number}_m" for number in range(1, NORMALS + 1)]
+    return _beliefs(names, normals[chosen]) if len(normals) >= NORMALS else {}
+
+
+def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, MarginalPosterior]:
+    return {name: MarginalPosterior(*row) for name, row in zip(names, rows.tolist(), strict=True)}
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# ------------------------------------------------------------------------------------------------ written
+
+
+def as_line(row: SbcRow) -> Line:
+    """The row as a JSON object; a number that is none becomes None."""
+    line = {name: or_none(getattr(row, name)) for name in SbcRow.__slots__}
+    line["beliefs"] = {name: [or_none(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
+    return line | {"contradicted": dict(row.contradicted)}
+
+
+def row_from(line: Line) -> SbcRow:
+    """What `as_line` made; raises TypeError or ValueError for what it did not make."""
+    plain = {name: math.nan if value is None else value for name, value in line.items()}
+    beliefs = {
+        name: MarginalPosterior(*(math.nan if x is None else float(x) for x in each))
+        for name, each in line["beliefs"].items()
+    }
+    return SbcRow(**plain | {"beliefs": beliefs})

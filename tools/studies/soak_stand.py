@@ -1,0 +1,337 @@
+"""Rig, daemon, recorder and page as a demo has them, for hours: what is done to them, and what they say meanwhile."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgpack
+import zmq
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from palmd.bus.subscriber import Message, Subscriber
+from palmd.config.two_palms import Config
+from palmd.console.errors import RIG_FAILED, CliError
+from palmd.console.shipped import shipped
+from palmd.harness.operator import Operator
+from palmd.harness.stack import ANSWER_S, START_S, Stack
+from palmd.view.http_guard import SOCKET
+from tools.studies.soak_behaviour import GivenCommand, PossibleCause
+from tools.studies.soak_fault_injection import Act, Say, SoakFault, Visit
+from tools.studies.soak_watch import Process, SoakWatch
+
+PATIENCE_S = 40.0
+STOPPED_S = 2.0
+RECORDED_S = 1800.0  # to pack the recording of an hour
+LOOK_S = 0.02
+SAMPLE_S = 5.0
+FALLEN_S = 5.0  # an object that has fallen off is exchanged after so long
+QUIET_S = 2.5  # two palm/loop of lines at rest
+PLANS = ("plans/lively.yaml", "plans/explore.yaml")
+"""The one that is run first, and the one that takes turns with it."""
+
+BESIDE = {"palmd.daemon.smoothing": "smoother", "palmd.daemon.explorer_process": "planner"}
+WATCHED_EVERY_S, HELD_UP_S = 0.01, 0.03
+NONSENSE = b"\xc1 no command"
+ASKED_EVERY_S = 0.05
+
+
+class _Watchmen:
+    """A thread of ordinary priority on each processor, which sees when such threads do not get it.
+
+    The kernel hands over the bytes of a terminal in threads like these, on the processor that wrote them.
+    """
+
+    def __init__(self, causes: list[PossibleCause]) -> None:
+        self._causes = causes
+        self._over = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._watch, args=(number,), name=f"watchman {number}")
+            for number in os.sched_getaffinity(0)
+        ]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _watch(self, number: int) -> None:
+        os.sched_setaffinity(0, {number})
+        t = time.monotonic()
+        while not self._over.wait(WATCHED_EVERY_S):
+            before, t = t, time.monotonic()
+            if t - before > WATCHED_EVERY_S + HELD_UP_S:
+                self._causes.append(PossibleCause("stall", None, before, t))
+
+
+class SoakStand:
+    """See the module; enter it to have the processes, `finish` to have their recordings, leave it and they are gone."""
+
+    def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
+        """`folder` takes configurations and what the processes say, `runs` the recordings."""
+        self._folder, self._seed = folder, seed
+        pads = config.pads
+        self.watch = SoakWatch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
+        self.nonsense = 0
+        self.unserved: list[str] = []
+        self._resources = ExitStack()
+        self._stack = self._resources.enter_context(Stack(folder, config, runs))
+        self._plans = [shipped(plan) for plan in PLANS]
+        self._operator = Operator()
+        self._t_hands_on = 0.0
+        self._t_sampled = self._t_fallen = 0.0
+        self._visitors: list[threading.Thread] = []
+        self._lock = threading.Lock()
+        self._over = threading.Event()
+
+    def __enter__(self) -> Self:
+        """Raises CliError when a process does not start."""
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._over.set()
+        for visitor in self._visitors:
+            visitor.join()
+        self._resources.close()
+
+    def _start(self) -> None:
+        self._resources.enter_context(_Watchmen(self.watch.causes))
+        self._stack.start_rig("--seed", str(self._seed))
+        self._stack.start(record=True)
+        self._wait(lambda: bool(self.watch.states), START_S, "palmd run did not start")
+        self._stack.start_page()
+
+    # ---- living on ---------------------------------------------------------------------------------------
+
+    def live(self, t_end: float) -> None:
+        """Listen, and do what an operator does, until t_end (s); raises CliError when a process ends."""
+        while (t := time.monotonic()) < t_end:
+            self._listen(min(t + LOOK_S, t_end))
+            self._operate(t)
+
+    def bring_to_motion(self) -> None:
+        """Arm, start, go on or reset as it needs until the plan is being run; raises CliError."""
+        self._t_hands_on = 0.0
+        self._operator.resume()
+        self._wait(self._moves, PATIENCE_S, "the palms were not brought to move", operate=True)
+
+    def _moves(self) -> bool:
+        return self._operator.moves
+
+    def _wait(self, holds: Callable[[], bool], patience_s: float, otherwise: str, *, operate: bool = False) -> None:
+        t_end = time.monotonic() + patience_s
+        while not holds():
+            t = time.monotonic()
+            if t > t_end:
+                raise CliError(
+                    RIG_FAILED, f"{otherwise}: {self.watch.state}\n{self._stack.children['daemon'].said()}".strip()
+                )
+            self._listen(t + LOOK_S)
+            if operate:
+                self._operate(t)
+
+    def _listen(self, t_end: float) -> None:
+        for message in self._stack.subscriber.until(t_end):
+            self.watch.take(message)
+            self._operator.take(message.topic, message.fields)
+            if message.topic == "palm/loop":
+                self._look(message)
+        self._stack.check_alive()
+
+    def _look(self, loop: Message) -> None:
+        """Each second: what the rig counts, and now and then what the processes take."""
+        t = time.monotonic()
+        self.watch.rig(self._stack.rig_status(), t)
+        self.watch.waited(_waited_ms(self._stack.children["daemon"].number))
+        if t - self._t_sampled >= SAMPLE_S:
+            self._t_sampled = t
+            for name, number in self._processes().items():
+                sample = _sampled(number)
+                if sample is not None:
+                    rss_mb = loop.fields["rss_mb"] if name == "daemon" else sample.rss_mb
+                    self.watch.sample(name, t, Process(rss_mb, sample.descriptors, sample.threads))
+
+    def _processes(self) -> dict[str, int]:
+        """Ours, and the daemon's own, by name."""
+        found: dict[str, int] = {name: child.number for name, child in self._stack.children.items()}
+        daemon = found["daemon"]
+        with suppress(OSError):
+            for text in Path(f"/proc/{daemon}/task/{daemon}/children").read_text(encoding="ascii").split():
+                words = Path(f"/proc/{text}/cmdline").read_bytes().decode(errors="replace").split("\0")
+                if "palmd.daemon.worker_main" in words:
+                    module = words[words.index("palmd.daemon.worker_main") + 1]
+                    found[BESIDE.get(module, module)] = int(text)
+        return found
+
+    def _operate(self, t: float) -> None:
+        """What a person at the panel does next, unless somebody has just held or stopped the palms."""
+        if t < self._t_hands_on:
+            return
+        if self._t_hands_on:
+            self._t_hands_on = 0.0
+            self._operator.resume()
+        if self.watch.on_palms:
+            self._t_fallen = t
+        elif t - self._t_fallen > FALLEN_S:
+            self._t_fallen = t
+            self._stack.ask_rig("new_object")
+            self.watch.causes.append(PossibleCause("swap", None, t, t + 1.5))
+        command = self._operator.decide(t)
+        if command is not None:
+            self._command(command)
+
+    def _command(self, name: str) -> bool:
+        self.watch.commands.append(GivenCommand(time.monotonic(), name))
+        return bool(self._stack.client.ask(name)["ok"])
+
+    # ---- doings ------------------------------------------------------------------------------------------
+
+    def do(self, act: Act) -> None:
+        """Do it, or have it done while we go on; raises CliError when the rig refuses."""
+        match act:
+            case SoakFault():
+                args = {"name": act.name, "port": act.port, "for_s": act.for_s}
+                if act.strength is not None:
+                    args["strength"] = act.strength
+                t_on = float(self._stack.ask_rig("mischief", **args)["t_on_s"])
+                self.watch.causes.append(PossibleCause(act.name, act.port, t_on, t_on + act.for_s))
+            case Say(command="plan"):
+                self._change_plan()
+                self._t_hands_on = time.monotonic() + act.for_s
+            case Say():
+                self._command(act.command)
+                self._t_hands_on = time.monotonic() + act.for_s
+            case Visit():
+                visitor = threading.Thread(target=self._visit, args=(act,), name=act.who)
+                visitor.start()
+                self._visitors = [one for one in self._visitors if one.is_alive()] + [visitor]
+
+    def _change_plan(self) -> None:
+        """Stop, and load the other plan; with a fault in between it stays the same."""
+        self._command("stop")
+        with suppress(CliError):
+            self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms were not stopped")
+            if self._stack.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
+                self._plans.reverse()
+
+    def _visit(self, visit: Visit) -> None:
+        """One who comes and goes, and must be served."""
+        t_end = time.monotonic() + visit.for_s
+        visits = {"listener": self._listen_in, "deaf": self._be_deaf, "page": self._open_page, "asker": self._ask_much}
+        try:
+            visits[visit.who](t_end)
+        except (CliError, OSError, zmq.ZMQError, WebSocketException) as error:
+            self.unserved.append(f"{visit.who}: {str(error)[:120]}")
+
+    def _listen_in(self, t_end: float) -> None:
+        with Subscriber(self._stack.bus.publish, topics=("palm/",)) as subscriber:
+            for _ in subscriber.until(t_end):
+                if self._over.is_set():
+                    break
+
+    def _be_deaf(self, t_end: float) -> None:
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.setsockopt(zmq.RCVHWM, 1)
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.connect(self._stack.bus.publish)
+            socket.subscribe(b"")
+            self._over.wait(t_end - time.monotonic())
+
+    def _open_page(self, t_end: float) -> None:
+        address, _, token = self._stack.page.partition("/#token=")
+        socket = f"ws{address.removeprefix('http')}{SOCKET}"
+        with connect(socket, origin=Origin(address), max_size=None, proxy=None) as page:
+            page.send(json.dumps({"token": token}))
+            page.recv(ANSWER_S)
+            while time.monotonic() < t_end and not self._over.is_set():
+                with suppress(TimeoutError):
+                    page.recv(LOOK_S)
+
+    def _ask_much(self, t_end: float) -> None:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+            socket.setsockopt(zmq.LINGER, round(ANSWER_S * 1e3))
+            socket.connect(self._stack.bus.command)
+            while time.monotonic() < t_end and not self._over.is_set():
+                socket.send(msgpack.packb({"id": 1, "cmd": "status"}))
+                socket.send(NONSENSE)
+                with self._lock:
+                    self.nonsense += 1
+                if not socket.poll(round(ANSWER_S * 1e3)):
+                    raise CliError(RIG_FAILED, "no answer to status")
+                while socket.poll(round(ASKED_EVERY_S * 1e3)):
+                    socket.recv_multipart()
+
+    # ---- the end -----------------------------------------------------------------------------------------
+
+    def come_to_rest(self) -> tuple[str, dict[str, Any], dict[str, Any]]:
+        """Stop as an operator does; the state then, and what rig and daemon have counted when the lines are at rest."""
+        for visitor in self._visitors:
+            visitor.join()
+        with suppress(CliError):  # what it comes to is judged
+            self.bring_to_motion()
+        self._command("stop")
+        with suppress(CliError):
+            self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms were not stopped")
+        end = self.watch.state
+        for port in ("pad1", "pad2", "arm"):
+            self._stack.ask_rig("mischief", name="mute", port=port)
+        t = time.monotonic()
+        self.watch.causes += [PossibleCause("mute", port, t, t + QUIET_S) for port in ("pad1", "pad2", "arm")]
+        t_quiet = t + QUIET_S
+        self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "palm/loop does not come")
+        return end, self._stack.rig_status(), self.watch.loop
+
+    def finish(self) -> list[Path]:
+        """End the daemon, then the recorder; the recording's files, in their order."""
+        self._stack.children["daemon"].stop()
+        for message in self._stack.subscriber.until(time.monotonic() + 1.0):
+            self.watch.take(message)
+        return self._stack.recorded(RECORDED_S)
+
+    def keep(self, folder: Path) -> None:
+        """Keep what the processes have said there."""
+        for path in self._folder.glob("*/*.err"):
+            shutil.copy(path, folder)
+
+
+def _waited_ms(number: int) -> float:
+    """For how long the process's first thread has been ready to run and had no processor; 0 where that is not told."""
+    try:
+        return int(Path(f"/proc/{number}/task/{number}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-6
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+def _sampled(number: int) -> Process | None:
+    """What a process takes; None when it has gone."""
+    try:
+        lines = Path(f"/proc/{number}/status").read_text(encoding="utf-8").splitlines()
+        descriptors = len(list(Path(f"/proc/{number}/fd").iterdir()))
+    except OSError:
+        return None
+    fields = dict(line.split(":", 1) for line in lines if ":" in line)
+    if "VmRSS" not in fields:
+        return None
+    return Process(int(fields["VmRSS"].split()[0]) * 1.024e-3, descriptors, int(fields["Threads"]))
