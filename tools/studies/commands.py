@@ -32,6 +32,7 @@ STUDIES = {
     "field": ("bench_field", "benchmark of 200 runs with truth, baselines and a scorer"),
     "faults": ("bench_faults", "each fault provoked on the emulated rig: reaction and time to standstill"),
     "simulate": ("bench_simulate", "daemon and rig in virtual time with random faults: invariants that must hold"),
+    "false-alarms": ("false_alarms", "ordinary operation in virtual time: which guard holds or stops it"),
     "soak": ("bench_soak", "the demo for an hour with random faults: leaks, lateness, lost packets"),
     "observability": ("observability", "rank and conditioning of the paper's systems at random states"),
     "outlook": ("outlook", "coverage of curved palms, observability of a pivoting grasp"),

@@ -1,0 +1,274 @@
+"""Ordinary operation without wires: how often a guard holds or stops a rig that nothing is wrong with.
+
+Somebody explores, runs plans, holds and starts, jogs, exchanges plans and objects; the daemon's process is kept off
+its processor for 5 to 25 ms now and then. One line for each life, as JSON; exit status 1 when a guard held or stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from palmd.config.pivot import PivotConfig, PivotPlanSpec
+from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
+from palmd.config.two_palms import Config, rig_description
+from palmd.console.errors import BAD_INPUT
+from palmd.console.shipped import shipped
+from palmd.daemon.lifecycle import State
+from palmd.events import Event
+from palmd.faults import Severity
+from palmd.harness.operator import Operator
+from palmd.harness.pivot_wireless import PivotWireless
+from palmd.harness.three_palms_wireless import ThreePalmsWireless
+from palmd.harness.wireless import ClosedLoop, Wireless, WirelessError
+from palmd.observer import Simulated
+from palmd.observer.pivot.growing import PERIOD_S
+from palmd.rig.plant import AS_ASSUMED, PlantOptions
+from palmd.system.three_palms import BodyAnswer
+from palmd.yamlfile import load_any_config, load_plan, parse, read_document
+from tools.studies.simulation.light_observer import LightObserver
+
+GUARDS = frozenset(
+    {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}
+)
+STALL_SHARE, STALL_S = 0.02, (0.005, 0.025)
+"""How many of the ticks begin while the process is kept off its processor, and for how long."""
+BETWEEN_S = (8.0, 30.0)
+"""Between two things that somebody does."""
+JOG_S, JOG_EVERY_S = 2.0, 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A configuration, its plans, and the joints that are jogged."""
+
+    config: str
+    plans: tuple[str, ...]
+    joints: tuple[str, ...] = ()
+
+
+RIGS: dict[str, Rig] = {
+    "arm": Rig("demo.yaml", ("explore.yaml", "lively.yaml", "rock.yaml"), ("phi1", "phi2")),
+    "servos": Rig("tabletop.yaml", ("explore.yaml", "lively.yaml", "rock.yaml"), ("phi1", "phi2")),
+    "pivot": Rig("pivot.yaml", ("pivot/explore.yaml",)),
+    "three_palms": Rig("three_palms.yaml", ("three_palms/explore.yaml", "three_palms/sway.yaml")),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """What came of one: its length and how much of it the rig moved (s), the guards' faults with times and texts, other
+    holds and stops by code, commands given, and the largest following error as a share of its limit.
+    """
+
+    rig: str
+    seed: int
+    seconds: float
+    moved_s: float
+    guards: tuple[tuple[float, str, str], ...]
+    others: Mapping[str, int]
+    commands: Mapping[str, int]
+    following_share: float
+
+
+class Stalled:
+    """Keeps the core of a closed loop from everything while its process does not run."""
+
+    def __init__(self, loop: ClosedLoop[Any], rng: np.random.Generator) -> None:
+        self._loop, self._rng = loop, rng
+        self._until = 0.0
+        self._waiting: list[tuple[str, bytes]] = []
+        core: Any = loop.core
+        self._receive, self._step, self._due = core.receive, core.step, core.due
+        core.receive, core.step, core.due = self.receive, self.step, self.due
+
+    def draw(self) -> None:
+        """Once a tick."""
+        if self._rng.random() < STALL_SHARE:
+            self._until = self._loop.t + self._rng.uniform(*STALL_S)
+
+    @property
+    def _away(self) -> bool:
+        return self._loop.t < self._until
+
+    def receive(self, port: Any, data: bytes, t: float) -> None:
+        """As the core, later."""
+        if self._away:
+            self._waiting.append((port, data))
+        else:
+            self._receive(port, data, t)
+
+    def due(self) -> float:
+        """As the core, later."""
+        return math.inf if self._away else self._due()
+
+    def step(self, t: float) -> Any:
+        """As the core; while it is away nothing is published."""
+        if self._away:
+            return []
+        for port, data in self._waiting:
+            self._receive(port, data, t)
+        self._waiting.clear()
+        return self._step(t)
+
+
+def loop_of(rig: str, seed: int, plan: str, *, light: bool, averaged: bool = False) -> ClosedLoop[Any]:
+    """The shipped rig of this name with a plan.
+
+    `light`: with an observer that costs nothing, or without a smoother; `averaged`: by the old law of friction.
+    """
+    config, path = load_any_config(shipped(RIGS[rig].config)), shipped("plans") / plan
+    match config:
+        case PivotConfig():
+            spec = parse(read_document(path), PivotPlanSpec)
+            return PivotWireless(config, spec, seed, period_s=math.inf if light else PERIOD_S)
+        case ThreePalmsConfig():
+            spec_in_space = parse(read_document(path), TiltPlanSpec)
+            return ThreePalmsWireless(config, spec_in_space, seed, NoAnswers() if light else None)
+        case Config():
+            if light:
+                options = PlantOptions(friction_law="averaged") if averaged else AS_ASSUMED
+                return Wireless(config, load_plan(path), seed, estimator=LightObserver(), options=options)
+            return Wireless(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
+    raise TypeError(f"no closed loop for {rig}")
+
+
+class NoAnswers:
+    """A smoother of three palms that never answers."""
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Forget them."""
+
+    def collect(self, t: float) -> BodyAnswer | None:
+        """None."""
+
+
+class Person:
+    """Does what the hints say, and now and then what somebody with a rig does."""
+
+    def __init__(self, rig: Rig, plans: tuple[str, ...], seed: int, loop: ClosedLoop[Any]) -> None:
+        self._rig, self._plans, self._loop = rig, plans, loop
+        self.rng = np.random.default_rng((seed, 77))
+        self._stalled = Stalled(loop, np.random.default_rng((seed, 78)))
+        self._operator = Operator()
+        self._t_next = self.rng.uniform(*BETWEEN_S)
+        self.commands: Counter[str] = Counter()
+        self.others: Counter[str] = Counter()
+        self.guards: list[tuple[float, str, str]] = []
+        self.moved_s = self.following_share = 0.0
+        self._active: set[str] = set()
+
+    def live(self, seconds: float) -> None:
+        """So long."""
+        while self._loop.t < seconds:
+            self._tick()
+            if command := self._operator.decide(self._loop.t):
+                self._ask(command)
+            if self._loop.t >= self._t_next and self._loop.core.state in (State.TRACKING, State.HOLD):
+                self._t_next = self._loop.t + self.rng.uniform(*BETWEEN_S)
+                self._do(str(self.rng.choice(("hold", "jog", "plan", "object"))))
+
+    def _do(self, what: str) -> None:
+        if what == "plan":
+            self._ask("stop")
+            self._wait(3.0, until_still=True)
+            path = shipped("plans") / str(self.rng.choice(self._plans))
+            self._ask("plan", path=path.name, text=path.read_text())
+            self._operator = Operator()
+            self._ask("arm")
+        else:
+            self._ask("hold")
+            self._wait(self.rng.uniform(0.3, 3.0))
+            if what == "jog" and self._rig.joints:
+                self._jog()
+            elif what == "object" and self._rig.joints:
+                self._loop.world.new_object()
+                self._wait(3.0)
+        self._ask("start")
+        self._operator.resume()
+
+    def _jog(self) -> None:
+        """Two of three joints at least keep still one time in three."""
+        steps = self.rng.choice((-1, 0, 1), size=len(self._rig.joints)) * self.rng.uniform(0.1, 0.5)
+        t_end = self._loop.t + JOG_S
+        args = {f"{joint}_deg": float(step) for joint, step in zip(self._rig.joints, steps, strict=True)}
+        while self._loop.t < t_end and self._ask("jog", **args):
+            self._wait(JOG_EVERY_S)
+
+    def _ask(self, command: str, **args: Any) -> bool:
+        try:
+            self._loop.ask(command, **args)
+        except WirelessError:
+            self.commands[f"{command} refused"] += 1
+            return False
+        self.commands[command] += 1
+        return True
+
+    def _wait(self, seconds: float, *, until_still: bool = False) -> None:
+        t_end = self._loop.t + seconds
+        while self._loop.t < t_end and not (until_still and self._loop.core.at_rest):
+            self._tick()
+
+    def _tick(self) -> None:
+        self._stalled.draw()
+        for topic, fields in self._loop.tick().messages.items():
+            self._operator.take(topic, fields)
+            self.following_share = max(self.following_share, *_shares(fields), 0.0)
+        self.moved_s += 0.01 * self._operator.moves
+        faults = {f.code: f.text for f in self._loop.core.faults.active if f.severity in (Severity.HOLD, Severity.STOP)}
+        for code in faults.keys() - self._active:
+            if code in GUARDS:
+                self.guards.append((round(self._loop.t, 3), code, faults[code]))
+            else:
+                self.others[code] += 1
+        self._active = set(faults)
+
+
+def _shares(fields: Mapping[str, Any]) -> Iterator[float]:
+    for unit in ("rad", "m"):
+        for error, limit in zip(
+            fields.get(f"following_error_{unit}") or (), fields.get(f"following_limit_{unit}") or (), strict=True
+        ):
+            yield abs(error) / limit if limit else 0.0
+
+
+def lived(name: str, seed: int, seconds: float, *, light: bool, averaged: bool = False) -> Life:
+    """One life of a shipped rig with the body, the noise and the person of this seed."""
+    rig = RIGS[name]
+    plans = tuple(plan for plan in rig.plans if not light or name == "pivot" or "explore" not in plan)
+    loop = loop_of(name, seed, plans[seed % len(plans)], light=light, averaged=averaged)
+    person = Person(rig, plans, seed, loop)
+    person.live(seconds)
+    return Life(
+        name, seed, seconds, round(person.moved_s, 1), tuple(person.guards), dict(person.others),
+        dict(person.commands), round(person.following_share, 3),
+    )  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    parser.add_argument("rig", choices=RIGS)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(9100, 9109), metavar=("A", "B"), help="both included")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each life; default: %(default)g")
+    parser.add_argument("--light", action="store_true", help="no real observer: for more hours")
+    parser.add_argument("--averaged", action="store_true", help="with --light: the old law of friction, twice as fast")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """One life for each seed."""
+    alarms = 0
+    for seed in range(arguments.seeds[0], arguments.seeds[1] + 1):
+        life = lived(
+            arguments.rig, seed, arguments.seconds, light=arguments.light or arguments.averaged,
+            averaged=arguments.averaged,
+        )  # fmt: skip
+        alarms += len(life.guards)
+        print(json.dumps(asdict(life)), flush=True)
+    return BAD_INPUT if alarms else 0
