@@ -228,7 +228,7 @@ def test_a_scheduler_that_is_not_there_is_one_line_and_earlier_rows_stay(address
 def test_a_cluster_needs_dask(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert main(["montecarlo", "--scheduler", "tcp://127.0.0.1:1", "-o", str(tmp_path)]) == 1
-    told = f"--scheduler needs Dask, which is not installed: {install_line('distributed', 'lab')}\n"
+    told = f"--scheduler needs Dask, which is not installed: {install_line('Dask', 'studies')}\n"
     assert capsys.readouterr().err == told
 
 
