@@ -84,7 +84,7 @@ def test_without_matplotlib_only_the_figure_is_refused(
     monkeypatch.delattr("tools.studies.observability_maps")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["observability", "--states", "5", "-o", str(tmp_path)]) == 1
-    expected = f"-o needs matplotlib, which is not installed: {install_line('matplotlib', 'lab')}\n"
+    expected = f"-o needs matplotlib, which is not installed: {install_line('matplotlib', 'studies')}\n"
     assert capsys.readouterr().err == expected
     assert told(capsys, "--states", "5")
 
