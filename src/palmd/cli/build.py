@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import multiprocessing
 import os
 import time
@@ -15,8 +16,11 @@ from pathlib import Path
 from palmd.config.any_config import AnyConfig
 from palmd.console.configured import any_configured
 from palmd.console.errors import RIG_FAILED, CliError
+from palmd.model import compiled, compiler
 from palmd.observer.kernels import Part, of_palms
 from palmd.systems import LIVE, TWO_PALMS, load_part
+
+log = logging.getLogger(__name__)
 
 _PATIENCE_S = 2.0
 
@@ -73,9 +77,10 @@ def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None)
     """Make parts, as many at once as there are processors: what each is, how it runs, and seconds, as it is done.
 
     `lasts` is called, once, when none has been for a while. Each part is made in a forked process, as CasADi is not
-    safe among threads. Raises what making one raised, CliError when its process was killed; the others end first.
+    safe among threads; what several of them warn of is said once. Raises what making one raised, CliError when its
+    process was killed; the others end first.
     """
-    waiting, running = deque(parts), dict[Connection, tuple[str, float]]()
+    waiting, running, said = deque(parts), dict[Connection, tuple[str, float]](), set[str]()
     while waiting or running:
         while waiting and len(running) < len(os.sched_getaffinity(0)):
             what, make = waiting.popleft()
@@ -87,10 +92,17 @@ def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None)
         for connection in [each for each in running if each in done]:
             what, begun = running.pop(connection)
             try:
-                made = connection.recv()
+                made, warnings, fault = connection.recv()
             except EOFError:
                 advice = "for want of memory most often: make fewer at once with `taskset -c 0 palmd doctor build`"
-                made = CliError(RIG_FAILED, f"{what}: what compiled it was killed, {advice}")
+                made, warnings, fault = CliError(RIG_FAILED, f"{what}: what compiled it was killed, {advice}"), [], None
+            for warning in warnings:
+                reason = fault or warning.partition(": ")[2] or warning
+                if reason not in said:
+                    said.add(reason)
+                    log.warning("%s", warning)
+            if fault is not None:
+                os.environ[compiler.FAULT] = fault
             if isinstance(made, Exception):
                 raise made
             yield what, made, time.monotonic() - begun
@@ -105,7 +117,21 @@ def _begun(make: Callable[[], str]) -> Connection:
     return ours
 
 
+class _Warnings(logging.Handler):
+    """Keeps what is logged: whoever started this process says it, once for all that it starts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
+
+
 def _make(make: Callable[[], str], told: Connection) -> None:
+    warnings = _Warnings()
+    compiled.log.addHandler(warnings)
+    compiled.log.propagate = False
     try:
         made: str | Exception = make()
     except Exception as error:
@@ -113,7 +139,7 @@ def _make(make: Callable[[], str], told: Connection) -> None:
     except KeyboardInterrupt:
         return  # the parent has been interrupted too, and says so
     with suppress(BrokenPipeError):  # whoever asked is gone
-        told.send(made)
+        told.send((made, warnings.texts, os.environ.get(compiler.FAULT)))
 
 
 def _beside() -> list[Part]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import re
 import resource
@@ -67,11 +68,25 @@ def compiler() -> Finding:
     try:
         found = command()
         if found:
-            tried(found, Path(tempfile.gettempdir()))
+            tried(found, _where_compiled())
             return Finding("compiler", "ok", shlex.join(found))
     except (CompilerError, OSError) as error:
-        return Finding("compiler", "missing", str(error), "set CC to a compiler that works, or leave it out")
+        return Finding("compiler", "missing", str(error), "mend that, or name another compiler in CC")
     return Finding("compiler", "missing", "no C compiler", "sudo apt-get install gcc libc6-dev")
+
+
+def _where_compiled() -> Path:
+    """The folder that compiled observers go to or will be made in; where that takes no files, that for scratch files.
+
+    What keeps files from it is told by `observers`.
+    """
+    from palmd.model.compiled import cache_directory
+
+    with contextlib.suppress(OSError, RuntimeError):
+        there = nearest(cache_directory())
+        if takes_files(there):
+            return there
+    return Path(tempfile.gettempdir())
 
 
 def observers() -> Finding:

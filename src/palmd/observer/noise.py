@@ -2,6 +2,8 @@
 
 Between four readings in a row a quadratic leaves one contrast, their third divided difference; a contact moves so
 smoothly that noise is all that is in it: the sensor's, what stamps that jitter make of its motion, and vibration.
+Where stamps are an adapter's rather than the pad's, each reading is also as uncertain as the contact moves within the
+adapter's period.
 """
 
 from __future__ import annotations
@@ -23,6 +25,10 @@ DEADBAND = 1.2  # ratio of standard deviations up to which a description is righ
 MOST = 10.0  # that readings of a pad in order scatter more than described
 ROW = 4
 REFINEMENTS = 3
+RATE_READINGS = 9  # that a rate is taken from
+ADAPTER_S = 0.016  # in which an FTDI adapter delivers what has come, until its latency timer is set
+STEADY_READINGS = 500  # in which the clocks of adapter and machine stay together
+CHANCE = 1e-6  # of stamps at random, that they are taken for a batch's
 _NORMAL_MEDIAN = 0.455  # of x², x standard normal
 
 
@@ -38,16 +44,43 @@ def with_scatter(rig: RigDescription, samples: Sequence[PadSample]) -> RigDescri
 def scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
     """The pad as noisy as its readings show; less than is described is not believed."""
     t = np.array([sample.t_sample for sample in samples])
-    ratio = _scatter(t, np.array([sample.s for sample in samples])) / np.sqrt(pad.reading_variance)
-    if ratio > DEADBAND:
-        variance = min(ratio, MOST) ** 2 * pad.reading_variance
-        pad = replace(pad, noise=float(np.sqrt(variance - pad.resolution**2 / 12)))
+    s = np.array([sample.s for sample in samples])
+    described = pad.reading_variance
+    stamp_sd = ADAPTER_S / math.sqrt(12.0) if batched(t) else 0.0
+    blur = stamp_sd * math.sqrt(np.mean(rates(t, s) ** 2))
+    ratio = _scatter(t, s) / math.sqrt(described)
+    variance = min(ratio, MOST) ** 2 * described if ratio > DEADBAND else described
+    if blur > 0.0 or variance > described:
+        noise = math.sqrt(max(variance, described + blur**2) - pad.resolution**2 / 12)
+        pad = replace(pad, noise=noise, stamp_sd=stamp_sd, blur=blur)
+    if stamp_sd > 0.0:  # late by anything up to the period, so that the mean delay is unknown too
+        pad = replace(pad, lag_sd=math.hypot(pad.lag_sd, ADAPTER_S / 2.0))
     pressed = [sample for sample in samples if sample.force]
     if len(pressed) < LEAST_READINGS:
         return pad
     t, force = np.array([(sample.t_sample, sample.force) for sample in pressed]).T
     told = _scatter(t, force / np.sqrt(pad.force_variance(np.full(len(force), median(force)))))
     return replace(pad, force_scale_std=pad.force_scale_std * min(told, MOST)) if told > DEADBAND else pad
+
+
+def rates(t: FloatArray, values: FloatArray) -> FloatArray:
+    """How fast readings at `t` (s) change, by a line through each and its neighbours (values a second)."""
+    if len(t) < 2:
+        return np.zeros(len(t))
+    width = min(RATE_READINGS, len(t))
+    first = np.clip(np.arange(len(t)) - width // 2, 0, len(t) - width)
+    at = first[:, None] + np.arange(width)
+    times = t[at] - t[at].mean(axis=1, keepdims=True)
+    found: FloatArray = (times * values[at]).sum(axis=1) / np.maximum((times**2).sum(axis=1), 1e-12)
+    return found
+
+
+def batched(t: FloatArray) -> bool:
+    """Whether stamps `t` (s) keep to the period in which a USB adapter delivers, by Rayleigh's test of their phases."""
+    phases = np.exp(2j * np.pi * t / ADAPTER_S)
+    pieces = [phases[at : at + STEADY_READINGS] for at in range(0, len(t), STEADY_READINGS)]
+    evidence = [len(piece) * abs(piece.mean()) ** 2 for piece in pieces if len(piece) >= LEAST_READINGS]
+    return bool(evidence) and median(np.array(evidence)) > -math.log(CHANCE)
 
 
 def _scatter(t: FloatArray, values: FloatArray) -> float:

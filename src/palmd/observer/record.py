@@ -13,6 +13,7 @@ from palmd.events import FloatArray, PadSample
 from palmd.model.outputs import CURVATURE_INPUTS, rig_inputs
 from palmd.model.smoothing import CONTACT_INPUTS, FORCE_INPUTS, STEP_INPUTS
 from palmd.observer.median import median
+from palmd.observer.noise import rates
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.palms import RESTING_RAD_S, repetitions
 from palmd.system.description import RigDescription
@@ -216,6 +217,10 @@ def lay_out(
     offset = times - t[step]
     palms = path.at(times) if len(times) else np.zeros((0, 6))
     variance = rig.reading_variances[which]
+    for number, sensor in zip(PALMS, rig.pads, strict=True):
+        mine = pad == number
+        if sensor.stamp_sd > 0.0:
+            variance[mine] += (sensor.stamp_sd * rates(times[mine], value[mine])) ** 2 - sensor.blur**2
     weight: FloatArray = np.asarray(1.0 / repetitions(path.resting(times, RESTING_RAD_S, resting_since)))
     pressed = (
         np.isfinite(force)

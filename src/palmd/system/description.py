@@ -29,6 +29,9 @@ class PadSensor:
     The `_sd` are one-sigma of what each constant is off by: `zero` and `scale` of the readings, `standoff` of its
     surface from the hinge line, `sagitta` of its bow, `lag` of its time stamps, `force` of what a reading moves by with
     the contact's force (m/N). By default it is exactly as described.
+
+    stamp_sd: one-sigma of each time stamp by itself (s), as where an adapter delivers readings in batches. blur: what
+    that makes of a reading on average, a part of `noise` (m).
     """
 
     length: float = 0.0555
@@ -44,6 +47,8 @@ class PadSensor:
     lag_sd: float = 0.0
     force_sd: float = 0.0
     curvature: float = 0.0
+    stamp_sd: float = 0.0
+    blur: float = 0.0
 
     @property
     def reading_variance(self) -> float:

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from palmd.cli import build, main
 from palmd.console.errors import CliError
 from palmd.console.shipped import shipped
+from palmd.model import compiled, compiler
 from palmd.yamlfile import load_config
 
 
@@ -95,3 +97,21 @@ def test_what_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         list(build.side_by_side([("f", differs)]))
     with pytest.raises(CliError, match="f: what compiled it was killed, for want of memory"):
         list(build.side_by_side([("f", lambda: str(os.kill(os.getpid(), signal.SIGKILL)))]))
+
+
+def test_what_keeps_all_parts_from_being_compiled_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv(compiler.FAULT, "of another")
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path))
+    source = tmp_path / "one.c"
+    source.write_text("int one(void) { return 1; }")
+
+    def part(name: str) -> tuple[str, Callable[[], str]]:
+        return name, lambda: "python" if compiled.load_written(name, source) is None else "c"
+
+    made = list(build.side_by_side([part(name) for name in "abc"]))
+    assert sorted((what, backend) for what, backend, _ in made) == [(name, "python") for name in "abc"]
+    assert caplog.text.count("/nowhere/cc: No such file or directory") == 1
+    assert compiler.known_fault(tmp_path), "so that no process that is started later says it again"

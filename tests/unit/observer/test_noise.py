@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.events import PadSample
-from palmd.observer.noise import with_scatter
+from palmd.events import PadSample, PalmSample
+from palmd.observer.noise import ADAPTER_S, batched, with_scatter
+from palmd.observer.palm_path import smoothed_path
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.record import lay_out
 from palmd.rig.imperfections import Imperfections
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
@@ -45,6 +47,54 @@ def test_what_scatters_more_is_noisier_by_that_and_the_other_pad_is_not(times, o
 def test_stamps_that_jitter_are_noise_where_the_contact_moves():
     noisy = with_scatter(RIG, samples(3, DESCRIBED, jitter=3e-3)).pads[0]
     assert noisy.noise > 1.2 * RIG.pads[0].noise
+
+
+def in_batches(readings, phase=0.005):
+    """As an FTDI adapter delivers them and the pad's driver dates them: the last of a batch has just ended."""
+    batches = {}
+    for sample in readings:
+        batches.setdefault(math.ceil((sample.t_sample - phase) / ADAPTER_S), []).append(sample)
+    return [
+        replace(sample, t_sample=number * ADAPTER_S + phase - 0.00625 * (len(batch) - k))
+        for number, batch in batches.items()
+        for k, sample in enumerate(batch)
+    ]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stamps_of_an_adapter_are_found_out_and_those_of_a_pad_are_not(seed):
+    readings = samples(seed, DESCRIBED)
+    t, delivered = (np.array([sample.t_sample for sample in each]) for each in (readings, in_batches(readings)))
+    assert not batched(t)
+    assert not batched(np.arange(800) * 0.01), "a pad that is read every 10 ms"
+    assert not batched(np.arange(800) * 0.008), "or 125 times a second"
+    assert batched(delivered)
+    pad = with_scatter(RIG, in_batches(readings)).pads[0]
+    assert pad.lag_sd == pytest.approx(ADAPTER_S / 2)
+    assert pad.reading_variance >= 0.999 * (DESCRIBED**2 + pad.blur**2)
+
+
+def test_a_reading_of_an_adapter_is_as_uncertain_as_the_contact_moves():
+    readings = [*in_batches(samples(1, DESCRIBED)), *samples(2, DESCRIBED, pad=2)]
+    readings.sort(key=lambda sample: sample.t_sample)
+    rig = with_scatter(RIG, readings)
+    palms = [PalmSample(0.016 * k, (0.9, 1.7)) for k in range(600)]
+    record = lay_out(readings, smoothed_path(palms, 1e-4), rig, 0.1, 7.0, 0.01)
+    variance = record.contact_variance[record.contact_pad == 1] / DESCRIBED**2
+    assert variance.min() == pytest.approx(1.0, abs=0.05)
+    assert variance.max() > 3.0
+    assert np.ptp(record.contact_variance[record.contact_pad == 2]) == 0.0
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("nominal", 7208), ("rig", 7201), ("friction", 7203)])
+def test_a_run_in_batches_is_reconstructed_within_its_band(kind, seed):
+    run = simulated(kind, seed, 12.0)
+    pads = [[e for e in run.events if isinstance(e, PadSample) and e.pad == number] for number in (1, 2)]
+    events = [*in_batches(pads[0]), *in_batches(pads[1], 0.011), *(e for e in run.events if isinstance(e, PalmSample))]
+    answer = reconstruct(sorted(events, key=lambda event: event.t_sample), run.rig)
+    assert answer.converged, answer.reason
+    band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
+    assert score_outline(answer.theta, answer.h, answer.touched, run.truth.h).e_h < 3 * band
 
 
 def test_forces_that_shake_are_less_certain():
