@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from palmd.config.guards import force_limits
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.config.two_palms import Config, rig_description
@@ -38,6 +39,9 @@ from tools.studies.simulation.light_observer import LightObserver
 GUARDS = frozenset(
     {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}
 )
+FORCES = frozenset({"force-limit", "force-excess"})
+PRESSED_S = 0.3
+"""How long a pad's running mean may take to tell a force."""
 STALL_SHARE, STALL_S = 0.02, (0.005, 0.025)
 """How many of the ticks begin while the process is kept off its processor, and for how long."""
 BETWEEN_S = (8.0, 30.0)
@@ -66,6 +70,8 @@ RIGS: dict[str, Rig] = {
 class Life:
     """What came of one: its length and how much of it the rig moved (s), the guards' faults with times and texts, other
     holds and stops by code, commands given, and the largest following error as a share of its limit.
+
+    A fault about force is another's where the body really presses with the limit: `guards` are false alarms.
     """
 
     rig: str
@@ -153,7 +159,10 @@ class NoAnswers:
 class Person:
     """Does what the hints say, and now and then what somebody with a rig does."""
 
-    def __init__(self, rig: Rig, plans: tuple[str, ...], seed: int, loop: ClosedLoop[Any]) -> None:
+    def __init__(
+        self, rig: Rig, plans: tuple[str, ...], seed: int, loop: ClosedLoop[Any], limits_n: Sequence[float]
+    ) -> None:
+        """`limits_n` are those of each pad."""
         self._rig, self._plans, self._loop = rig, plans, loop
         self.rng = np.random.default_rng((seed, 77))
         self._stalled = Stalled(loop, np.random.default_rng((seed, 78)))
@@ -164,6 +173,8 @@ class Person:
         self.guards: list[tuple[float, str, str]] = []
         self.moved_s = self.following_share = 0.0
         self._active: set[str] = set()
+        self._limits = limits_n
+        self._t_pressed = -math.inf
 
     def live(self, seconds: float) -> None:
         """So long."""
@@ -195,7 +206,7 @@ class Person:
         self._operator.resume()
 
     def _jog(self) -> None:
-        """Two of three joints at least keep still one time in three."""
+        """Equal steps of each joint, forwards, backwards or none, for two seconds."""
         steps = self.rng.choice((-1, 0, 1), size=len(self._rig.joints)) * self.rng.uniform(0.1, 0.5)
         t_end = self._loop.t + JOG_S
         args = {f"{joint}_deg": float(step) for joint, step in zip(self._rig.joints, steps, strict=True)}
@@ -218,13 +229,17 @@ class Person:
 
     def _tick(self) -> None:
         self._stalled.draw()
-        for topic, fields in self._loop.tick().messages.items():
+        now = self._loop.tick()
+        if any(now.truth.get(f"f{pad}_n", 0.0) >= limit for pad, limit in enumerate(self._limits, 1)):
+            self._t_pressed = now.t
+        for topic, fields in now.messages.items():
             self._operator.take(topic, fields)
             self.following_share = max(self.following_share, *_shares(fields), 0.0)
         self.moved_s += 0.01 * self._operator.moves
         faults = {f.code: f.text for f in self._loop.core.faults.active if f.severity in (Severity.HOLD, Severity.STOP)}
         for code in faults.keys() - self._active:
-            if code in GUARDS:
+            pressed = code in FORCES and now.t - self._t_pressed < PRESSED_S
+            if code in GUARDS and not pressed:
                 self.guards.append((round(self._loop.t, 3), code, faults[code]))
             else:
                 self.others[code] += 1
@@ -244,7 +259,9 @@ def lived(name: str, seed: int, seconds: float, *, light: bool, averaged: bool =
     rig = RIGS[name]
     plans = tuple(plan for plan in rig.plans if not light or name == "pivot" or "explore" not in plan)
     loop = loop_of(name, seed, plans[seed % len(plans)], light=light, averaged=averaged)
-    person = Person(rig, plans, seed, loop)
+    config = load_any_config(shipped(rig.config))
+    full = {f"palm{number}": pad.full_scale_n for number, pad in enumerate(config.pads.each(), 1)}
+    person = Person(rig, plans, seed, loop, force_limits(config.limits.force_n, full))
     person.live(seconds)
     return Life(
         name, seed, seconds, round(person.moved_s, 1), tuple(person.guards), dict(person.others),
