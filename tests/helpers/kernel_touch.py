@@ -83,6 +83,15 @@ def _set_bits(buffer, codes):
             buffer[code // 8] |= 1 << code % 8
 
 
+def devices_can_be_made():
+    """Whether this kernel has uinput, and this user may use it: a node in /dev alone is no proof of that."""
+    try:
+        os.close(os.open(UINPUT, os.O_RDWR | os.O_NONBLOCK))
+    except OSError:
+        return False
+    return True
+
+
 class KernelDevice:
     """A device that the kernel has made; `path` is what a program opens."""
 

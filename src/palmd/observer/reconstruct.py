@@ -133,6 +133,10 @@ def _of_segments(
         apart = _search(swapped[0], rig) if swapped else None
         unlike = _Unlike(search, found, rig, seed, begun, say, wanted)
         told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
+        if told is None or (told.reason and told.reason != AMBIGUOUS):
+            other = _elsewhere(found[1:MOST_PARTS], rig, seed)
+            if other is not None:
+                told, found = other, [other.segment, *(each for each in found[1:] if each is not other.segment)]
         if isinstance(told, Reconstruction):
             return told
         main = told
@@ -146,6 +150,12 @@ def _of_segments(
     parts = [main, *(_part_of(_search(segment, rig), seed) for segment in found[1:MOST_PARTS])]
     main, others = _longest_together([part for part in parts if part is not None and not part.reason])
     return _result(main, others, rig, begun)
+
+
+def _elsewhere(segments: Sequence[DataSegment], rig: RigDescription, seed: int) -> _Part | None:
+    """What explains the longest of the segments that something explains, where nothing explains a longer one."""
+    parts = (_part_of(_search(segment, rig), seed) for segment in segments)
+    return next((part for part in parts if part is not None and not part.reason), None)
 
 
 def _rubs(part: _Part) -> bool:

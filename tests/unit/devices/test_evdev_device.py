@@ -228,7 +228,7 @@ def test_units_left_out_are_filled_in_and_others_compared(device):
     assert [key for key, _ in contradictions(wrong, found)] == ["counts_per_mm", "newtons_per_count"]
 
 
-needs_uinput = pytest.mark.skipif(not os.access(kt.UINPUT, os.W_OK), reason="no /dev/uinput to make devices with")
+needs_uinput = pytest.mark.skipif(not kt.devices_can_be_made(), reason="/dev/uinput cannot be opened")
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
 from palmd.observer import criticism
+from palmd.observer.data_segment import data_segments
 from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
@@ -181,6 +182,57 @@ def test_an_object_that_another_takes_the_place_of_within_a_moment(seed):
     assert answer.converged, answer.reason
     assert min(e_h(answer, first), e_h(answer, second)) < max(RIGHT_M, 3 * band(answer))
     assert answer.t[-1] <= EACH_S + 0.02 or answer.t[0] >= EACH_S
+
+
+LONG_REST_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def rested():
+    """As a demo that has explored and then stands: seven seconds of motion between a short rest and a long one."""
+    return simulated("friction", 3, 8.0 + LONG_REST_S, rests=((8.0, 8.0 + LONG_REST_S),))
+
+
+def test_a_long_rest_is_left_out_of_the_longest_segment(rested):
+    (whole,) = data_segments(rested.events)
+    assert whole.lasts > 60.0
+    trimmed = whole.trimmed(1e-4)
+    assert whole.start == trimmed.start
+    assert 8.0 < trimmed.end < 12.0
+    assert max(sample.t_sample for sample in trimmed.pads) <= trimmed.end
+
+
+def test_the_motion_before_a_long_rest_is_reconstructed(rested):
+    found = reconstruct(rested.events, rested.rig)
+    assert found.converged, found.reason
+    assert found.t[-1] < 12.0, "the rest is no part of what is explained"
+    score = score_outline(found.theta, found.h, found.touched, rested.truth.h)
+    assert score.e_h < 3.0 * np.sqrt(np.mean(found.h_sd[found.touched] ** 2))
+
+
+def test_a_rest_of_a_second_stays_and_what_never_moves_is_left_whole(rested):
+    segment = data_segments(rested.events)[0]
+    short = segment.until(9.5)
+    assert short.trimmed(1e-4).end == short.end
+    still = segment.since(20.0)
+    assert still.trimmed(1e-4) is still
+
+
+def test_where_nothing_explains_the_longest_segment_a_shorter_one_counts():
+    """As where the object was knocked about for a while, and only then turned as it should be."""
+    run = simulated("nominal", 1, 12.0)
+    wild, begin = np.random.default_rng(1), run.events[0].t_sample
+    events = []
+    for event in run.events:
+        t = event.t_sample - begin
+        if isinstance(event, PadSample) and t < 7.0:
+            event = replace(event, s=float(wild.uniform(0.005, 0.05)))
+        if not 7.0 < t < 7.6:
+            events.append(event)
+    found = reconstruct(events, run.rig)
+    assert found.converged, found.reason
+    assert found.t[0] - begin > 7.0
+    assert score_outline(found.theta, found.h, found.touched, run.truth.h).e_h < 1e-4
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])
