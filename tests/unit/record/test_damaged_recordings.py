@@ -4,11 +4,10 @@ import json
 import random
 from pathlib import Path
 
-import lived
 import pytest
 import recorded
-from mcap.records import Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
+from damaged import chunks, damage, intact_messages
+from damaged import pack as pack_small
 
 from palmd.cli import main
 from palmd.quantities import CONFIG
@@ -21,33 +20,12 @@ from palmd.rig.world import default_config
 
 DAMAGES = 200
 READ = 0.95  # of what lies in intact chunks
-CHUNK_BYTES = 20_000
-
-
-class Chunked(RunWriter):
-    """Chunks of a size that a short recording has many of."""
-
-    def __init__(self, *arguments, **how):
-        super().__init__(*arguments, **how)
-        self._held = 0
-
-    def write(self, message):
-        super().write(message)
-        self._held += len(message.payload)
-        if self._held > CHUNK_BYTES:
-            self._held = 0
-            self._writer.flush()
 
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    source = lived.path()
-    with path.open("wb") as stream:
-        writer = Chunked(stream, read_layout(source).preface, 0, compressed=True)
-        for message in read_messages(source):
-            writer.write(message)
-        writer.finish()
+    pack_small(path)
     return path
 
 
@@ -62,41 +40,6 @@ def unfinished(tmp_path_factory, packed):
     return path
 
 
-def chunks(data):
-    """Where each chunk lies, and its messages, by the mcap library."""
-    from io import BytesIO
-
-    stream = BytesIO(data)
-    reader = StreamReader(stream, emit_chunks=True)
-    found, names = [], {}
-    for record in reader.records:
-        if isinstance(record, Chunk):
-            end = reader._stream.count
-            inner = breakup_chunk(record, validate_crc=True)
-            names |= {each.id: each.topic for each in inner if hasattr(each, "topic")}
-            messages = {
-                (names[each.channel_id], each.sequence, each.data) for each in inner if isinstance(each, Message)
-            }
-            found.append((end - len(record.data) - 100, end, messages))
-    return found
-
-
-def damage(data, chance):
-    """One random damage: the new bytes, and which of the old ones they still hold, as (begin, end)."""
-    size = len(data)
-    kind = chance.choice(["flip", "cut", "zero", "duplicate"])
-    at, length = chance.randrange(size), chance.choice([1, 64, 4096, size // 20])
-    if kind == "flip":
-        changed = bytearray(data)
-        changed[at] ^= chance.randrange(1, 256)
-        return bytes(changed), [(0, at), (at + 1, size)]
-    if kind == "cut":
-        return data[:at], [(0, at)]
-    if kind == "zero":
-        return data[:at] + bytes(min(length, size - at)) + data[at + length :], [(0, at), (at + length, size)]
-    return data[: at + length] + data[at:], [(0, at), (at, size)]
-
-
 def test_every_intact_chunk_is_read_whatever_the_damage(packed):
     whole = packed.read_bytes()
     parts, chance = chunks(whole), random.Random(54)
@@ -107,7 +50,7 @@ def test_every_intact_chunk_is_read_whatever_the_damage(packed):
         layout = layout_of(data)
         messages = [] if layout is None else list(messages_of(data, layout))
         got = {(one.topic, one.sequence, one.payload) for one in messages}
-        intact = set().union(*(m for b, e, m in parts if any(first <= b and e <= last for first, last in kept)))
+        intact = intact_messages(parts, kept)
         assert len(got & intact) >= READ * len(intact), number
         assert len(got) == len(messages), f"{number}: a message twice"
         assert got <= set().union(*(m for _, _, m in parts)), f"{number}: a message that never was"

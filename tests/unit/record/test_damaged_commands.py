@@ -1,0 +1,117 @@
+"""Every command that reads a run, on damaged recordings: it ends, reads what is intact, says what is missing."""
+
+import math
+import random
+
+import damaged
+import pytest
+
+from palmd.cli import main
+from palmd.record import RunError
+from palmd.record.run import read_any_run
+
+READ = 0.95  # of what lies in intact chunks
+SAMPLE, ALL = range(5), range(200)
+FORMS = {"log": "log.jsonl", "csv": "csv", "mcap-json": "json.mcap", "svg": "drawing.svg", "dxf": "drawing.dxf"}
+
+
+def commands(run, out):
+    """What is tried, by name."""
+    exports = {f"export {form}": ["export", run, "-o", out / name, "--as", form] for form, name in FORMS.items()}
+    return exports | {
+        "points": ["export", run, "-o", out / "points.csv", "--as", "points"],
+        "runs": ["runs", run.parent, "--json"],
+        "compare": ["runs", run.parent, "--compare", run.stem, "whole"],
+        "report": ["report", run, "-o", out / "report.html"],
+        "why": ["why", run],
+        "replay": ["replay", run, "--check"],
+        "estimate": ["estimate", run, "-o", out / "estimate.jsonl"],
+        "reconstruct": ["reconstruct", run, "-o", out / "result.json"],
+        "recognise": ["recognise", run, out / "library"],
+        "recover": ["recover", run, "-o", out / "saved.mcap"],
+        "bundle": ["bundle", run, "-o", out / "bundle.zip"],
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "whole.mcap"
+    damaged.pack(path)
+    return path
+
+
+def laid_out(tmp_path, changed, data):
+    """A folder of runs, a damaged one and a whole one; and a folder for results, with a library of outlines."""
+    folder, out = tmp_path / "runs", tmp_path / "out"
+    folder.mkdir()
+    (out / "library").mkdir(parents=True)
+    run = folder / "run.mcap"
+    run.write_bytes(changed)
+    (folder / "whole.mcap").write_bytes(data)
+    angles = [math.tau * k / 90 for k in range(90)]
+    points = "".join(f"{22 * math.cos(a):.4f},{18 * math.sin(a):.4f}\n" for a in angles)
+    (out / "library" / "oval.csv").write_text(f"x_mm,y_mm\n{points}")
+    return run, out
+
+
+def tried(whole, tmp_path, capsys, seed):
+    """The damage of that seed, and each command on it."""
+    data = whole.read_bytes()
+    changed, kept = damaged.damage(data, random.Random(seed))
+    run, out = laid_out(tmp_path, changed, data)
+    parts = damaged.chunks(data)
+    everything, intact = set().union(*(m for *_, m in parts)), damaged.intact_messages(parts, kept)
+    for name, words in commands(run, out).items():
+        status = main([str(word) for word in words])
+        said = capsys.readouterr()
+        assert status in (0, 1), (seed, name, status)
+        assert "Traceback" not in said.err, (seed, name)
+        assert status == 0 or said.err.strip(), f"{seed} {name}: failed without a word"
+        assert run.read_bytes() == changed, f"{seed} {name} has changed the recording"
+        if name == "export csv" and status == 0:
+            rows = sum(len(file.read_text().splitlines()) - 1 for file in (out / "csv").iterdir())
+            assert rows >= READ * len(intact), (seed, name)
+            assert rows == len(everything) or said.err.strip(), f"{seed}: {len(everything) - rows} lost without a word"
+    try:
+        read = sum(1 for _ in read_any_run(run).messages())
+    except RunError:
+        read = 0
+    assert read >= READ * len(intact), seed
+    if (out / "saved.mcap").exists():
+        saved = read_any_run(out / "saved.mcap")
+        assert saved.complete
+        assert saved.layout.count == read
+
+
+@pytest.mark.parametrize("seed", SAMPLE)
+def test_every_command_goes_on(whole, tmp_path, capsys, seed):
+    tried(whole, tmp_path, capsys, seed)
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("seed", ALL)
+def test_every_command_goes_on_after_any_of_200_damages(whole, tmp_path, capsys, seed):
+    tried(whole, tmp_path, capsys, seed)
+
+
+@pytest.mark.parametrize("kind", ["duplicate", "header", "footer", "empty", "text", "zero"])
+def test_other_damages(whole, tmp_path, capsys, kind):
+    data = whole.read_bytes()
+    begin, end, _ = damaged.chunks(data)[5]
+    changed = {
+        "duplicate": data[:end] + data[begin:],
+        "header": bytes(64) + data[64:],
+        "footer": data[:-20],
+        "empty": b"",
+        "text": b"no recording\n" * 1000,
+        "zero": bytes(len(data)),
+    }[kind]
+    run, out = laid_out(tmp_path, changed, data)
+    for name, words in commands(run, out).items():
+        status = main([str(word) for word in words])
+        said = capsys.readouterr()
+        assert status in (0, 1), (kind, name, status)
+        assert "Traceback" not in said.err, (kind, name)
+        assert status == 0 or "run.mcap" in said.err, (kind, name, said.err)
+        assert run.read_bytes() == changed, f"{kind} {name} has changed the recording"
+        assert len(said.err.splitlines()) < 12, (kind, name, said.err)
