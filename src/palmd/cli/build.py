@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Makes each set of kernels once; takes seconds for what is not in the cache yet."""
+    compiled.forget_failures()
     if arguments.config is not None and not arguments.all:
         parts = needed_by(any_configured(arguments.config))
     else:

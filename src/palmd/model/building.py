@@ -14,6 +14,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import (
     EXPORTED,
+    FAILED,
     FLAGS,
     GENERATED,
     LANES,
@@ -62,7 +63,11 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
                 files[generated] = GENERATED
         library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
         if not (library.exists() and _sound(library, kernels)):
-            _compile(compiler, files, kernels, library, Path(folder))
+            try:
+                _compile(compiler, files, kernels, library, Path(folder))
+            except CompilerError as error:
+                note.with_suffix(FAILED).write_text(str(error), encoding="utf-8")
+                raise
         told = Path(folder) / "note.json"
         told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
         told.replace(note)

@@ -33,6 +33,9 @@ Backend = Literal["c", "vm"]
 LANES = 8
 """Columns that stand side by side in a kernel of columns, which serves any multiple of so many."""
 
+FAILED = ".failed"
+"""Ends the name of a file that says why a library could not be compiled, beside where it would be."""
+
 EXPORTED = "kernel_"  # before a kernel's name: what a library exports
 # no contraction: the same bits on every processor
 FLAGS = ("-march=native", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
@@ -146,25 +149,34 @@ def load(
     from palmd.model import building
 
     made = list(kernels())
+    failed = note.with_suffix(FAILED)
     if compiler.known_fault(note.parent):
         return building.on_the_vm(made)
     try:
+        if failed.exists():
+            raise compiler.CompilerError(f"{failed.read_text(encoding='utf-8')} (`palmd doctor build` tries again)")
         if building.build(name, made, files, note):
             found = _opened(note)
         else:
-            _say("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
+            say("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
     except (OSError, compiler.CompilerError) as error:
         why = f"{error.filename or note.parent}: {error.strerror}" if isinstance(error, OSError) else error
-        _say(f"could not compile {name}, using CasADi's virtual machine: {why}")
+        say(f"{name} is not compiled, and runs slower: {why}")
     return found or building.on_the_vm(made)
 
 
-def _say(text: str) -> None:
-    """Once for each reason, whichever library it was found with."""
-    reason = text.partition(": ")[2]
+def say(text: str) -> None:
+    """Warn once for each reason, whichever library it was found with."""
+    reason = text.partition(": ")[2] or text
     if reason not in _SAID:
         _SAID.add(reason)
         log.warning("%s", text)
+
+
+def forget_failures() -> None:
+    """Have what could not be compiled tried again."""
+    for failed in cache_directory().glob(f"*{FAILED}"):
+        failed.unlink(missing_ok=True)
 
 
 def cache_directory() -> Path:
@@ -216,11 +228,14 @@ def _opened(note: Path) -> Library | None:
             log.warning("%s is not what was built, and is built anew", path)
             path.unlink()
             return None
-        compiled = ctypes.CDLL(str(path))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError) as error:
         log.warning("%s cannot be used, and is built anew: %s", note, error)
+        return None
+    try:
+        compiled = ctypes.CDLL(str(path))
+    except OSError:  # what is built instead can be loaded, or says why not
         return None
     signatures = {name: _signature(fields) for name, fields in told["kernels"].items()}
 

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 TRIAL_S = 10.0  # for a library of one line
+ROOM_BYTES = 64_000_000  # that a folder must have left: some times what the largest library needs meanwhile
 COMPILE_S = 900.0  # for one file, on a slow machine that does other things too
 ANSWER = 42
 FAULT = "PALMD_COMPILER_FAULT"
@@ -46,8 +47,12 @@ def known_fault(folder: Path) -> bool:
 
 
 def tried(compiler: Sequence[str], folder: Path) -> None:
-    """Have the compiler make a small library in `folder` and call it; raises CompilerError, OSError."""
+    """Have the compiler make a small library in `folder`, which must have room for more, and call it.
+
+    Raises CompilerError, OSError.
+    """
     with tempfile.TemporaryDirectory(dir=folder) as name:
+        _check_room(Path(name) / "room", folder)
         source, library = Path(name) / "trial.c", Path(name) / "trial.so"
         source.write_text(_TRIAL, encoding="utf-8")
         run([*compiler, "-shared", "-fPIC", "-o", str(library), str(source)], TRIAL_S)
@@ -57,9 +62,21 @@ def tried(compiler: Sequence[str], folder: Path) -> None:
             answer = ctypes.CDLL(str(library)).palmd_trial()
         except (OSError, AttributeError) as error:
             advice = "if its file system forbids programs (noexec), set XDG_CACHE_HOME to a folder where they may run"
-            raise CompilerError(f"a library in {folder} cannot be loaded: {error}; {advice}") from None
+            reason = str(error).removeprefix(f"{library}: ")
+            raise CompilerError(f"a library in {folder} cannot be loaded: {reason}; {advice}") from None
         if answer != ANSWER:
             raise CompilerError(f"{shlex.join(compiler)} makes wrong code")
+
+
+def _check_room(file: Path, folder: Path) -> None:
+    """Raise CompilerError where the folder is full; found out here, not by each start's minutes of compiling."""
+    with file.open("wb") as room:
+        try:
+            os.posix_fallocate(room.fileno(), 0, ROOM_BYTES)
+        except OSError as error:
+            advice = f"free {ROOM_BYTES / 1e6:g} MB there, or set XDG_CACHE_HOME to a folder that has them"
+            raise CompilerError(f"{folder}: {error.strerror}; {advice}") from None
+    file.unlink()
 
 
 def remember_fault(folder: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import casadi as ca
@@ -21,6 +22,13 @@ def _function() -> ca.Function:
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
     y = ca.vertcat(ca.sin(x[0]) * u, x[1] * x[2], ca.sqrt(x[2] ** 2 + 1))
     return ca.Function("f", [x, u], [y, ca.densify(ca.jacobian(y, x))], ["x", "u"], ["y", "J"])
+
+
+@pytest.fixture(autouse=True)
+def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a process that has just begun."""
+    monkeypatch.setattr(compiled, "_SAID", set())
+    monkeypatch.delenv(compiler.FAULT, raising=False)
 
 
 def toy(folder: Path, name: str = "toy") -> Library:
@@ -200,6 +208,79 @@ def test_a_compiler_that_fails_silently_or_never_ends_is_given_up(
     for _ in range(2):
         assert toy(tmp_path / "cache").backend == "vm"
     assert caplog.text.count(why) == 1
+
+
+@pytest.fixture
+def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
+    """Makes a folder on a file system of its own, which takes the right to mount."""
+    folders = []
+
+    def mount(options: str) -> Path:
+        folder = tmp_path / "mounted"
+        folder.mkdir()
+        done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder], capture_output=True)
+        if done.returncode:
+            pytest.skip("no right to mount a file system")
+        folders.append(folder)
+        return folder
+
+    yield mount
+    for folder in folders:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+@pytest.mark.parametrize(("options", "why"), [("noexec", "cannot be loaded"), ("size=1m", "No space left")])
+def test_a_cache_on_a_noexec_or_full_file_system_is_found_out_before_compiling(
+    mounted: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture, options: str, why: str,
+) -> None:  # fmt: skip
+    started = tmp_path / "started"
+    monkeypatch.setenv("CC", str(script(tmp_path / "cc", f'echo "$*" >> {started}; exec cc "$@"')))
+    cache = mounted(options) / "palmd"
+    for name in ("one", "other"):
+        assert toy(cache, name).backend == "vm"
+    assert caplog.text.count(why) == 1
+    assert "XDG_CACHE_HOME" in caplog.text
+    if started.exists():
+        assert " -c " not in started.read_text(), "nothing but the trial has been compiled"
+    assert not list(cache.iterdir())
+
+
+def test_a_library_that_can_no_longer_be_loaded_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As on a file system that was mounted anew, without the right to execute."""
+    assert {toy(tmp_path, name).backend for name in ("one", "other")} == {"c"}
+
+    def refused(path: str) -> None:
+        raise OSError(f"{path}: failed to map segment from shared object")
+
+    monkeypatch.setattr("ctypes.CDLL", refused)
+    building._tried.cache_clear()
+    assert {toy(tmp_path, name).backend for name in ("one", "other")} == {"vm"}
+    assert len(caplog.records) == 1
+    assert "noexec" in caplog.text
+
+
+def test_what_could_not_be_compiled_is_not_tried_at_each_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """By a compiler that works on a line, and not on a library."""
+    started, cache = tmp_path / "started", tmp_path / "palmd"
+    text = (
+        f'case "$*" in *" -c "*) echo >> {started}; echo "cc1: error: out of memory" >&2; exit 4;; esac; exec cc "$@"'
+    )
+    monkeypatch.setenv("CC", str(script(tmp_path / "cc", text)))
+    monkeypatch.setenv("CACHE_DIRECTORY", str(cache))
+    assert toy(cache).backend == "vm"
+    tries = started.read_text()
+    assert toy(cache).backend == "vm"
+    assert started.read_text() == tries
+    assert caplog.text.count("out of memory") == 2
+    assert "`palmd doctor build` tries again" in caplog.text
+    compiled.forget_failures()
+    monkeypatch.setenv("CC", str(script(tmp_path / "cc", 'exec cc "$@"')))
+    assert toy(cache).backend == "c"
 
 
 def test_a_compiler_may_have_a_wrapper_and_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
