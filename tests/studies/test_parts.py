@@ -10,7 +10,7 @@ from palmd.yamlfile import load_config
 from tools.studies.bench_parts import table
 from tools.studies.parts import LOOKED_AT, Parts, rows, thinned
 
-CONFIG = load_config(Path(__file__).parents[3] / "config/tabletop.yaml")
+CONFIG = load_config(Path(__file__).parents[2] / "config/tabletop.yaml")
 
 
 def test_each_kind_of_reading_is_thinned_by_itself_and_no_lift_off_is_lost():

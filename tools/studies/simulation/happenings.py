@@ -17,6 +17,8 @@ from palmd.daemon.commands import COMMANDS, Argument
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, PortName
 
 TROUBLE_S, CALM_S = 22.0, 8.0
+LEASES_S = (0.2, 2.0, 5.0, 100.0)
+"""The last is refused; the longest before it ends, and what is said of that, before the calm does."""
 """How long things happen, and how long everything has to be well again after the last one has ended."""
 
 RATE_HZ = 100.0
@@ -215,7 +217,7 @@ def _told(t: float, client: int, rng: random.Random) -> Told:
         args = {"path": "sent.yaml", "text": PLAN_TEXTS[rng.randrange(len(PLAN_TEXTS))]}
     message = {"id": rng.randrange(1 << 30), "cmd": name, "args": args, "from": f"client {client}"}
     if rng.random() < 0.2:
-        message["lease_s"] = rng.choice((0.2, 2.0, 10.0, 100.0))
+        message["lease_s"] = rng.choice(LEASES_S)
     payload: bytes = msgpack.packb(message)
     if rng.random() < 0.05:
         cut = bytearray(payload)
