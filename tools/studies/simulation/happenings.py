@@ -17,9 +17,10 @@ from palmd.daemon.commands import COMMANDS, Argument
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PORTS, PortName
 
 TROUBLE_S, CALM_S = 22.0, 8.0
+"""How long things happen, and how long everything has to be well again after the last one has ended."""
+
 LEASES_S = (0.2, 2.0, 5.0, 100.0)
 """The last is refused; the longest before it ends, and what is said of that, before the calm does."""
-"""How long things happen, and how long everything has to be well again after the last one has ended."""
 
 RATE_HZ = 100.0
 """How often a daemon ticks as it is shipped."""
