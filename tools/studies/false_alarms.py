@@ -23,7 +23,6 @@ from palmd.config.two_palms import Config, rig_description
 from palmd.console.errors import BAD_INPUT
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
-from palmd.events import Event
 from palmd.faults import Severity
 from palmd.harness.operator import Operator
 from palmd.harness.pivot_wireless import PivotWireless
@@ -31,6 +30,7 @@ from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.harness.wireless import ClosedLoop, Wireless, WirelessError
 from palmd.observer import Simulated
 from palmd.observer.pivot.growing import PERIOD_S
+from palmd.record.run import RecordedAnswers
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config, load_plan, parse, read_document
@@ -137,23 +137,13 @@ def loop_of(rig: str, seed: int, plan: str, *, light: bool, averaged: bool = Fal
             return PivotWireless(config, spec, seed, period_s=math.inf if light else PERIOD_S)
         case ThreePalmsConfig():
             spec_in_space = parse(read_document(path), TiltPlanSpec)
-            return ThreePalmsWireless(config, spec_in_space, seed, NoAnswers() if light else None)
+            return ThreePalmsWireless(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
         case Config():
             if light:
                 options = PlantOptions(friction_law="averaged") if averaged else AS_ASSUMED
                 return Wireless(config, load_plan(path), seed, estimator=LightObserver(), options=options)
             return Wireless(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
     raise TypeError(f"no closed loop for {rig}")
-
-
-class NoAnswers:
-    """A smoother of three palms that never answers."""
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Forget them."""
-
-    def collect(self, t: float) -> BodyAnswer | None:
-        """None."""
 
 
 class Person:

@@ -134,9 +134,7 @@ def _of_segments(
         unlike = _Unlike(search, found, rig, seed, begun, say, wanted)
         told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
         if told is None or (told.reason and told.reason != AMBIGUOUS):
-            other = _elsewhere(found[1:MOST_PARTS], rig, seed)
-            if other is not None:
-                told, found = other, [other.segment, *(each for each in found[1:] if each is not other.segment)]
+            told, found = _elsewhere(found[:MOST_PARTS], rig, seed) or (told, found)
         if isinstance(told, Reconstruction):
             return told
         main = told
@@ -152,10 +150,13 @@ def _of_segments(
     return _result(main, others, rig, begun)
 
 
-def _elsewhere(segments: Sequence[DataSegment], rig: RigDescription, seed: int) -> _Part | None:
-    """What explains the longest of the segments that something explains, where nothing explains a longer one."""
-    parts = (_part_of(_search(segment, rig), seed) for segment in segments)
-    return next((part for part in parts if part is not None and not part.reason), None)
+def _elsewhere(segments: list[DataSegment], rig: RigDescription, seed: int) -> tuple[_Part, list[DataSegment]] | None:
+    """What explains the longest segment but the first that something explains, and from this one on the segments."""
+    for number, segment in enumerate(segments[1:], 1):
+        part = _part_of(_search(segment, rig), seed)
+        if part is not None and not part.reason:
+            return part, segments[number:]
+    return None
 
 
 def _rubs(part: _Part) -> bool:
