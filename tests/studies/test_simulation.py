@@ -14,7 +14,7 @@ import pytest
 
 from palmd.daemon import supervisor
 from palmd.daemon.bus import Bus
-from palmd.daemon.commands import COMMANDS
+from palmd.daemon.commands import COMMANDS, LEASE_MAX_S
 from palmd.daemon.core import Core
 from palmd.daemon.diagnostics import ArmDiagnostics
 from palmd.daemon.lifecycle import State
@@ -28,13 +28,19 @@ from palmd.record.recording import Recording
 from tools.studies import bench_simulate
 from tools.studies.simulation import watch
 from tools.studies.simulation.causes import CAUSES, Cause, causes
-from tools.studies.simulation.happenings import Broken, Scenario, Told, Trick, coarsened, drawn
+from tools.studies.simulation.happenings import CALM_S, LEASES_S, Broken, Scenario, Told, Trick, coarsened, drawn
 from tools.studies.simulation.light_observer import LightObserver
 from tools.studies.simulation.reach import SOUGHT, Director, sought
 from tools.studies.simulation.reached import behind_a_stop, never_reached, rows, unreachable
 from tools.studies.simulation.run import Simulation, configured, quiet, simulate
 from tools.studies.simulation.shrink import shrunk
 from tools.studies.simulation.watch import Watch
+
+
+def test_what_is_said_of_a_lease_that_ends_is_over_before_the_run_is():
+    longest = max(lease for lease in LEASES_S if lease <= LEASE_MAX_S)
+    assert longest + supervisor.LOST_SAID_S < CALM_S
+
 
 FOUND = {
     2751: "a fault that told rightly that the object had been thrown off where nothing can be put back",

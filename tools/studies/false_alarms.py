@@ -20,6 +20,7 @@ from palmd.config.guards import force_limits
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.config.two_palms import Config, rig_description
+from palmd.console.arguments import count, seconds, seed
 from palmd.console.errors import BAD_INPUT
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
@@ -262,20 +263,19 @@ def lived(name: str, seed: int, seconds: float, *, light: bool, averaged: bool =
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     parser.add_argument("rig", choices=RIGS)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(9100, 9109), metavar=("A", "B"), help="both included")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each life; default: %(default)g")
+    parser.add_argument("--runs", type=count, default=10, metavar="N", help="how many lives (default: %(default)s)")
+    parser.add_argument("--seed", type=seed, default=9100, metavar="FIRST", help="the first's (default: %(default)s)")
+    parser.add_argument("--seconds", type=seconds, default=60.0, metavar="S", help="of each life; default: %(default)g")
     parser.add_argument("--light", action="store_true", help="no real observer: for more hours")
     parser.add_argument("--averaged", action="store_true", help="with --light: the old law of friction, twice as fast")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """One life for each seed."""
+    light = arguments.light or arguments.averaged
     alarms = 0
-    for seed in range(arguments.seeds[0], arguments.seeds[1] + 1):
-        life = lived(
-            arguments.rig, seed, arguments.seconds, light=arguments.light or arguments.averaged,
-            averaged=arguments.averaged,
-        )  # fmt: skip
+    for number in range(arguments.seed, arguments.seed + arguments.runs):
+        life = lived(arguments.rig, number, arguments.seconds, light=light, averaged=arguments.averaged)
         alarms += len(life.guards)
         print(json.dumps(asdict(life)), flush=True)
     return BAD_INPUT if alarms else 0

@@ -19,8 +19,8 @@ from pathlib import Path
 TRIAL_S = 10.0  # for a library of one line
 COMPILE_S = 900.0  # for one file, on a slow machine that does other things too
 ROOM_BYTES = 64_000_000
-"""What a folder must have left (study of 2026-11-29: all libraries take 22.3 MB, the largest meanwhile 14.7 MB more; two
-at a time are 52 MB)."""
+"""What a folder must have left (study of 2026-11-29: all libraries take 22.3 MB, the largest meanwhile 14.7 MB more;
+two at a time are 52 MB)."""
 
 ANSWER = 42
 FAULT = "PALMD_COMPILER_FAULT"

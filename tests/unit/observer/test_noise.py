@@ -86,6 +86,19 @@ def test_a_reading_of_an_adapter_is_as_uncertain_as_the_contact_moves():
     assert np.ptp(record.contact_variance[record.contact_pad == 2]) == 0.0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_batch_makes_readings_wrong_by_is_what_their_sd_says(seed):
+    readings = samples(seed, DESCRIBED)
+    delivered = in_batches(readings)
+    pad = with_scatter(RIG, delivered).pads[0]
+    t, s = np.array([(sample.t_sample, sample.s) for sample in delivered]).T
+    at = t - np.mean(t - np.array([sample.t_sample for sample in readings]))
+    place = 0.03 + 0.015 * np.sin(2.0 * at) + 0.004 * np.sin(7.0 * at + 1.0)
+    rate = 0.03 * np.cos(2.0 * at) + 0.028 * np.cos(7.0 * at + 1.0)
+    z = (s - place) / np.hypot(DESCRIBED, pad.stamp_sd * rate)
+    assert 0.8 < math.sqrt(np.mean(z**2)) < 1.2
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("nominal", 7208), ("rig", 7201), ("friction", 7203)])
 def test_a_run_in_batches_is_reconstructed_within_its_band(kind, seed):
     run = simulated(kind, seed, 12.0)

@@ -66,7 +66,7 @@ def test_small_steps_by_hand_are_followed_though_the_host_is_late_now_and_then(l
         t = CYCLE * n
         rate = (place(t + 1e-4) - place(t - 1e-4)) / 2e-4
         peak = max(abs(place(t - back + 1e-3) - place(t - back)) / 1e-3 for back in (0.0, 0.02, 0.04))
-        at = place(t - rng.choice((0.0, late_s))) + math.radians(0.02) * rng.normal()
+        at = place(t - rng.choice((-late_s, 0.0, late_s))) + math.radians(0.02) * rng.normal()
         meant = PalmMotion((place(t), 1.0), (rate, 0.0), (0.0, 0.0))
         guard.report(t, (at, 1.0), meant, (at - place(t), 0.0), [peak, 0.0], 0.0)
         assert not guard.reason
