@@ -63,6 +63,18 @@ class LatencyEstimator:
                 break
         return [max(max(each), -min(each)) for each in zip(*rates, strict=True)] if rates else [0.0] * joints
 
+    def extremes(self, t_sample: float, within_s: float) -> tuple[Joints, Joints]:
+        """Least and largest angle of each joint that was commanded for `t_sample` (s), where `motion` tells one.
+
+        within_s: what the lag may be off by.
+        """
+        at = t_sample - self.lag_s
+        ends = self._commanded(at - within_s), self._commanded(at + within_s)
+        meant = [motion.angles for motion in ends if motion is not None]
+        meant += [motion.angles for t, motion in self._sent if abs(t - at) < within_s]
+        each = list(zip(*meant, strict=True))
+        return tuple(map(min, each)), tuple(map(max, each))
+
     def _commanded(self, t: float) -> PalmMotion | None:
         """Linear between set-points, the last one from then on; None before the first."""
         after: tuple[float, PalmMotion] | None = None

@@ -32,6 +32,20 @@ def run(lag: float, seconds: float, noise: float = 2e-4, motion=swing, free=(), 
     return tracker
 
 
+@pytest.mark.parametrize("within_s", [0.01, 0.04])
+def test_extremes_are_those_of_what_was_commanded_around(within_s):
+    tracker = LatencyEstimator()
+    for i in range(20):
+        tracker.sent(i * CYCLE, swing(i * CYCLE, rate_hz=4.0))
+    at = 0.2
+    around = np.array([tracker.motion(at + x).angles for x in np.linspace(-within_s, within_s, 400)])
+    least, largest = tracker.extremes(at, within_s)
+    assert np.allclose(least, around.min(axis=0), atol=1e-3)
+    assert np.allclose(largest, around.max(axis=0), atol=1e-3)
+    tracker.sent(1.0, PalmMotion.at_rest((0.1, 0.2)))
+    assert tracker.extremes(2.0, within_s) == ((0.1, 0.2), (0.1, 0.2))
+
+
 @pytest.mark.parametrize("lag", [0.005, 0.03, 0.055, 0.09])
 def test_finds_the_lag_while_moving(lag):
     # observed 1 ms after the set-point, which does not count as lag

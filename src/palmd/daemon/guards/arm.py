@@ -82,7 +82,8 @@ class ArmGuards:
         )
         if not self.plausible.report(t, pose, reach, errors=errors, peak=peak, twist=twist):
             return False
-        self.following.report(t, angles, meant, errors, peak, off_m)
+        extremes = lag.extremes(t, self._limits.following.slope_s)
+        self.following.report(t, angles, extremes, errors, peak, off_m)
         if not self.following.reason:  # a blocked arm is not late
             lag.observe(t, angles, self._free, meant)
         return True

@@ -4,10 +4,10 @@ Following error (as LinuxCNC's FERROR and MIN_FERROR): e = actual(t) − command
 is linear in the commanded rate ω: limit(ω) = at_rest + (at_full_rate − at_rest)·|ω|/rate. The slope is a time: the
 error of L that is tolerated.
 
-Motion comparison: over 0.3 s the reported motion Δr must be more than half of the commanded motion Δc, unless Δc − Δr
-is no more than what noise and an error of L account for: noise + slope·(ω₀ + ω₁), of the rates about both ends, for
-a host that is late delays either end by itself. A frozen or mirrored encoder fails it at speeds that the following
-error allows for a long time.
+Motion comparison: over 0.3 s the reported motion must be more than half of the commanded motion, and lack no more of
+it than noise accounts for. The commanded motion is the least that the tolerated error of L allows, at each end of the
+window independently, for a host that is late delays one end alone. A frozen or mirrored encoder fails this at speeds
+that the following error allows for a long time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from palmd.events import Joints, PalmMotion
+from palmd.events import Joints
 
 WATCH_S = 0.3
 MOVED_SHARE = 0.5
@@ -81,8 +81,8 @@ class JointScale:
 class _Reported:
     t: float
     angles: Joints
-    meant: Joints
-    peak: Sequence[float]
+    least: Joints
+    largest: Joints
 
 
 class FollowingGuard:
@@ -119,16 +119,18 @@ class FollowingGuard:
         self._errors_in_a_row = self._still_in_a_row = 0
 
     def report(
-        self, t: float, angles: Joints, meant: PalmMotion, errors: Joints, peak: Sequence[float], off_m: float
-    ) -> None:
+        self, t: float, angles: Joints, extremes: tuple[Joints, Joints], errors: Joints, peak: Sequence[float],
+        off_m: float,
+    ) -> None:  # fmt: skip
         """Judge a fresh report of `t` (s).
 
-        meant: the set-point of t − L. errors: what the angles are more than that. peak: the largest commanded rate of
-        each joint lately. off_m: how far the tool is from its set-point of t − L (m), 0 without a tool.
+        extremes: least and largest angles that were commanded within `slope_s` of t − L. errors: what the angles are
+        more than the set-point of t − L. peak: the largest commanded rate of each joint lately.
+        off_m: how far the tool is from its set-point of t − L (m), 0 without a tool.
         """
         if self.reason or t - self._t_parted < SETTLE_S:
             return
-        self._past.append(_Reported(t, angles, meant.angles, peak))
+        self._past.append(_Reported(t, angles, *extremes))
         while t - self._past[0].t > WATCH_S:
             self._past.popleft()
         limits = tuple([self._limits.joint(rate) for rate in peak])
@@ -149,16 +151,15 @@ class FollowingGuard:
         """Which joint's reported motion is not the commanded one, in words; empty where there is none."""
         first, last = self._past[0], self._past[-1]
         for joint in self._judged:
-            commanded = last.meant[joint] - first.meant[joint]
             reported = last.angles[joint] - first.angles[joint]
-            explained = self._limits.noise + self._limits.slope_s * (abs(first.peak[joint]) + abs(last.peak[joint]))
-            missing = (commanded - reported) * math.copysign(1.0, commanded)
-            if missing > max(explained, (1.0 - MOVED_SHARE) * abs(commanded)):
-                name, unit, k = self._scale.names[joint], self._scale.unit, self._scale.scale
-                return (
-                    f"within {last.t - first.t:.2f} s {name} was commanded to move by {commanded * k:.2f}{unit}, "
-                    f"the arm reports {reported * k:.2f}{unit}"
-                )
+            ways = (1.0, last.least[joint] - first.largest[joint]), (-1.0, first.least[joint] - last.largest[joint])
+            for sign, commanded in ways:
+                if commanded - sign * reported > max(self._limits.noise, (1.0 - MOVED_SHARE) * commanded):
+                    name, unit, k = self._scale.names[joint], self._scale.unit, self._scale.scale
+                    return (
+                        f"within {last.t - first.t:.2f} s {name} was commanded to move by "
+                        f"{sign * commanded * k:.2f}{unit}, the arm reports {reported * k:.2f}{unit}"
+                    )
         return ""
 
     def _is_still(self) -> bool:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from palmd.daemon.guards.following import SETTLE_S, FollowingGuard, FollowingLimits, JointScale
-from palmd.events import PalmMotion
 
 CYCLE = 0.016
 RATE = math.radians(120.0)
@@ -21,9 +20,10 @@ def drive(guard, rate_deg_s, reported, seconds=2.0, t=0.0):
     while t < t_begin + seconds:
         t += CYCLE
         commanded = rate * (t - t_begin)
-        meant = PalmMotion((commanded, 1.0), (rate, 0.0), (0.0, 0.0))
+        within = abs(rate) * LIMITS.slope_s
+        extremes = (commanded - within, 1.0), (commanded + within, 1.0)
         at = reported(t - t_begin, commanded)
-        guard.report(t, (at, 1.0), meant, (at - commanded, 0.0), [abs(rate), 0.0], 0.0)
+        guard.report(t, (at, 1.0), extremes, (at - commanded, 0.0), [abs(rate), 0.0], 0.0)
         if guard.reason:
             return t - t_begin
     return None
@@ -64,11 +64,11 @@ def test_small_steps_by_hand_are_followed_though_the_host_is_late_now_and_then(l
     guard, rng = FollowingGuard(LIMITS, SCALE), np.random.default_rng(seed)
     for n in range(1000):
         t = CYCLE * n
-        rate = (place(t + 1e-4) - place(t - 1e-4)) / 2e-4
         peak = max(abs(place(t - back + 1e-3) - place(t - back)) / 1e-3 for back in (0.0, 0.02, 0.04))
         at = place(t - rng.choice((-late_s, 0.0, late_s))) + math.radians(0.02) * rng.normal()
-        meant = PalmMotion((place(t), 1.0), (rate, 0.0), (0.0, 0.0))
-        guard.report(t, (at, 1.0), meant, (at - place(t), 0.0), [peak, 0.0], 0.0)
+        around = [place(t + shift) for shift in np.linspace(-LIMITS.slope_s, LIMITS.slope_s, 9)]
+        extremes = (min(around), 1.0), (max(around), 1.0)
+        guard.report(t, (at, 1.0), extremes, (at - place(t), 0.0), [peak, 0.0], 0.0)
         assert not guard.reason
 
 
@@ -97,7 +97,7 @@ def test_after_the_controller_has_paused_nothing_is_judged_for_a_while():
 
 def test_the_tool_has_a_limit_of_its_own():
     guard = FollowingGuard(FollowingLimits(1.0, 2.0, RATE, 0.1, (0.004, 0.024)), SCALE)
-    still = PalmMotion.at_rest((0.0, 1.0))
+    still = (0.0, 1.0), (0.0, 1.0)
     for n in range(1, 3):
         guard.report(n * CYCLE, (0.0, 1.0), still, (0.0, 0.0), [0.0, 0.0], 0.005)
     assert "gripper" in guard.reason
