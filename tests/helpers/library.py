@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from siblings import as_stored, siblings
 
 from palmd.outlinefile import Outline
 from palmd.record.eventlog import EventLog
 from palmd.rig.shapes import Body
 from palmd.score import score_outline
-from tools.studies.siblings import as_stored, siblings
 from tools.studies.simulated import simulated
 
 THETA = np.arange(360) * (2 * np.pi / 360)

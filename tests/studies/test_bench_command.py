@@ -43,16 +43,16 @@ def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monk
         raise ModuleNotFoundError(name="filterpy")
 
     monkeypatch.setattr(importlib, "import_module", not_there)
-    assert main(["peers"]) == 1
-    told = f"the study peers needs filterpy, which is not installed: {install_line('filterpy', 'studies')}\n"
+    assert main(["field"]) == 1
+    told = f"the study field needs filterpy, which is not installed: {install_line('filterpy', 'studies')}\n"
     assert capsys.readouterr().err == told
 
 
 def test_a_missing_module_of_ours_is_a_defect(monkeypatch):
-    monkeypatch.delitem(sys.modules, "tools.studies.bench_recognise", raising=False)
-    monkeypatch.setitem(sys.modules, "tools.studies.recognition", None)
+    monkeypatch.delitem(sys.modules, "tools.studies.bench_sbc", raising=False)
+    monkeypatch.setitem(sys.modules, "tools.studies.sbc", None)
     with pytest.raises(ModuleNotFoundError):
-        main(["recognise"])
+        main(["sbc"])
 
 
 @pytest.mark.parametrize(

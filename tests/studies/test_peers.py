@@ -1,31 +1,26 @@
-"""Three independent roads to the same filter agree, the peers do what they are there for, the command tells faults."""
+"""Three independent roads to the same filter agree, the other estimators do what they are there for."""
 
-import argparse
-import builtins
-import json
 import math
 
 import casadi as ca
+import generated_filter
 import numpy as np
+import plain_shape_map
 import pytest
 from palms import palm_sample
+from plain_filter import PlainFilter
 
-from palmd.console.errors import BAD_INPUT, CliError
 from palmd.events import PadSample, PalmSample
 from palmd.model import shape, shape_map
 from palmd.model.contact import Contact, offsets
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
-from palmd.model.outputs import RIG_INPUTS, rig_inputs
-from palmd.record.eventlog import write_log
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
-from tools.studies import bench_peers
-from tools.studies.peers import contest, generated, horizon, newton, plain_model
+from tools.studies.peers import horizon, newton
 from tools.studies.peers import task as task_module
-from tools.studies.peers.filterpy_filters import FilterpyExtended, FilterpyUnscented
+from tools.studies.peers.filterpy_filters import FilterpyExtended
 from tools.studies.peers.functions import array, functions
-from tools.studies.peers.plain import PlainFilter
-from tools.studies.peers.task import LostError, PeerReading, PeerTruth, blind, good, task_from
+from tools.studies.peers.task import PeerReading, PeerTruth, blind, good, task_from
 
 SECONDS = 1.5
 SAME_FORMULA = 1e-9
@@ -42,7 +37,7 @@ RIG = [9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0, *VIBRATION]
 
 @pytest.fixture(scope="module")
 def kernels():
-    return generated.library()
+    return generated_filter.library()
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +96,7 @@ def test_the_c_predicts_as_the_numpy_twin(kernels, seed, mu, law):
     P, u = root @ root.T, np.array([0.006, *PALMS, *JERK, *RIG[: -len(law)], *law])
     x_c, P_c = np.zeros(n), np.zeros((n, n))
     kernels.bind("predict", [x, P, u], [x_c, P_c])()
-    x_np, F = plain_model.transition(x, u)
+    x_np, F = plain_shape_map.transition(x, u)
     Q = np.zeros(n)
     Q[:2] = np.array([shape_map.Q_PSI, shape_map.Q_OMEGA0]) * u[0]
     P_np = F @ P @ F.T + np.diag(Q)
@@ -114,7 +109,7 @@ def test_the_c_predicts_as_the_numpy_twin(kernels, seed, mu, law):
 def test_the_c_sees_what_the_numpy_twin_sees(kernels, pad):
     """A reading of exactly what is foreseen has no innovation; one that is off moves the state along P hᵀ."""
     x, n = a_state(np.random.default_rng(5), 0.1), shape_map.N
-    s, row = plain_model.reading_row(x, *PALMS[:2], pad)
+    s, row = plain_shape_map.reading_row(x, *PALMS[:2], pad)
     x_c, P_c, score = np.zeros(n), np.zeros((n, n)), np.zeros(2)
     for off in (0.0, 1e-3):
         z = np.array([s + off, 1e-8, math.inf, 1.0, *PALMS[:2]])
@@ -127,7 +122,11 @@ def test_three_filters_are_one(run, kernels, model, start_name):
     """palmd's C, filterpy on CasADi's functions, and NumPy alone, from the same start and without a gate."""
     _, _, task, truth = run
     start = blind(task) if start_name == "blind" else good(task, truth, np.random.default_rng(1))
-    own, plain, other = generated.GeneratedFilter(kernels, start), PlainFilter(start), FilterpyExtended(model, start)
+    own, plain, other = (
+        generated_filter.GeneratedFilter(kernels, start),
+        PlainFilter(start),
+        FilterpyExtended(model, start),
+    )
     for reading in task.readings:
         for peer in (own, plain, other):
             assert peer.step(reading)
@@ -143,13 +142,13 @@ def test_three_filters_are_one(run, kernels, model, start_name):
 def test_casadis_functions_are_the_numpy_twins(model):
     x = a_state(np.random.default_rng(6), 0.2)
     u = np.array([0.005, *PALMS, *JERK, *RIG])
-    moved, F = plain_model.transition(x, u)
+    moved, F = plain_shape_map.transition(x, u)
     theirs, theirs_F = model.transition(x, u)
     assert array(theirs) == pytest.approx(moved, rel=SAME_FORMULA)
     assert array(model.move(x, u)) == pytest.approx(moved, rel=SAME_FORMULA)
     assert np.abs(theirs_F.full() - F).max() < SAME_FORMULA * np.abs(F).max()
     for pad in (1, 2):
-        s, row = plain_model.reading_row(x, *PALMS[:2], pad)
+        s, row = plain_shape_map.reading_row(x, *PALMS[:2], pad)
         assert float(model.see[pad - 1](x, PALMS)) == pytest.approx(s, rel=SAME_FORMULA)
         assert model.row[pad - 1](x, PALMS).full()[0] == pytest.approx(row, rel=1e-8, abs=1e-12)
 
@@ -190,20 +189,6 @@ def test_the_truth_knows_what_was_touched(nominal):
 
 
 # ------------------------------------------------------------------------------------------------- the others
-
-
-def test_the_unscented_filter_stays_near_the_truth(nominal, model):
-    _, _, task, truth = nominal
-    row = contest.compete(
-        contest.Entry("ukf", lambda start: FilterpyUnscented(model, start)),
-        good(task, truth, np.random.default_rng(2)),
-        task,
-        truth,
-        lambda _: None,
-    )
-    assert row.r_rms < 3e-4
-    assert row.e_h < 3e-4
-    assert row.us > 0.0
 
 
 def test_the_window_is_solved_and_nothing_counts_twice(nominal, model):
@@ -298,149 +283,7 @@ def test_newtons_steps_find_what_keeps_to_their_model(nominal, monkeypatch):
     assert peer.outline() is None
 
 
-def test_the_papers_form_is_lost_where_nothing_slides(nominal):
-    """ω1 − ω0 = 0 at the start: palms and object are at rest."""
-    rig, _, task, truth = nominal
-    entry = contest.entries(task, truth)[-1]
-    row = contest.compete(entry, blind(task), task, truth, lambda _: None)
-    assert row.method == "Newton window, v eliminated"
-    assert math.isnan(row.r_rms)
-    assert row.remark.startswith("lost after 0.0")
-    assert rig_inputs(rig).shape == (RIG_INPUTS,)
-
-
-# ------------------------------------------------------------------------------------------------ the contest
-
-
-class Stub:
-    """Off by a millimetre in r1 only; every second reading is half a step."""
-
-    def __init__(self, truth, lost_at=math.inf):
-        self.truth, self.lost_at, self.count = truth, lost_at, 0
-
-    def step(self, reading):
-        if reading.t > self.lost_at:
-            raise LostError("on purpose")
-        self.count += 1
-        return self.count % 2 == 0
-
-    def radii(self, reading):
-        return self.truth.radii(reading.t) + np.array([1e-3, 0.0])
-
-    def outline(self):
-        return np.linalg.lstsq(shape.basis(np.arange(360) * math.tau / 360), self.truth.h + 1e-5, rcond=None)[0]
-
-
-def test_errors_and_ratios_are_what_they_say(nominal):
-    rig, events, task, truth = nominal
-    told = []
-    entry = contest.Entry(contest.OWN, lambda _: Stub(truth), lambda _: "stub")
-    row = contest.compete(entry, blind(task), task, truth, told.append)
-    assert row.r_rms == pytest.approx(1e-3 / math.sqrt(2))
-    assert row.e_h == pytest.approx(1e-5, rel=0.2)
-    assert row.remark == "stub"
-    assert told == list(range(len(task.readings)))
-    lost = contest.compete(contest.Entry("other", lambda _: Stub(truth, 1.0)), blind(task), task, truth, lambda _: None)
-    assert math.isnan(lost.r_rms)
-    assert lost.remark.startswith("lost after ")
-    assert lost.remark.endswith("on purpose")
-    bank = contest.bank_row(rig, events, task, truth, lambda _: None)
-    own, other, _ = contest.with_ratios([row, lost, bank])
-    assert own.ratio == 1.0
-    assert other.ratio == pytest.approx(lost.us / row.us)
-
-
-def test_the_bank_is_timed(nominal):
-    _, _, task, truth = nominal
-    tick = contest.bank_tick(task, good(task, truth, np.random.default_rng(0)), size=16, ticks=20)
-    assert tick.step_us == pytest.approx(1e3 * tick.tick_ms / 32)
-    assert 0.1 < tick.step_us < 1e4
-
-
-# ------------------------------------------------------------------------------------------------ the command
-
-
-def parsed(*arguments):
-    parser = argparse.ArgumentParser()
-    bench_peers.add_arguments(parser)
-    return parser.parse_args([str(argument) for argument in arguments])
-
-
-@pytest.fixture
-def quick(monkeypatch):
-    """All but the slow ones."""
-    everybody = contest.entries
-    monkeypatch.setattr(contest, "entries", lambda task, truth: everybody(task, truth)[:3])
-
-
-def test_the_command_prints_a_table_and_writes_it(tmp_path, quick, capsys):
-    assert bench_peers.run(parsed("--seconds", 1, "-o", tmp_path / "out")) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split()[:2] == ["method", "start"]
-    assert [line.split("  ")[0] for line in lines[1:8]] == [
-        *[contest.OWN, "NumPy EKF", "filterpy EKF"] * 2,
-        contest.BANK,
-    ]
-    assert lines[8].startswith("bank of 64: ")
-    result = json.loads((tmp_path / "out" / bench_peers.RESULT).read_text())
-    assert result["run"] == "nominal, seed 100"
-    own, plain, *_ = result["rows"]
-    assert own["ratio"] == 1.0
-    assert plain["r_rms"] == pytest.approx(own["r_rms"], rel=1e-6)
-    assert plain["ratio"] > 5.0
-    assert result["bank"]["size"] == 64
-
-
-def test_a_log_is_taken_with_the_truth_beside_it(tmp_path, quick, capsys, nominal):
-    rig, events, _, _ = nominal
-    path = tmp_path / "mine.jsonl"
-    with path.open("w") as stream:
-        write_log(stream, rig, events)
-    with pytest.raises(CliError, match=r"mine\.truth\.json: the truth cannot be read"):
-        bench_peers.run(parsed(path))
-    path.with_suffix(".truth.json").write_text("{}")
-    with pytest.raises(CliError, match="is not the truth of a run"):
-        bench_peers.run(parsed(path))
-    path.with_suffix(".truth.json").write_text(json.dumps(simulate_log("nominal", 101, SECONDS)[1]))
-    assert bench_peers.run(parsed(path, "--seconds", 1)) == 0
-    assert "NumPy EKF" in capsys.readouterr().out
-
-
-def test_a_log_that_is_none_is_told(tmp_path):
-    with pytest.raises(CliError, match=r"nowhere\.jsonl: No such file") as caught:
-        bench_peers.run(parsed(tmp_path / "nowhere.jsonl"))
-    assert caught.value.status == BAD_INPUT
-
-
-def test_without_filterpy_it_says_what_to_install(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *rest, **more):
-        if name.startswith("tools.studies.peers.contest"):
-            raise ModuleNotFoundError("No module named 'filterpy'", name="filterpy")
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(CliError, match=r"-m pip install .*filterpy") as caught:
-        bench_peers.run(parsed())
-    assert caught.value.status == BAD_INPUT
-    assert "\n" not in str(caught.value)
-
-
 def test_a_truth_whose_series_do_not_fit_is_refused():
     fields = simulate_log("nominal", 101, SECONDS)[1]
     with pytest.raises(ValueError, match="lengths"):
         PeerTruth.from_fields(fields | {"r1_m": fields["r1_m"][:-1]})
-
-
-def test_seeds_are_not_negative(capsys):
-    with pytest.raises(SystemExit):
-        parsed("--seed", "-1")
-    assert "is negative" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("seconds", ["0", "nan", "1e9"])
-def test_seconds_have_a_range(seconds, capsys):
-    with pytest.raises(SystemExit):
-        parsed("--seconds", seconds)
-    assert "is not within 1 to 600 s" in capsys.readouterr().err

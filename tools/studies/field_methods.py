@@ -23,18 +23,17 @@ from palmd.record.eventlog import EventLog
 from palmd.score import support_at
 from palmd.system.description import RigDescription
 from tools.studies.peers import horizon, newton
-from tools.studies.peers.contest import Peer
 from tools.studies.peers.filterpy_filters import FilterpyExtended
 from tools.studies.peers.functions import functions
 from tools.studies.peers.horizon import MovingHorizon
-from tools.studies.peers.task import LostError, PeerTask, blind, task_from
+from tools.studies.peers.task import LostError, Peer, PeerTask, blind, task_from
 
 Line = dict[str, Any]
 Method = Callable[[EventLog], Line]
 
 TICK_S = 0.01
 SOLVED_EVERY_S = 0.5
-"""Between the windows that IPOPT solves: at each 0.1 s, as in the study peers, it would take hours."""
+"""Between the windows that IPOPT solves: at each 0.1 s, it would take hours."""
 
 _model, _solver, _window = cache(functions), cache(horizon.program), cache(newton.window)
 

@@ -14,7 +14,6 @@ from palmd.console.extras import missing, only_without
 from palmd.console.progress import Progress
 from palmd.record.eventlog import EventLog
 from palmd.rig.shapes import Kind
-from tools.studies import outlook
 from tools.studies.paper_report import as_text, rows
 from tools.studies.paper_runs import SideBySide, paper_simulation, side_by_side
 from tools.studies.simulated import simulated
@@ -39,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     logs: Sequence[Path] = arguments.logs
     output: Path = arguments.output
     try:
-        from tools.studies import outlook_figures, paper_figures, stable_pose_figures
+        from tools.studies import paper_figures, stable_pose_figures
     except ModuleNotFoundError as error:
         only_without("matplotlib", error)
         raise missing("the figures", "matplotlib", "studies") from None
@@ -49,12 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     sides = _compared(runs)
     simulation = paper_simulation()
     print(as_text(rows(simulation, sides)), end="")
-    questions = outlook.studied()
-    print(f"\n{outlook.as_text(questions)}", end="")
     try:
         output.mkdir(parents=True, exist_ok=True)
         saved = paper_figures.save(simulation, sides, output) + stable_pose_figures.save(output)
-        saved += outlook_figures.save(questions, output)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
     print("figures: " + ", ".join(map(str, saved)))

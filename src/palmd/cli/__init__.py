@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 
 from palmd import __version__, blas
-from palmd.cli.table import MOVED, RENAMED, STUDIES, Command, below, listed, loaded, parser_of
+from palmd.cli.table import MOVED, RENAMED, Command, below, listed, loaded, parser_of
 from palmd.console import output
 from palmd.console.arguments import Parser, one_of
 from palmd.console.errors import BAD_INPUT, USAGE, CliError
@@ -82,8 +82,8 @@ def _with_new_names(words: list[str]) -> list[str]:
     for count in range(1, 3):
         name = " ".join(words[:count])
         if name in MOVED:
-            study = MOVED[name] or " ".join(words[1:2]) or "NAME"
-            raise CliError(USAGE, f"palmd {name}: studies are not installed; in a checkout run: {STUDIES} {study}")
+            study = " ".join(words[count : count + 1]) or "NAME"
+            raise CliError(USAGE, f"palmd {name}: {MOVED[name].replace('NAME', study)}")
     if words and words[0] in RENAMED:
         new = RENAMED[words[0]]
         print(f"palmd {words[0]} is now: palmd {new}", file=sys.stderr)

@@ -89,8 +89,15 @@ RENAMED = {
 STUDIES = "python -m tools.studies"
 """Runs a study, in a checkout."""
 
-MOVED = {"bench": "", "outlook": "outlook", "observability": "observability", "report paper": "paper"}
-"""Former commands that are studies now, by the study's name; that of `bench` stands behind it."""
+_STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
+
+MOVED = {
+    "bench": f"{_STUDY} NAME",
+    "observability": f"{_STUDY} observability",
+    "report paper": f"{_STUDY} paper",
+    "outlook": "this study is finished; its results are in docs/theory/outlook.md",
+}
+"""What is said of former commands that are studies now; NAME stands for the word behind it."""
 
 
 def below(name: str = "") -> dict[str, Command]:

@@ -106,20 +106,20 @@ def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
 
 
 @pytest.mark.parametrize(
-    ("argv", "study"),
+    ("argv", "place"),
     [
-        (("bench",), "NAME"),
-        (("bench", "montecarlo", "--runs", "3"), "montecarlo"),
-        (("outlook",), "outlook"),
-        (("observability", "--states", "5"), "observability"),
-        (("report", "paper", "-o", "x"), "paper"),
+        (("bench",), "python -m tools.studies NAME"),
+        (("bench", "montecarlo", "--runs", "3"), "python -m tools.studies montecarlo"),
+        (("outlook",), "docs/theory/outlook.md"),
+        (("observability", "--states", "5"), "python -m tools.studies observability"),
+        (("report", "paper", "-o", "x"), "python -m tools.studies paper"),
     ],
 )
-def test_a_command_that_is_a_study_now_names_where_it_is(argv, study, capsys):
+def test_a_command_that_is_a_study_now_names_where_it_is(argv, place, capsys):
     assert cli.main(argv) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert error.endswith(f"python -m tools.studies {study}\n")
+    assert error.endswith(f"{place}\n")
 
 
 def test_few_commands_are_listed():

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from library import THETA, library, run_with
+from siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 
 from palmd import observer
 from palmd.daemon.core import Core
@@ -22,9 +23,6 @@ from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import as_said, lines, replay
 from palmd.rig.world import default_config
 from palmd.score import score_outline
-from tools.studies import recognition
-from tools.studies.recognition import RecognitionRow, RecognitionTask
-from tools.studies.siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 
 
 def said(t, *probability, names=("a", "b")):
@@ -184,39 +182,3 @@ def test_siblings_are_similar_and_different():
     errors = [outline.h - body.support.sample(THETA) for body, outline in zip(bodies, outlines, strict=True)]
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(20e-6, rel=0.35)
     assert stored(outlines).names == tuple(f"body {i}" for i in range(8))
-
-
-def test_a_row_tells_what_came_of_a_run():
-    """Of a body that is recognised soon enough to be valid within 2 s; with the μ of 0.24 of seed 3 none is."""
-    row = recognition.run(RecognitionTask("friction", 2, 2.0))
-    assert not row.error
-    assert row.said == row.true != NONE_OF_THESE
-    assert row.decided < 2.0
-    assert row.brier < 0.05
-    assert row.psi_rms < 0.05
-    assert recognition.failed(RecognitionTask("rig", 1, 2.0), OSError("gone")).error == "OSError: gone"
-
-
-def test_the_studys_table_counts_each_run_once():
-    rows = [
-        RecognitionRow("rig", 0, true="a", said="a", probability=0.99, brier=0.0, decided=0.8, psi_rms=0.01),
-        RecognitionRow("rig", 1, true="a", said="b", probability=0.0, brier=2.0, decided=1.0),
-        RecognitionRow("rig", 2, true="a", said=NONE_OF_THESE, probability=0.0, brier=2.0, decided=1.0),
-        RecognitionRow("rig", 3, true="a", said="", probability=0.5, brier=0.5),
-        RecognitionRow("rig", 4, true=NONE_OF_THESE, said=NONE_OF_THESE, probability=1.0, brier=0.0, decided=1.2),
-        RecognitionRow("rig", 5, error="OSError: gone"),
-    ]
-    told = recognition.table(rows)
-    for name, number in (
-        ("stored: right", "1 of 4"),
-        ("stored: another one said", "1 of 4"),
-        ("stored: none said", "1 of 4"),
-        ("stored: undecided", "1 of 4"),
-        ("none of them: right", "1 of 1"),
-        ("none of them: undecided", "0 of 1"),
-        ("ended in an error", "1"),
-    ):
-        (line,) = [line for line in told.splitlines() if line.startswith(name)]
-        assert line.endswith(number)
-    assert len(recognition.remarks(rows)) == 4
-    assert recognition.remarks(rows)[-1] == "rig 5: OSError: gone"

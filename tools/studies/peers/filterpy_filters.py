@@ -6,8 +6,6 @@ from __future__ import annotations
 import numpy as np
 from filterpy.kalman import (  # type: ignore[import-untyped]
     ExtendedKalmanFilter,
-    MerweScaledSigmaPoints,
-    UnscentedKalmanFilter,
 )
 
 from palmd.events import FloatArray
@@ -74,33 +72,3 @@ class FilterpyExtended(_OnShapeMap):
     def _predict_x(self, u: FloatArray) -> None:
         moved, F = self._model.transition(self._filter.x, u)
         self._filter.x, self._filter.F = array(moved), F.full()
-
-
-class FilterpyUnscented(_OnShapeMap):
-    """`filterpy.kalman.UnscentedKalmanFilter` with Merwe's scaled sigma points."""
-
-    def __init__(self, model: Functions, start: PeerStart):
-        super().__init__(model)
-        points = MerweScaledSigmaPoints(shape_map.N, ALPHA, BETA, KAPPA)
-        self._filter = ukf = UnscentedKalmanFilter(
-            dim_x=shape_map.N,
-            dim_z=1,
-            dt=0.0,
-            hx=lambda x, pad, palms: array(model.see[pad - 1](x, palms)),
-            fx=lambda x, _dt, u: array(model.move(x, u)),
-            points=points,
-        )
-        ukf.x, ukf.P, ukf.Q = start.x.copy(), start.P.copy(), np.zeros((shape_map.N,) * 2)
-
-    @property
-    def x(self) -> FloatArray:
-        return np.asarray(self._filter.x)
-
-    def step(self, reading: PeerReading) -> bool:
-        """Predict to the reading and fuse it."""
-        ukf = self._filter
-        for u in reading.moves:
-            ukf.Q[0, 0], ukf.Q[1, 1] = (q * u[0] for q in Q_DIAGONAL)
-            ukf.predict(dt=u[0], u=u)
-        ukf.update(np.array([reading.value]), R=reading.variance, pad=reading.pad, palms=reading.palms)
-        return True

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -126,6 +126,19 @@ class PeerStart:
     name: StartName
     x: FloatArray
     P: FloatArray
+
+
+class Peer(Protocol):
+    """One estimator on one run."""
+
+    def step(self, reading: PeerReading) -> bool:
+        """Predict to the reading and fuse it; False if this was not a whole step, and its time does not count."""
+
+    def radii(self, reading: PeerReading) -> FloatArray:
+        """(r1, r2) at the reading just taken (m)."""
+
+    def outline(self) -> FloatArray | None:
+        """Coefficients of h (m), None from a method without an outline."""
 
 
 def task_from(rig: RigDescription, events: Iterable[Event]) -> PeerTask:

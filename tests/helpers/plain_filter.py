@@ -1,13 +1,12 @@
 """An extended Kalman filter in plain NumPy on the NumPy twin of the model."""
 
-# ruff: noqa: N806 -- matrices keep their capital letters
 from __future__ import annotations
 
 import numpy as np
+from plain_shape_map import reading_row, transition
 
 from palmd.events import FloatArray
 from palmd.model import shape_map
-from tools.studies.peers.plain_model import reading_row, transition
 from tools.studies.peers.task import PeerReading, PeerStart, radii
 
 
