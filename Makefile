@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check corpus test system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
+.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -16,6 +16,9 @@ demo: build  ## an emulated rig, the daemon, an unknown object: live estimates u
 test: dev  ## all tests, linters, types and import contracts
 	@$(BIN)/palmd doctor build --all
 	@$(BIN)/python tools/run_tests.py
+
+nightly: dev  ## slow campaigns with fresh seeds, some hours: studies, faults, soak; into build/nightly
+	@nice $(BIN)/python tools/nightly.py build/nightly $(NIGHTLY)
 
 check: dev  ## the inner loop: linters, types, unit tests of what changed, a sample of the corpus
 	@$(BIN)/python tools/check.py

@@ -20,8 +20,8 @@ from palmd.report.ground_truth import compared
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools.studies`
 
-from tools.studies import pruning_figure
-from tools.studies.camera import Camera, as_csv, filmed
+from tools import pruning_figure
+from tools.camera import Camera, as_csv, filmed
 from tools.studies.scoring import outline_errors, truth_of
 from tools.studies.simulated import simulated
 

@@ -12,7 +12,7 @@ from palmd.config.pads import VersaPadConfig
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools.studies`
 
-from tools.studies.rolled_marble import rolled
+from tools.rolled_marble import rolled
 
 FIGURE = ROOT / "docs/figures/pad.svg"
 

@@ -7,7 +7,7 @@ from harness import run_study
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 
-SEED = 170  # a lost port, damaged bytes on two lines, another object, a page
+SEED = 170
 
 
 def soaked(folder):
@@ -22,8 +22,7 @@ def test_half_a_minute(tmp_path):
     status, done, findings = soaked(tmp_path / "soak")
     assert [name for name, row in findings.items() if row["met"] is False] == []
     assert status == 0
-    assert findings["mischiefs"]["value"] >= sum(row["what"] == "trick" for row in done) > 3
-    assert findings["pad1 packets decoded"]["value"] > 1000
-    assert findings["set-points sent"]["value"] > 500
+    assert sum(row["what"] == "trick" for row in done) > 3
+    assert findings["messages"]["value"] > 1000
     assert findings["ticks replayed"]["value"] > 1000
-    assert {row["group"] for row in findings.values()} == {"leak", "lateness", "counters", "recording", "behaviour"}
+    assert {row["group"] for row in findings.values()} == {"leak", "lateness", "recording", "behaviour"}

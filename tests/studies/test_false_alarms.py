@@ -2,12 +2,13 @@
 
 import pytest
 
-from tools.studies.false_alarms import RIGS, lived
+from tools.studies.false_alarms import RIGS, STUDY, LifeTask, lived
 
 
 @pytest.mark.parametrize("rig", ["arm", "servos", "pivot"])
 def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(rig):
-    life = lived(rig, 9000, 25.0, light=True, averaged=True)
+    life = lived(LifeTask(rig, 9000, 25.0, light=True))
+    assert not life.error
     assert not life.guards
     assert life.moved_s > 10.0
     assert 0.0 < life.following_share < 1.0
@@ -16,7 +17,11 @@ def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(r
 
 def test_a_limit_that_is_too_narrow_is_found(monkeypatch):
     monkeypatch.setattr("palmd.daemon.guards.following.FollowingLimits.joint", lambda *_: 1e-4)
-    assert lived("arm", 9000, 10.0, light=True, averaged=True).guards
+    life = lived(LifeTask("arm", 9000, 10.0, light=True))
+    assert life.guards
+    (goal,) = STUDY.goals
+    assert not goal.met([life])
+    assert "following-error" in "".join(STUDY.remarks([life]))
 
 
 def test_every_system_has_a_life():

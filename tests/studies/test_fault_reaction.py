@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from palmd.console.shipped import shipped
 from palmd.faults import TABLE
 from palmd.rig.fault_injection import PORTS
-from palmd.yamlfile import load_plan
 from tools.studies.fault_reaction import (
     STANDING_RAD_S,
     Reaction,
@@ -24,8 +22,7 @@ from tools.studies.fault_reaction import (
     summary,
     table,
 )
-from tools.studies.fault_rows import HOST_ALIVE_S, NAMES, ROWS, BrokenObserver, FaultRow, RowFault
-from tools.studies.fault_wireless import provoke
+from tools.studies.fault_rows import HOST_ALIVE_S, NAMES, ROWS, FaultRow, RowFault
 
 ROW = FaultRow(
     "mute",
@@ -150,15 +147,3 @@ def test_it_is_told_in_a_table_and_in_lines():
     assert "median 150 ms, worst 200 ms; 0 of 2 within 60 ms" in summary([(ROW, [GOOD, slow])])
     line = json.loads(json.dumps(as_line(ROW, replace(GOOD, noticed_s=math.nan)), allow_nan=False))
     assert (line["noticed_ms"], line["still_ms"], line["goal_ms"], line["differs"]) == (None, 100.0, 60, [])
-
-
-# ------------------------------------------------------------------------------------------- a broken observer
-
-
-@pytest.mark.parametrize("row", [row for row in ROWS if isinstance(row.act, BrokenObserver)], ids=lambda row: row.name)
-def test_an_observer_that_breaks_stops_the_arm_and_the_recording_tells_why(row, tmp_path):
-    reaction = provoke(row, row.act.how, load_plan(shipped("plans/lively.yaml")), seed=3, folder=tmp_path)
-    assert differences(row, reaction) == []
-    assert reaction.noticed_s <= 0.011
-    assert reaction.why.right, reaction.why
-    assert reaction.why.right_without_log, reaction.why

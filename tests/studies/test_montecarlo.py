@@ -1,17 +1,8 @@
 """The Monte Carlo study: what a run is scored as, what many come to, and that it matters not where they are done."""
 
-import contextlib
 import dataclasses
 import json
 import math
-import multiprocessing
-import os
-import signal
-import subprocess
-import sys
-import time
-from multiprocessing import connection
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,24 +13,13 @@ from palmd.observer.bound import Bound
 from palmd.record.eventlog import read_log
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
-from tools.studies import montecarlo, montecarlo_figure, runs
-from tools.studies.montecarlo import MonteCarloTask
-from tools.studies.montecarlo_summary import quantile, remarks, summaries, table
-from tools.studies.scoring import (
-    Causal,
-    MonteCarloRow,
-    ObserverAnswers,
-    Scalar,
-    as_line,
-    causal_of,
-    outline_errors,
-    row_of,
-    truth_of,
-)
+from tools.studies import montecarlo
+from tools.studies.harness import as_line
+from tools.studies.montecarlo import STUDY, MonteCarloRow, MonteCarloTask, Scalar, remarks, row_of
+from tools.studies.scoring import Causal, ObserverAnswers, causal_of, outline_errors, truth_of
 from tools.studies.silent_observer import SilentObserver
 
 NAN = math.nan
-A_DAY_S = 86_400.0
 
 
 TRUTH = truth_of(told())
@@ -47,7 +27,9 @@ BOUND = Bound(np.full(360, 2e-5), 5e-4, 0.05, 0.005)
 
 
 def scored(reconstruction, bound=BOUND, causal=None):
-    return row_of("friction", 3, TRUTH, reconstruction, outline_errors(reconstruction, TRUTH), bound, causal)
+    return row_of(
+        MonteCarloTask("friction", 3), TRUTH, reconstruction, outline_errors(reconstruction, TRUTH), bound, causal
+    )
 
 
 # --------------------------------------------------------------------------------------------------- scoring
@@ -61,7 +43,7 @@ def test_a_perfect_answer_has_no_errors_whatever_its_gauge():
     assert row.psi_rms_rad < 1e-6
     assert row.omega0_rms_rad_s < 1e-4
     assert row.rho_m == Scalar(0.014, 0.0, 1e-3, 5e-4)
-    assert (row.kind, row.seed, row.converged, row.seconds) == ("friction", 3, True, 1.5)
+    assert (row.kind, row.seed, row.converged, row.took_s) == ("friction", 3, True, 1.5)
     assert row.mean_radius_m == pytest.approx(0.02)
     assert row.right
     assert not row.wrong
@@ -237,7 +219,7 @@ def test_a_run_reads_what_a_log_holds_and_scores_against_the_simulators_truth(tm
 
     monkeypatch.setattr(montecarlo, "reconstruct", reconstruct)
     monkeypatch.setattr(montecarlo, "cramer_rao", cramer_rao)
-    row = montecarlo.run(MonteCarloTask("rig", 5, 1.0, causal=False))
+    row = montecarlo.run(MonteCarloTask("rig", 5, 1.0, live=False))
     assert seen["read"] == (log.events, log.rig)
     assert seen["bound"] == (log.events, log.rig, truth["rho_m"], 360)
     assert row.error == ""
@@ -261,151 +243,8 @@ def test_a_rig_may_be_as_calibration_leaves_one(monkeypatch):
     monkeypatch.setattr(montecarlo, "reconstruct", lambda _, rig: read.append(rig) or answer(**NO_SHAPE))
     monkeypatch.setattr(montecarlo, "cramer_rao", lambda *_: BOUND)
     for word in ("none", "calibrated"):
-        (task,) = montecarlo.tasks_of(("nominal",), 1, 1, 1.0, False, word)
-        assert montecarlo.run(task).error == ""
+        assert montecarlo.run(MonteCarloTask("nominal", 1, 1.0, False, word)).error == ""
     assert [rig.pads[0].zero_sd for rig in read] == [0.0, AS_CALIBRATED["zero_sd"]]
-
-
-def test_what_raises_becomes_a_row(monkeypatch):
-    def broken(*_):
-        raise ZeroDivisionError("no ground")
-
-    monkeypatch.setattr(montecarlo, "reconstruct", broken)
-    row = montecarlo.run(MonteCarloTask("odd", 7, 0.5))
-    assert row.error == "ZeroDivisionError: no ground"
-    assert (row.kind, row.seed, row.converged, row.right) == ("odd", 7, False, False)
-    assert as_line(row)["e_h_m"] is None
-
-
-def test_tasks_and_their_order():
-    tasks = montecarlo.tasks_of(("nominal", "odd"), 5, 2, 3.0, False)
-    assert {(task.kind, task.seed) for task in tasks} == {(k, s) for k in ("nominal", "odd") for s in (5, 6)}
-    assert {(task.seconds, task.causal) for task in tasks} == {(3.0, False)}
-    rows = montecarlo.in_order(
-        [
-            MonteCarloRow("odd", 1),
-            MonteCarloRow("friction", 10),
-            MonteCarloRow("friction", 9),
-            MonteCarloRow("nominal", 2),
-        ]
-    )
-    assert [(row.kind, row.seed) for row in rows] == [("nominal", 2), ("friction", 9), ("friction", 10), ("odd", 1)]
-
-
-# ----------------------------------------------------------------------------------------------- execution
-
-
-def told_failed(task, error):
-    return f"{task}: {type(error).__name__}"
-
-
-TASKS = montecarlo.tasks_of(("nominal", "friction"), 3, 1, 0.8, False)
-
-
-def lines_of(executor):
-    """What comes of some short runs, but for how long they took."""
-    rows = montecarlo.in_order(runs.finished(executor, montecarlo.run, montecarlo.failed, TASKS))
-    assert [row.error for row in rows] == ["", ""]
-    return [as_line(dataclasses.replace(row, seconds=0.0)) for row in rows]
-
-
-@pytest.fixture(scope="module")
-def locally():
-    with runs.local(1) as executor:
-        return lines_of(executor)
-
-
-def test_the_number_of_processes_changes_nothing(locally):
-    with runs.local(2) as executor:
-        assert lines_of(executor) == locally
-
-
-def test_a_cluster_gives_the_same(locally):
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask,
-        runs.cluster(dask.scheduler_address) as executor,
-    ):
-        assert lines_of(executor) == locally
-
-
-def test_a_cluster_forgets_what_is_undone():
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask:
-        with runs.cluster(dask.scheduler_address) as executor:
-            results = runs.finished(executor, time.sleep, told_failed, [0.0, *[0.3] * 100])
-            assert next(results) is None
-        t_end = time.monotonic() + 10.0  # a third of what all of it would take; the news takes a moment to get there
-        while dask.scheduler.tasks and time.monotonic() < t_end:
-            time.sleep(0.05)
-        assert not dask.scheduler.tasks
-
-
-def test_a_failure_far_away_is_a_result():
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask,
-        runs.cluster(dask.scheduler_address) as executor,
-    ):
-        assert set(runs.finished(executor, math.sqrt, told_failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
-
-
-def test_what_raises_in_a_process_or_kills_it_is_a_result():
-    with runs.local(2) as executor:
-        assert set(runs.finished(executor, math.sqrt, told_failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
-    with runs.local(1) as executor:
-        assert list(runs.finished(executor, os._exit, told_failed, [3])) == ["3: BrokenProcessPool"]
-
-
-def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(monkeypatch):
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
-    with runs.local(1) as executor:
-        assert executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
-        assert executor.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
-    program = "import sys; import tools.studies.runs; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], env=ENVIRONMENT, check=False).returncode == 0
-
-
-def test_an_interruption_does_not_wait_for_the_runs_in_hand():
-    """They would last longer than this test is given: it ends only because they are cut short."""
-    workers = []
-    try:
-        with contextlib.suppress(KeyboardInterrupt), runs.local(2) as executor:
-            next(runs.finished(executor, time.sleep, told_failed, [0.0, A_DAY_S, A_DAY_S, A_DAY_S]))
-            workers += multiprocessing.active_children()
-            raise KeyboardInterrupt
-        assert len(workers) == 2
-        for worker in workers:
-            connection.wait([worker.sentinel])  # its end; for join() the executor's own thread may take the status away
-    finally:
-        for worker in workers:
-            worker.kill()
-
-
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-
-ORPHAN = """
-import os, time
-from tools.studies import runs
-
-if __name__ == "__main__":
-    with runs.local(1) as executor:
-        print(executor.submit(os.getpid).result(), flush=True)
-        time.sleep(60.0)
-"""
-
-
-def test_workers_do_not_outlive_their_parent(tmp_path):
-    script = tmp_path / "orphan.py"
-    script.write_text(ORPHAN)
-    with subprocess.Popen([sys.executable, str(script)], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as parent:
-        worker = Path("/proc") / parent.stdout.readline().strip()
-        assert worker.exists()
-        parent.send_signal(signal.SIGKILL)
-    t_end = time.monotonic() + 10.0
-    while worker.exists():
-        assert time.monotonic() < t_end
-        time.sleep(0.05)
 
 
 # ------------------------------------------------------------------------------------------------- summary
@@ -415,7 +254,7 @@ def row(kind="nominal", seed=0, e_h=1e-5, **changes):
     values = {
         "converged": True, "e_h_m": e_h, "max_error_m": 2 * e_h, "touched": 0.3, "efficiency": 0.5, "nees_h": 1.2,
         "rho_m": Scalar(0.02, -1e-3, 1e-3, 5e-4), "mu": Scalar(0.0, 0.1, 0.04, 0.02),
-        "mass_kg": Scalar(0.1, 0.01, 4e-3, 0.0), "seconds": 2.0, "causal": Causal(3.0, 1.0, 1e-5, 0.9),
+        "mass_kg": Scalar(0.1, 0.01, 4e-3, 0.0), "took_s": 2.0, "causal": Causal(3.0, 1.0, 1e-5, 0.9),
     }  # fmt: skip
     return MonteCarloRow(kind, seed, **values | changes)
 
@@ -430,59 +269,31 @@ FEW = [
 ]
 
 
-def test_a_summary_counts_every_run():
-    nominal, odd = summaries(FEW)
-    assert (nominal.kind, nominal.runs, nominal.errors, nominal.wrong) == ("nominal", 5, 1, 1)
-    assert (nominal.right, nominal.converged) == (0.2, 0.6)
-    assert nominal.e_h_m.median == 4e-4
-    assert nominal.e_h_m.p90 == nominal.max_error_m.p95 == math.inf
-    assert nominal.rho.relative_error == pytest.approx(0.05)
-    assert (nominal.rho.within_2_sd, nominal.mu.within_2_sd, nominal.mass.within_2_sd) == (1.0, 0.0, 0.0)
-    assert nominal.rho.sd_over_bound == pytest.approx(2.0)
-    assert math.isnan(nominal.mu.relative_error)
-    assert math.isnan(nominal.mass.sd_over_bound)
-    assert nominal.causal.converged_after_s.median == 7.0
-    assert nominal.causal.within_goal == 0.4
-    assert nominal.causal.first_valid_s == 1.0
-    assert (odd.kind, odd.runs, odd.right, odd.causal.within_goal) == ("odd", 1, 1.0, 1.0)
+def cells_of(rows):
+    lines = STUDY.tabled(rows).splitlines()
+    width = max(len(title) for title, _ in STUDY.columns)
+    return {line[:width].strip(): [cell for cell in line[width:].split("  ") if cell.strip()] for line in lines}
 
 
-def test_the_table_has_a_column_for_each_kind():
-    lines = {line[:54].strip(): line[54:].split("  ") for line in table(summaries(FEW)).splitlines()}
-    cells = {name: [cell.strip() for cell in rest if cell.strip()] for name, rest in lines.items()}
+def test_the_table_has_a_column_for_each_kind_and_counts_every_run():
+    cells = {name: [cell.strip() for cell in rest] for name, rest in cells_of(FEW).items()}
     assert cells[""] == ["nominal", "odd"]
+    assert (cells["runs"], cells["ended in an error"]) == (["5", "1"], ["1", "0"])
     assert cells["right: e_h < 0.1 mm (%)"] == ["20.0", "100.0"]
+    assert cells["converged (%)"] == ["60.0", "100.0"]
+    assert cells["accepted but wrong: e_h > 0.3 mm"] == ["1", "0"]
     assert cells["e_h, median / p90 / p95 (µm)"] == ["400 / ∞ / ∞", "10 / 10 / 10"]
+    assert cells["ρ: |error|, median (%)"] == ["5", "5"]
     assert cells["μ: |error|, median (%)"] == ["–", "–"]
-    assert cells["causal: within 6 s (%)"] == ["40.0", "100.0"]
-    without = table(summaries([dataclasses.replace(each, causal=None) for each in FEW]))
-    assert "causal" not in without
+    assert [cells[f"{name}: within 2 sd (%)"][0] for name in ("ρ", "μ", "mass")] == ["100.0", "0.0", "0.0"]
+    assert (cells["ρ: sd / bound, median"][0], cells["mass: sd / bound, median"][0]) == ("2", "–")
+    assert cells["live: converged after, median / p90 / p95 (s)"] == ["5 / ∞ / ∞", "3 / 3 / 3"]
+    assert cells["live: within 6 s (%)"] == ["50", "100"]
+    assert cells["live: first valid after, median (s)"] == ["1", "1"]
 
 
-def test_remarks_name_the_runs_to_look_at():
-    assert remarks(FEW) == ["nominal 1: claimed but wrong by 400 µm", "nominal 4: ValueError: no"]
-
-
-def test_quantiles():
-    random = np.random.default_rng(0).normal(size=37)
-    for q in (0.0, 0.5, 0.9, 0.95, 1.0):
-        assert quantile(random, q) == pytest.approx(np.quantile(random, q))
-    assert quantile([1.0, math.inf], 0.5) == math.inf
-    assert quantile([math.inf, 1.0, 2.0], 0.5) == 2.0
-    assert quantile([math.inf] * 2, 0.5) == math.inf
-    assert math.isnan(quantile([], 0.5))
-
-
-def test_the_figure_is_the_same_for_the_same_rows(tmp_path):
-    (tmp_path / "again").mkdir()
-    first, again = (montecarlo_figure.save(FEW, folder) for folder in (tmp_path, tmp_path / "again"))
-    assert [path.suffix for path in first] == [".svg", ".png"]
-    assert first[0].read_bytes() == again[0].read_bytes()
-    assert first[1].read_bytes()[:4] == b"\x89PNG"
-
-
-@pytest.mark.parametrize("rows", [FEW[4:5], [dataclasses.replace(FEW[0], causal=None)]])
-def test_a_figure_of_one_row_and_of_none_of_the_daemons_is_drawn(rows):
-    figure = montecarlo_figure.drawn(rows)
-    figure.draw_without_rendering()  # all but the writing, which takes most of the time
-    assert [bool(axes.lines) for axes in figure.axes] == [True] * 4
+def test_remarks_name_the_runs_to_look_at_and_a_wrong_one_misses_the_goal():
+    assert remarks(FEW) == ["nominal 1: accepted but wrong by 400 µm", "nominal 4: ValueError: no"]
+    (goal,) = STUDY.goals
+    assert not goal.met(FEW)
+    assert goal.met(FEW[2:])

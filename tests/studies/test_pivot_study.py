@@ -8,10 +8,10 @@ import pytest
 
 from palmd.rig.pivot import simulate_pivot_log
 from tools.studies import pivot
-from tools.studies.pivot import PivotRow, PivotTask
-from tools.studies.scoring import as_line
+from tools.studies.harness import as_line
+from tools.studies.pivot import LIVE, OFFLINE, LiveRow, PivotRow, PivotTask, remark
 
-ROW = PivotRow("tilt", 1, 12.0, "none", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
+ROW = PivotRow("tilt", 1, 12.0, "none", "", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
 
 
 def row(**changes):
@@ -35,20 +35,43 @@ def test_a_run_too_short_claims_nothing_and_says_why():
     assert json.loads(json.dumps(as_line(told), allow_nan=False))["e_m"] is None
 
 
-def test_an_error_of_ours_is_a_row():
-    told = pivot.failed(PivotTask("float", 7, 1.0, "gaps"), ZeroDivisionError("a defect"))
-    assert (told.kind, told.seed, told.trouble, told.converged) == ("float", 7, "gaps", False)
-    assert told.reason == "ZeroDivisionError: a defect"
-
-
 def test_what_is_claimed_and_wrong_is_counted_apart_and_refused_runs_are_in_no_figure():
     wrong = row(seed=2, e_m=3e-4, sd_m=1e-4, mu_error=-0.02, mu_z=-4.0)
     refused = row(seed=3, converged=False, reason="no", e_m=math.nan, sd_m=math.nan, mu_error=math.nan, mu_z=math.nan)
-    head, spoilt, tilt = pivot.report([ROW, wrong, refused, row(trouble="gaps", converged=False)]).splitlines()
-    assert head.split()[:3] == ["runs", "right", "wrong"]
+    head, tilt, spoilt = OFFLINE.tabled([ROW, wrong, refused, row(trouble="gaps", converged=False)]).splitlines()
+    assert head.split()[:3] == ["runs", "right", "accepted,"]
     # 3 runs, 1 right, 1 wrong; medians of 20 and 300 µm; √((2² + 3²)/2); of 0.004 and 0.02; √((2² + 4²)/2)
-    assert tilt.split() == ["tilt", "3", "1", "1", "160.0", "272.0", "2.55", "0.0120", "50%", "3.16"]
-    assert spoilt.split() == ["tilt,", "gaps", "1", "0", "0"]
+    assert tilt.split() == ["tilt", "3", "1", "1", "160", "272", "2.55", "0.012", "50.0", "3.16"]
+    assert spoilt.split() == ["tilt,", "gaps", "1", "0", "0", *["–"] * 6]
+
+
+GOOD = LiveRow(
+    7, "calibrated", 5.0, claimed=True, ended="done", t_end=90.0, t_claim=50.0, e=2e-5, most=4e-5, sd=3e-5, touched=0.7,
+    worst_e=5e-5, worst_z=1.2, claims=4, mu_error=0.002, mu_z=0.5, ticks=9000, valid=4000, most_force=1.2,
+    force_limit=2.0,
+)  # fmt: skip
+
+
+def test_what_is_right_and_what_is_wrong_live():
+    assert GOOD.right
+    assert not GOOD.wrong_claim
+    assert dataclasses.replace(GOOD, worst_z=3.5).wrong_claim
+    assert dataclasses.replace(GOOD, worst_e=4e-4).wrong_claim
+    assert not dataclasses.replace(GOOD, claimed=False).right
+    assert not LiveRow(7, "calibrated", 5.0, error="no").wrong_claim
+
+
+def test_the_table_of_live_runs_counts_them():
+    wrong = dataclasses.replace(GOOD, seed=8, e=4e-4, worst_e=4e-4)
+    slide = dataclasses.replace(GOOD, vertical="float", left=3, jams=2, most_force=2.3)
+    rows = [GOOD, wrong, slide, LiveRow(9, "none", 5.0, error="no")]
+    _, calibrated, sliding, perfect = (line.split() for line in LIVE.tabled(rows).splitlines())
+    assert sliding[:5] == ["calibrated,", "slide", "1", "1", "0"]
+    assert calibrated[:5] == ["calibrated", "2", "1", "0", "1"]
+    assert perfect[:5] == ["none", "1", "0", "1", "0"]
+    assert sliding[-6:-2] == ["1", "1", "1", "2.3"], "one left the pad, one jammed, one over its limit"
+    assert calibrated[-6:-2] == ["0", "0", "0", "1.2"]
+    assert "400 µm off" in remark(wrong)
 
 
 @pytest.mark.parametrize("kind", ["tilt", "float"])

@@ -14,26 +14,22 @@ import pytest
 
 from palmd.daemon import supervisor
 from palmd.daemon.bus import Bus
-from palmd.daemon.commands import COMMANDS, LEASE_MAX_S
+from palmd.daemon.commands import LEASE_MAX_S
 from palmd.daemon.core import Core
 from palmd.daemon.diagnostics import ArmDiagnostics
-from palmd.daemon.lifecycle import State
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.supervisor import Supervisor
 from palmd.devices.armhost import ArmHost
 from palmd.devices.versapad import VersaPadDecoder
 from palmd.events import PalmSample
-from palmd.faults import TABLE, FaultMonitor
-from palmd.record.recording import Recording
-from tools.studies import bench_simulate
+from palmd.faults import FaultMonitor
+from tools.studies import simulate as study
+from tools.studies.simulate import shrunk
 from tools.studies.simulation import watch
 from tools.studies.simulation.causes import CAUSES, Cause, causes
 from tools.studies.simulation.happenings import CALM_S, LEASES_S, Broken, Scenario, Told, Trick, coarsened, drawn
 from tools.studies.simulation.light_observer import LightObserver
-from tools.studies.simulation.reach import SOUGHT, Director, sought
-from tools.studies.simulation.reached import behind_a_stop, never_reached, rows, unreachable
 from tools.studies.simulation.run import Simulation, configured, quiet, simulate
-from tools.studies.simulation.shrink import shrunk
 from tools.studies.simulation.watch import Watch
 
 
@@ -72,7 +68,6 @@ def untroubled():
 def test_the_same_seed_gives_the_same_bits_and_another_one_does_not(untroubled):
     first, again = (simulate(dataclasses.replace(drawn(3), trouble_s=4.0)) for _ in range(2))
     assert first.digest == again.digest
-    assert first.seen == again.seen
     assert first.digest != untroubled.digest
 
 
@@ -140,7 +135,7 @@ def test_a_stop_in_mid_motion_leaves_the_estimate_right():
 def test_seeds_that_nobody_has_tried_hold():
     """For a while, in every run of the tests; a failure is repeated by the command that is told."""
     begun = time.process_time()
-    first = secrets.randbelow(bench_simulate.SEEDS_MOST)
+    first = secrets.randbelow(study.SEEDS_MOST)
     for seed in range(first, first + 1000):
         outcome = simulate(drawn(seed))
         assert outcome.breach is None, f"python -m tools.studies simulate --seeds {seed}..{seed}: {outcome.breach}"
@@ -274,13 +269,6 @@ def started_by_itself(monkeypatch):
     monkeypatch.setattr(Simulation, "_operate", lambda self, t: t < 4.0 and SimulationOperate(self, t))
 
 
-def messages_lost(monkeypatch):
-    good = Recording.take
-    monkeypatch.setattr(
-        Recording, "take", lambda self, frames, t: None if frames[0] == b"palm/note" else good(self, frames, t)
-    )
-
-
 def never_ready_again(monkeypatch):
     monkeypatch.setattr(ArmHost, "request_reset", lambda *_: None)
 
@@ -325,12 +313,11 @@ BREAK = Trick(4.0, "break", "arm", 1.0, 0.5)
         (never_ready_again, (BREAK,), "a fault ends with its cause"),
         (armed_again_by_itself, (told(5.0, "stop"),), "no set-point unless armed"),
         (started_by_itself, (told(4.5, "hold"),), "no motion unless told to move"),
-        (messages_lost, (told(4.0, "note", text="here"),), "the recording holds what was published"),
         (everything_kept, (), "memory is bounded"),
     ],
 )
 def test_a_broken_daemon_is_found_out(monkeypatch, sabotage, happenings, broken):
-    run = scenario(*happenings, recorded=sabotage is messages_lost)
+    run = scenario(*happenings)
     sabotage(monkeypatch)
     outcome = simulate(run)
     assert outcome.breach is not None
@@ -382,49 +369,10 @@ def test_every_cause_is_one_that_may_happen():
     assert {name for names in CAUSES.values() for name in names} <= may | {"left"}  # the body, by itself
 
 
-def test_all_that_can_be_reached_is_sought():
-    reachable = {(state, fault.code if fault else "") for state, fault, _ in rows() if not unreachable(state, fault)}
-    assert {(state, code) for code, states in SOUGHT.items() for state in states} == reachable
-
-
-@pytest.mark.parametrize("code", ["", "pad1-silent", "arm-late", "plan-refused"])
-def test_every_command_finds_what_is_sought(code):
-    """In fault for one tick, in ready only behind a stop in the same tick; and what stays once it is there."""
-    outcome = simulate(sought(list(SOUGHT).index(code)))
-    assert outcome.breach is None
-    found = {(state, command) for state, each, command in outcome.seen if each == (code or "none")}
-    assert found == {(state, command) for state in SOUGHT[code] for command in COMMANDS}
-    again = simulate(outcome.scenario)  # what the director did, as if it had been drawn
-    assert not again.scenario.sought
-    assert again.digest == outcome.digest
-
-
-def test_who_seeks_a_silent_explorer_loads_no_plan_that_asks_nobody():
-    director = Director(list(SOUGHT).index("explorer-silent"))
-    view = SimpleNamespace(t=0.0)
-    (told_plan,) = director._tell(view, "plan")
-    assert "explore" in msgpack.unpackb(told_plan.payload)["args"]["text"]
-
-
-def test_behind_a_stop_is_found_what_cannot_be_found_so_otherwise():
-    assert behind_a_stop(State.READY, TABLE["pad1-port"])
-    assert not behind_a_stop(State.READY, TABLE["arm-port"])  # it ends tracking itself
-    assert not behind_a_stop(State.READY, TABLE["pad1-untouched"])
-    assert unreachable(State.IDLE, TABLE["pad1-silent"])
-
-
-def test_what_was_not_seen_is_told():
-    reachable = [row for row in rows() if unreachable(row[0], row[1]) is None]
-    missing, reasons, found = never_reached({("idle", "none", "status"): 1})
-    assert found == 1
-    assert len(missing) == len(reachable) - 1
-    assert all(reasons)
-
-
 def asked(seeds):
     """The command's arguments, as they are by default."""
     parser = argparse.ArgumentParser()
-    bench_simulate.add_arguments(parser)
+    study.add_arguments(parser)
     return parser.parse_args(["--seeds", f"{seeds[0]}..{seeds[-1]}"])
 
 
@@ -434,35 +382,33 @@ def test_a_study_that_is_interrupted_tells_what_it_has(monkeypatch, capsys, untr
             raise KeyboardInterrupt
         return untroubled
 
-    monkeypatch.setattr(bench_simulate, "simulate", until_ctrl_c)
-    assert bench_simulate.run(asked(range(2, 9))) == 130
+    monkeypatch.setattr(study, "simulate", until_ctrl_c)
+    assert study.conduct(asked(range(2, 9))) == 130
     assert "2 runs, 0.01 simulated hours, 0 with a broken invariant" in capsys.readouterr().out
 
 
 def test_seeds_may_be_shared_out_among_processes(monkeypatch):
-    monkeypatch.setattr(bench_simulate, "simulate", lambda each: SimpleNamespace(scenario=each))
-    monkeypatch.setattr(
-        bench_simulate, "on_this_machine", lambda jobs: lambda stack: stack.enter_context(ThreadPoolExecutor(jobs))
-    )
-    arguments = SimpleNamespace(jobs=3, keep=None, reach=False, coarse=True, rate=25.0)
-    run = [outcome.scenario for outcome, _ in bench_simulate._outcomes(range(5, 12), arguments)]
+    monkeypatch.setattr(study, "simulate", lambda each: SimpleNamespace(scenario=each))
+    monkeypatch.setattr(study.runs, "local", ThreadPoolExecutor)
+    arguments = SimpleNamespace(jobs=3, keep=None, coarse=True, rate=25.0)
+    run = [outcome.scenario for outcome, _ in study._outcomes(range(5, 12), arguments)]
     assert sorted(each.seed for each in run) == list(range(5, 12))
     assert {(each.coarse, each.rate_hz) for each in run} == {(True, 25.0)}
 
     def broken(_):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(bench_simulate, "simulate", broken)
+    monkeypatch.setattr(study, "simulate", broken)
     with pytest.raises(RuntimeError, match="seed 7: ZeroDivisionError"):
-        list(bench_simulate._outcomes(range(7, 8), arguments))
+        list(study._outcomes(range(7, 8), arguments))
 
 
 def test_the_command_tells_a_failure_as_one_command(monkeypatch, capsys):
     deaf_to_stop(monkeypatch)
     few = scenario(told(3.0, "status"), told(3.5, "hold"), told(4.0, "stop"), told(4.1, "note", text="here"))
-    monkeypatch.setattr(bench_simulate, "drawn", lambda _seed: few)
+    monkeypatch.setattr(study, "drawn", lambda _seed: few)
     arguments = asked(range(2, 3))
-    assert bench_simulate.run(arguments) == 1
+    assert study.conduct(arguments) == 1
     assert "--seeds 7..7 --keep 2" in capsys.readouterr().out
-    arguments.keep = bench_simulate._numbers("2")
-    assert bench_simulate.run(arguments) == 1
+    arguments.keep = study._numbers("2")
+    assert study.conduct(arguments) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from palmd.events import PadSample, PalmSample
 from palmd.rig.dry_plant import DRY
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_plan
-from tools.studies import bench_things, thing_logs
+from tools.studies import thing_logs
 from tools.studies.commands import main
 from tools.studies.exploring_plans import plan
-from tools.studies.thing_logs import KINDS, SharpRow, SharpTask, simulated, tasks_of
+from tools.studies.thing_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw, simulated
 
 
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
@@ -29,34 +30,29 @@ def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
     assert 9e-3 < np.abs(slopes[2:] - slopes[:-2]).max() < 14e-3  # h′ jumps by the chord's length
 
 
-def test_all_kinds_have_the_same_seeds() -> None:
-    assert {(task.kind, task.seed) for task in tasks_of(KINDS, 5, 2, 3.0, "none")} == {
-        (kind, seed) for kind in KINDS for seed in (5, 6)
-    }
-
-
 def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = thing_logs.run(SharpTask("teapot", 0))
+    row = OFFLINE.attempted(SharpTask("teapot", 0))
     assert row.error.startswith("KeyError")
     assert thing_logs.remarks([row]) == [f"teapot 0: {row.error}"]
 
 
 def test_right_wrong_and_refused_are_counted_apart() -> None:
     kind = KINDS[0]
+    one, two = {"claimed": True, "e_h_m": 9e-5, "most_m": 2e-4}, {"claimed": True, "e_h_m": 2e-4, "most_m": 6e-4}
     rows = [
-        SharpRow(kind, 0, claimed=True, e_h_m=9e-5, most_m=2e-4, sd_m=3e-5, touched=0.1, explained_s=9.0, seconds=4.0),
-        SharpRow(kind, 1, claimed=True, e_h_m=2e-4, most_m=6e-4, sd_m=2e-5, touched=0.2, explained_s=7.0, seconds=6.0),
-        SharpRow(kind, 2, reason="why", seconds=30.0),
+        SharpRow(kind, 0, sd_m=3e-5, touched=0.1, explained_s=9.0, took_s=4.0, **one),
+        SharpRow(kind, 1, sd_m=2e-5, touched=0.2, explained_s=7.0, took_s=6.0, **two),
+        SharpRow(kind, 2, reason="why", took_s=30.0),
     ]
-    rough = replace(rows[1], perfect=False, sd_m=9e-5)
-    told = thing_logs.table(rows).splitlines()[-1]
+    rough = replace(rows[1], imperfections="calibrated", sd_m=9e-5)
+    told = OFFLINE.tabled(rows).splitlines()[-1]
     assert told.split("  ")[0] == kind
     assert re.findall(r"(\d) of 3", told) == ["1", "0", "1", "1"]
-    assert "most 10.0" in told
+    assert "6.5 / 10" in told
     said = thing_logs.remarks(rows)
     assert ": right, 90 µm" in said[0]
-    assert ": WRONG, 200 µm" in said[1]
-    assert said[2] == f"{kind} 2: refused: why"
+    assert ": wrong, 200 µm" in said[1]
+    assert said[2] == f"{kind} 2: rejected: why"
     assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
     assert replace(rough, sd_m=6e-5).wrong  # 3.3 of them
     assert ": in its band, 200 µm" in thing_logs.remarks([rough])[0]
@@ -80,21 +76,14 @@ def test_what_is_explored_is_the_kinds_body_on_a_rig_that_is_off_as_asked() -> N
     assert log.rig.pads[0].standoff_sd > 0.0
 
 
-def test_explored_is_a_study_of_recordings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[SharpTask] = []
-
-    def collected(what: str, tasks: list[SharpTask], *_: object) -> tuple[list[SharpRow], int]:
-        asked.extend(tasks)
-        return [SharpRow(task.kind, task.seed) for task in tasks], 0
-
-    monkeypatch.setattr(bench_things, "collected", collected)
-    assert main(["things", "--explored", "--kind", "dry lump", "--runs", "2", "--jobs", "1"]) == 0
+def test_explored_is_a_study_of_recordings() -> None:
+    asked = SimpleNamespace(
+        explored=True, plan=None, seconds=None, imperfections="none", kind="dry lump", seed=0, runs=2
+    )
     exploring = plan("explore", default_config(), ExploreGoal(coverage=1.0, time_limit_s=20.0), seed=0)
-    assert asked == [SharpTask("dry lump", seed, 20.0, "none", exploring) for seed in (0, 1)]
-    assert "seeds 0 to 1" in capsys.readouterr().out
+    assert draw(asked) == [SharpTask("dry lump", seed, 20.0, "none", exploring) for seed in (0, 1)]
     with pytest.raises(SystemExit):
         main(["things", "--explored", "--offline"])
-    assert "not allowed with" in capsys.readouterr().err
 
 
 def test_a_plan_is_recorded_and_one_that_leaves_the_limits_is_refused_at_once(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tools.studies import things
-from tools.studies.things import KINDS, LOGGED, LUMP, ThingRow, ThingTask, body_of, tasks_of
+from tools.studies.things import LIVE, LOGGED, LUMP, ThingRow, ThingTask, body_of, remarks
 
 THETA = np.arange(360) * (math.tau / 360)
 
@@ -22,11 +22,6 @@ def test_each_kind_and_seed_is_one_body_and_every_third_has_its_mass_off_centre(
     assert weighted > 1.9e-3
 
 
-def test_all_kinds_have_the_same_seeds() -> None:
-    tasks = tasks_of(KINDS, 5, 2, 3.0, "none")
-    assert {(task.kind, task.seed) for task in tasks} == {(kind, seed) for kind in KINDS for seed in (5, 6)}
-
-
 def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
     assert LOGGED == ("corners of 3 mm", "corners of 1 mm", "dent of 4 mm", "dent of 10 mm", "dry lump")
     row = things.run(ThingTask("dent of 4 mm", 0, 1.5))
@@ -35,17 +30,16 @@ def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
 
 
 def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = things.run(ThingTask("teapot", 0))
+    row = LIVE.attempted(ThingTask("teapot", 0))
     assert row.error.startswith("ValueError")
-    assert things.remarks([row]) == [f"teapot 0: {row.error}"]
+    assert remarks([row]) == [f"teapot 0: {row.error}"]
 
 
-def test_the_table_leaves_smooth_lumps_out_of_things() -> None:
-    rows = [ThingRow("die", 0, "", 0.5, 0.1, 1e-3, 1e-4, 3, 2, far=0.025), ThingRow(LUMP, 0, "", 0.9, 0.5, 4e-4, 1e-5)]
-    told = things.table(rows)
-    last = told.splitlines()[-1]
-    assert last.startswith("all things")
-    assert "10.0%" in last
-    assert "2.5%" in last
-    assert "50.0%" not in last
-    assert things.remarks(rows)[0] == "die 0: wrong for 10.0%, by up to 1.00 mm"
+def test_the_remarks_leave_smooth_lumps_out_of_things() -> None:
+    die = ThingRow("die", 0, valid=0.5, wrong=0.1, most_m=1e-3, refusals=3, losses=2, far=0.025)
+    rows = [die, ThingRow(LUMP, 0, valid=0.9, wrong=0.5, most_m=4e-4)]
+    together, wrong, _ = remarks(rows)
+    assert together.startswith("all things: runs 1, valid 50%, wrong, of all ticks 10.0%")
+    assert "beyond 3 sd 2.5%" in together
+    assert wrong == "die 0: wrong for 10.0%, by up to 1.00 mm"
+    assert [line.split()[0] for line in LIVE.tabled(rows).splitlines()[1:]] == ["die", LUMP]

@@ -5,36 +5,33 @@ from __future__ import annotations
 import argparse
 import importlib
 from collections.abc import Sequence
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import cast
 
 from palmd.cli import status_of
 from palmd.cli.table import STUDIES as PROGRAM
 from palmd.console.arguments import Parser, one_of
 from palmd.console.extras import missing
 
-OPTIONAL = ("matplotlib", "filterpy", "distributed")
-"""What only some studies need: the extra `studies`."""
-
 STUDIES = {
-    "montecarlo": ("bench_montecarlo", "random objects reconstructed blind, against truth and Cramér–Rao bound"),
-    "sbc": ("bench_sbc", "simulation-based calibration of blind reconstructions"),
-    "off": ("bench_off", "reconstructions while one property of the rig is not as configured"),
-    "explore": ("bench_explore", "unknown objects explored on the emulated rig, beside an explorer that knows them"),
-    "curved": ("bench_curved", "curved palms: reconstruction, exploration and coverage"),
-    "pivot": ("bench_pivot", "objects in a pivoting grasp, offline and live"),
-    "space": ("bench_space", "bodies between three palms in space, offline, live and explored"),
-    "things": ("bench_things", "dice, nuts, coins and blocks: how often a live estimate is wrong"),
-    "speed": ("bench_speed", "time of kernels, routines and records, as ratios to references beside them"),
-    "engines": ("bench_engines", "logs and contact forces of independent physics engines"),
-    "field": ("bench_field", "benchmark of 200 runs with truth, baselines and a scorer"),
-    "faults": ("bench_faults", "each fault provoked on the emulated rig: reaction and time to standstill"),
-    "simulate": ("bench_simulate", "daemon and rig in virtual time with random faults: invariants that must hold"),
-    "false-alarms": ("false_alarms", "ordinary operation in virtual time: which guard holds or stops it"),
-    "soak": ("bench_soak", "the demo for an hour with random faults: leaks, lateness, lost packets"),
-    "observability": ("observability", "rank and conditioning of the paper's systems at random states"),
-    "paper": ("paper", "the runs behind the figures of CMU-CS-01-107, by its method and by palmd's"),
+    "montecarlo": "random objects reconstructed blind, against truth and Cramér–Rao bound",
+    "sbc": "simulation-based calibration of blind reconstructions",
+    "off": "reconstructions while one property of the rig is not as configured",
+    "explore": "unknown objects explored on the emulated rig, beside moves drawn at random",
+    "curved": "logs of curved palms reconstructed blind",
+    "pivot": "objects in a pivoting grasp, offline and live",
+    "space": "bodies between three palms in space, offline, live and explored",
+    "things": "dice, nuts, coins and blocks: how often an estimate is wrong",
+    "engines": "logs and contact forces of independent physics engines",
+    "faults": "each fault provoked on the emulated rig: reaction and time to standstill",
+    "simulate": "daemon and rig in virtual time with random faults: invariants that must hold",
+    "false-alarms": "ordinary operation in virtual time: which guard holds or stops it",
+    "soak": "the demo for an hour with random faults: leaks, lateness, lost packets",
+    "paper": "the runs behind the figures of CMU-CS-01-107, by its method and by palmd's",
 }
-"""By name: the module, which has `add_arguments(parser)` and `run(arguments) -> int`, and the description."""
+"""By name: what it is about. Its module has `add_arguments(parser)`, and a `STUDY` or `conduct(arguments) -> int`."""
+
+MODULES = {"engines": "bench_engines", "explore": "exploring"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,10 +42,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def loaded(name: str) -> ModuleType:
     """The study's module; raises CliError, with what to install, where an optional package is missing."""
     try:
-        return importlib.import_module(f"tools.studies.{STUDIES[name][0]}")
+        return importlib.import_module(f"tools.studies.{MODULES.get(name, name.replace('-', '_'))}")
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
-        if package not in OPTIONAL:
+        if package != "matplotlib":
             raise
         raise missing(f"the study {name}", package, "studies") from None
 
@@ -58,7 +55,7 @@ def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
     parser = Parser(
         prog=PROGRAM,
         description="Studies of palmd; each repeats the figures of a page in docs/results or docs/theory.",
-        epilog="studies:\n" + "\n".join(f"  {name:{width}}  {text}" for name, (_, text) in STUDIES.items()),
+        epilog="studies:\n" + "\n".join(f"  {name:{width}}  {text}" for name, text in STUDIES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", type=one_of(STUDIES), help="one of the studies below")
@@ -67,4 +64,5 @@ def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespa
     module = loaded(chosen.name)
     own = Parser(prog=f"{PROGRAM} {chosen.name}", description=module.__doc__)
     module.add_arguments(own)
-    return module, own.parse_args(chosen.arguments)
+    conduct = module.STUDY.conduct if hasattr(module, "STUDY") else module.conduct
+    return cast(ModuleType, SimpleNamespace(run=conduct)), own.parse_args(chosen.arguments)

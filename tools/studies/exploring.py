@@ -1,38 +1,37 @@
-"""Exploring in the rig without wires, what is unknown and what is known, beside two open-loop plans: one run.
-
-`run` needs nothing but its task, and gives the same row in any process and in any order, but for what it says of time.
-"""
+"""Unknown objects explored on the emulated rig without wires, beside moves drawn at random."""
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import Config, Drawn, rig_description
-from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, InlineExplorer, Question
-from palmd.events import FloatArray, Outlook
+from palmd.console.configured import configured
+from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.events import FloatArray
 from palmd.harness.wireless import Wireless
 from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
 from palmd.motion.check import motion_limits
 from palmd.motion.reach import surface_limits
-from palmd.motion.rig_information import rig_cost
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.observer import Simulated
 from palmd.rig.shapes import KINDS, Body, Kind
+from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
-from tools.studies.clairvoyant import Clairvoyant
-from tools.studies.exploring_plans import EXPLORES, STRATEGIES, Strategy, plan
+from tools.studies import harness
+from tools.studies.cells import Cell, count, errors, percent, quantile, quantiles, runs, shares
+from tools.studies.exploring_plans import STRATEGIES, Strategy, plan
 from tools.studies.exploring_watch import EDGE_M, ExplorationWatch
-from tools.studies.held import HeldWatch
-from tools.studies.runs import with_failures
+from tools.studies.harness import Study, result
 
 GOAL = 1.0
 """The share of the normals to reach that the study asks for: more than it judges by, as both are counted in bins."""
@@ -49,36 +48,29 @@ class ExploringTask:
     seed: int
     strategy: Strategy
     seconds: float = 60.0
-    band_mm: float | None = None
     imperfections: Drawn = "none"
     config: Path | None = None
     """Of the rig, its imperfections included; None: the default one with these imperfections."""
 
 
 @dataclass(frozen=True, slots=True)
-class ExploringRow:
+class ExploringRow(ExploringTask):
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. reachable: share of the normals that stable poses within the
-    limits show; coverage: touched share of these, curve: the same at each full second; of_all: touched share of all.
+    limits show; coverage: touched share of these.
     enough_s, valid_s: when coverage was 0.95, when the estimate was first valid, from the start on; ended_s: when the
     exploration ended by itself, and the reason it gave. hausdorff, e_h: error of the last valid outline over all
-    normals, largest and RMS; band: the largest sd that it claimed. open_rig: what touch would still have told of the
-    rig's constants when it was last asked for a motion (RMS over the touched normals). losses: of a contact, how often;
-    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end; wedged_s, pressed_s,
-    most_force_m_s2, unnoticed: as `held` tells. recovered: whether at the end both touch and the estimate is valid.
-    outside, refused: set-points outside the limits, and refused by the controller. decision: processor time (ms);
-    seconds: processor time of the whole run (s). The estimates' numbers are told of explorations of what
-    is unknown alone: plans have no smoother, and who is told the truth estimates nothing.
+    normals, largest and RMS; band: the largest sd that it claimed. losses: of a contact, how often;
+    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end; recovered: whether at the
+    end both touch and the estimate is valid. outside, refused: set-points outside the limits, and refused by the
+    controller. took_s: processor time of the whole run (s). Estimates have numbers in
+    explorations alone: plans have no smoother.
     """
 
-    kind: Kind
-    seed: int
-    strategy: Strategy
     error: str = ""
     reachable: float = math.nan
     coverage: float = math.nan
-    of_all: float = math.nan
     enough_s: float = math.nan
     valid_s: float = math.nan
     ended_s: float = math.nan
@@ -86,24 +78,13 @@ class ExploringRow:
     hausdorff_m: float = math.nan
     e_h_m: float = math.nan
     band_m: float = math.nan
-    open_rig_m: float = math.nan
     losses: int = 0
-    falls: int = 0
     parted_s: float = 0.0
     edge_s: float = 0.0
-    wedged_s: float = 0.0
-    pressed_s: float = 0.0
-    most_force_m_s2: float = math.nan
-    unnoticed: int = 0
     recovered: bool = True
     outside: int = 0
     refused: int = 0
-    objects: int = 0
-    decisions: int = 0
-    decision_median_ms: float = math.nan
-    decision_most_ms: float = math.nan
-    seconds: float = math.nan
-    curve: tuple[float, ...] = field(default=(), repr=False)
+    took_s: float = math.nan
 
     @property
     def mishap(self) -> bool:
@@ -111,59 +92,9 @@ class ExploringRow:
         return self.losses > 0 or self.edge_s > 0.0
 
 
-def tasks_of(
-    kinds: Iterable[Kind],
-    first_seed: int,
-    count: int,
-    seconds: float,
-    band_mm: float | None = None,
-    imperfections: Drawn = "none",
-    config: Path | None = None,
-) -> list[ExploringTask]:
-    """So many objects of each kind, each with every strategy.
-
-    No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
-    """
-    return [
-        ExploringTask(
-            kind, first_seed + len(KINDS) * i + KINDS.index(kind), strategy, seconds, band_mm, imperfections, config
-        )
-        for i in range(count)
-        for kind in kinds
-        for strategy in STRATEGIES
-    ]
-
-
-def in_order(rows: Iterable[ExploringRow]) -> list[ExploringRow]:
-    """By kind, seed and strategy, whichever was finished first."""
-    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed, STRATEGIES.index(row.strategy)))
-
-
-def failed(task: ExploringTask, error: BaseException) -> ExploringRow:
-    """The row of a run that came to nothing."""
-    return ExploringRow(task.kind, task.seed, task.strategy, error=f"{type(error).__name__}: {error}")
-
-
-@with_failures(failed)
 def run(task: ExploringTask) -> ExploringRow:
-    """Explore and judge; what raises becomes a row that says so."""
+    """Explore and judge."""
     return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
-
-
-class _Timed(Decider):
-    """A decider that notes the processor time of each decision (ms), and what is open of the rig's constants (m)."""
-
-    spent_ms: list[float]
-    open_rig_m: float
-
-    def answer(self, question: Question) -> ExplorationAnswer:
-        begin = time.process_time()
-        answer = super().answer(question)
-        if isinstance(question.outlook, Outlook):
-            self.spent_ms.append((time.process_time() - begin) * 1e3)
-            cost = rig_cost(question.outlook, question.outlook.touched)
-            self.open_rig_m = math.nan if cost is None else cost.sd
-        return answer
 
 
 def explored(task: ExploringTask, config: Config, body: Body | None = None) -> ExploringRow:
@@ -171,41 +102,32 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     begin = time.process_time()
     rig = rig_description(config)
     finds_out = task.strategy == "explore"
-    clairvoyant = Clairvoyant() if task.strategy == "clairvoyant" else None
-    goal = ExploreGoal(coverage=GOAL, band_mm=task.band_mm, time_limit_s=task.seconds)
-    decider = _Timed(rig, task.seed)
-    decider.spent_ms, decider.open_rig_m = [], math.nan
+    goal = ExploreGoal(coverage=GOAL, time_limit_s=task.seconds)
     wireless = Wireless(
         config,
         plan(task.strategy, config, goal, task.seed),
         task.seed,
         kind=task.kind,
         smoothing=Simulated(rig) if finds_out else None,
-        explorer=InlineExplorer(decider),
-        estimator=clairvoyant,
+        explorer=InlineExplorer(Decider(rig, task.seed)),
         body=body,
     )
     true_h = np.array(wireless.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
     watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
-    if clairvoyant is not None:
-        clairvoyant.world, clairvoyant.touched = wireless.world, lambda: watch.touched
     wireless.start()
     watch.t_start = wireless.t
     before = wireless.world.status()["contact_losses"]
-    held = HeldWatch.of(wireless.world)
-    ended_s = _watched(wireless, watch, held, task.seconds)
+    ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
-    told = wireless.core.exploring.told() if task.strategy in EXPLORES else None
+    told = wireless.core.exploring.told() if finds_out else None
     score = watch.outline_score(true_h) if finds_out else None
     tick_s = 1.0 / config.loop.rate_hz
-    return ExploringRow(
-        kind=task.kind,
-        seed=task.seed,
-        strategy=task.strategy,
+    return result(
+        ExploringRow,
+        task,
         reachable=float(reachable.mean()),
         coverage=watch.coverage,
-        of_all=float(watch.touched.mean()),
         enough_s=watch.t_enough,
         valid_s=watch.t_valid,
         ended_s=ended_s,
@@ -213,33 +135,21 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
         band_m=max(watch.shape["h_sd_m"]) if finds_out and watch.shape else math.nan,
-        open_rig_m=decider.open_rig_m,
         losses=status["contact_losses"] - before,
-        falls=status["falls"],
         parted_s=watch.parted * tick_s,
         edge_s=watch.at_edge * tick_s,
-        wedged_s=held.wedged * tick_s,
-        pressed_s=held.pressed * tick_s,
-        most_force_m_s2=held.most_force,
-        unnoticed=held.unnoticed,
         recovered=watch.on_both and watch.valid,
         outside=status["setpoints_outside_limits"] + status["jams"],
         refused=sum(count for name, count in status.items() if name.startswith("refused_")),
-        objects=watch.objects,
-        decisions=len(decider.spent_ms),
-        decision_median_ms=float(np.median(decider.spent_ms)) if decider.spent_ms else math.nan,
-        decision_most_ms=max(decider.spent_ms, default=math.nan),
-        seconds=time.process_time() - begin,
-        curve=tuple(watch.curve + watch.curve[-1:] * (math.floor(task.seconds) + 1 - len(watch.curve))),
+        took_s=time.process_time() - begin,
     )
 
 
-def _watched(wireless: Wireless, watch: ExplorationWatch, held: HeldWatch, seconds: float) -> float:
+def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> float:
     """Let it run, no longer than something happens; when the exploration ended (s since the start), else NaN."""
     exploring, ended = False, math.nan
     for instant in wireless.run(seconds):
         watch.take(instant)
-        held.take(instant)
         explores_now = wireless.core.setpoints.exploration is not None
         if exploring and not explores_now and math.isnan(ended):
             ended = instant.t - watch.t_start
@@ -255,3 +165,101 @@ def _reachable(config: Config, true_h: FloatArray) -> Bools:
     where = replace(surface_limits(limits), margin=EDGE_M)
     surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)
     return np.asarray(surface.reach.any(axis=0), dtype=np.bool_)
+
+
+# ---------------------------------------------------------------------------------------------------- the study
+
+
+def draw(arguments: argparse.Namespace) -> Sequence[ExploringTask]:
+    """So many objects of each kind, each with every strategy; CliError for a configuration that is none.
+
+    No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
+    """
+    if arguments.config is not None:
+        configured(arguments.config)
+    rest = arguments.seconds, arguments.imperfections, arguments.config
+    return [
+        ExploringTask(kind, arguments.seed + len(KINDS) * i + KINDS.index(kind), strategy, *rest)
+        for i in range(arguments.runs)
+        for kind in harness.kinds_of(arguments, KINDS)
+        for strategy in STRATEGIES
+    ]
+
+
+def remarks(rows: Sequence[ExploringRow]) -> list[str]:
+    """The explorations to look at: a line for each that touched too little, met with a mishap, or came to nothing."""
+    return [
+        f"{row.kind} {row.seed}: {remark}" for row in rows if row.strategy == "explore" and (remark := remark_of(row))
+    ]
+
+
+def remark_of(row: ExploringRow) -> str:
+    """What is to be said of a run, nothing where all is well."""
+    if row.error:
+        return row.error
+    parts = []
+    if row.strategy == "explore" and math.isnan(row.enough_s):
+        parts.append(f"touched {row.coverage:.0%} of the {row.reachable:.0%} that can be reached ({row.reason})")
+    if row.mishap:
+        parts.append(
+            f"contact lost {row.losses} times, {row.parted_s:.2f} s; at a pad's end for {row.edge_s:.2f} s"
+            + ("" if row.recovered else "; not recovered")
+        )
+    if row.outside or row.refused:
+        parts.append(f"{row.outside} set-points outside the limits, {row.refused} refused")
+    return ", ".join(parts)
+
+
+def two(value: Callable[[ExploringRow], float], unit: float = 1.0) -> Cell:
+    """Median and 90th percentile, a run without the number counting as infinite."""
+    return quantiles(value, unit, (0.5, 0.9), worst=True)
+
+
+def _in_the_end(rows: Sequence[ExploringRow]) -> str:
+    """Median and 10th percentile of what was touched; a run that came to nothing has touched nothing."""
+    touched = [0.0 if math.isnan(row.coverage) else row.coverage for row in rows]
+    return " / ".join(percent(quantile(touched, q)) for q in (0.5, 0.1))
+
+
+COLUMNS: list[tuple[str, Cell]] = [
+    ("objects", runs),
+    ("ended in an error", errors),
+    ("touched 95 % (% of objects)", shares(lambda row: math.isfinite(row.enough_s))),
+    ("time to 95 %, median / p90 (s)", two(lambda row: row.enough_s)),
+    ("touched in the end, median / p10 (%)", _in_the_end),
+    ("first valid after, median / p90 (s)", two(lambda row: row.valid_s)),
+    ("ended by itself after, median / p90 (s)", two(lambda row: row.ended_s)),
+    ("whole outline: largest error, median / p90 (mm)", two(lambda row: row.hausdorff_m, 1e3)),
+    ("whole outline: RMS, median / p90 (µm)", two(lambda row: row.e_h_m, 1e6)),
+    ("contact lost or pad's end reached (runs)", count(lambda row: row.mishap)),
+    ("of these not recovered", count(lambda row: row.mishap and not row.recovered)),
+    ("limits or workspace violated (runs)", count(lambda row: row.outside + row.refused > 0)),
+    ("processor time of a run, median / p90 (s)", two(lambda row: row.took_s)),
+]
+
+STUDY = Study(
+    "explore",
+    draw,
+    run,
+    ExploringRow,
+    order=lambda row: (KINDS.index(row.kind), STRATEGIES.index(row.strategy), row.seed),
+    by=lambda row: row.kind if row.strategy == "explore" else f"{row.kind}, {row.strategy}",
+    columns=COLUMNS,
+    across=True,
+    remarks=remarks,
+    panels=[
+        ("time to 95 % of what can be reached (s)", lambda row: row.enough_s, 1.0, (), False),
+        ("touched of what can be reached in the end (%)", lambda row: row.coverage, 100.0, (), False),
+        ("first valid after (s)", lambda row: row.valid_s, 1.0, (), False),
+        ("whole outline: RMS error (µm)", lambda row: row.e_h_m, 1e6, (), True),
+    ],
+    line=lambda row: harness.as_line(row) | {"config": row.config and str(row.config)},
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(parser, runs=10, seconds_each=60.0, output="explore", kinds=KINDS)
+    add = parser.add_argument
+    add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")
+    add("--config", type=Path, help="the rig, with its imperfections; default: VersaPads and an arm")

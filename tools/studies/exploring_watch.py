@@ -30,8 +30,8 @@ class ExplorationWatch:
     """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
     `curvatures` of the palms (1/m): normals are those of the tangents at the contacts.
 
-    curve: the share touched of the reachable normals at each full second since `t_start` (s). t_enough: when that
-    was `ENOUGH`; t_valid: the first valid tick (s since the start), both NaN when it never came.
+    t_enough: when the share touched of the reachable normals was `ENOUGH`; t_valid: the first valid tick (s since the
+    start), both NaN when it never came.
     """
 
     reachable: Bools
@@ -39,11 +39,9 @@ class ExplorationWatch:
     t_start: float
     curvatures: Sequence[float] = FLAT
     touched: Bools = field(default_factory=lambda: np.zeros(BINS, dtype=np.bool_))
-    curve: list[float] = field(default_factory=list)
     t_enough: float = math.nan
     t_valid: float = math.nan
     valid: bool = False
-    objects: int = 0
     on_both: bool = False
     at_edge: int = 0  # ticks
     parted: int = 0  # ticks
@@ -54,12 +52,10 @@ class ExplorationWatch:
         t, truth = instant.t - self.t_start, instant.truth
         self._touch(truth)
         estimate = instant.messages[ESTIMATE.name]
-        self.valid, self.objects = bool(estimate["valid"]), estimate["object"]
+        self.valid = bool(estimate["valid"])
         if self.valid:
             self.t_valid = t if math.isnan(self.t_valid) else self.t_valid
             self.shape = instant.messages.get(SHAPE.name, self.shape)
-        if t >= len(self.curve):
-            self.curve.append(self.coverage)
         if math.isnan(self.t_enough) and self.coverage >= ENOUGH:
             self.t_enough = t
 

@@ -1,17 +1,16 @@
 """Ordinary operation without wires: how often a guard holds or stops a rig that nothing is wrong with.
 
 Somebody explores, runs plans, holds and starts, jogs, exchanges plans and objects; the daemon's process is kept off
-its processor for 5 to 25 ms now and then. One line for each life, as JSON; exit status 1 when a guard held or stopped.
+its processor for 5 to 25 ms now and then. Exit status 1 when a guard held or stopped.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,6 @@ from palmd.config.guards import force_limits
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.config.two_palms import Config, rig_description
-from palmd.console.arguments import count, seconds, seed
-from palmd.console.errors import BAD_INPUT
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
 from palmd.faults import Severity
@@ -32,9 +29,11 @@ from palmd.harness.wireless import ClosedLoop, Wireless, WirelessError
 from palmd.observer import Simulated
 from palmd.observer.pivot.growing import PERIOD_S
 from palmd.record.run import RecordedAnswers
-from palmd.rig.plant import AS_ASSUMED, PlantOptions
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config, load_plan, parse, read_document
+from tools.studies import harness
+from tools.studies.cells import errors, most, runs, total
+from tools.studies.harness import Goal, Study, result
 from tools.studies.simulation.light_observer import LightObserver
 
 GUARDS = frozenset(
@@ -68,21 +67,29 @@ RIGS: dict[str, Rig] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Life:
-    """What came of one: its length and how much of it the rig moved (s), the guards' faults with times and texts, other
-    holds and stops by code, commands given, and the largest following error as a share of its limit.
-
-    A fault about force is another's where the body really presses with the limit: `guards` are false alarms.
-    """
+class LifeTask:
+    """One life of a rig: by the body, the noise and the person of this seed, how long (s), and how it is observed."""
 
     rig: str
     seed: int
     seconds: float
-    moved_s: float
-    guards: tuple[tuple[float, str, str], ...]
-    others: Mapping[str, int]
-    commands: Mapping[str, int]
-    following_share: float
+    light: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Life(LifeTask):
+    """What came of one: how much of it the rig moved (s), the guards' faults with times and texts, other holds and
+    stops by code, commands given, and the largest following error as a share of its limit.
+
+    A fault about force is another's where the body really presses with the limit: `guards` are false alarms.
+    """
+
+    error: str = ""
+    moved_s: float = 0.0
+    guards: tuple[tuple[float, str, str], ...] = ()
+    others: Mapping[str, int] = field(default_factory=dict)
+    commands: Mapping[str, int] = field(default_factory=dict)
+    following_share: float = math.nan
 
 
 class Stalled:
@@ -126,10 +133,10 @@ class Stalled:
         return self._step(t)
 
 
-def loop_of(rig: str, seed: int, plan: str, *, light: bool, averaged: bool = False) -> ClosedLoop[Any]:
+def loop_of(rig: str, seed: int, plan: str, *, light: bool) -> ClosedLoop[Any]:
     """The shipped rig of this name with a plan.
 
-    `light`: with an observer that costs nothing, or without a smoother; `averaged`: by the old law of friction.
+    `light`: with an observer that costs nothing, or without a smoother.
     """
     config, path = load_any_config(shipped(RIGS[rig].config)), shipped("plans") / plan
     match config:
@@ -141,8 +148,7 @@ def loop_of(rig: str, seed: int, plan: str, *, light: bool, averaged: bool = Fal
             return ThreePalmsWireless(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
         case Config():
             if light:
-                options = PlantOptions(friction_law="averaged") if averaged else AS_ASSUMED
-                return Wireless(config, load_plan(path), seed, estimator=LightObserver(), options=options)
+                return Wireless(config, load_plan(path), seed, estimator=LightObserver())
             return Wireless(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
     raise TypeError(f"no closed loop for {rig}")
 
@@ -245,37 +251,60 @@ def _shares(fields: Mapping[str, Any]) -> Iterator[float]:
             yield abs(error) / limit if limit else 0.0
 
 
-def lived(name: str, seed: int, seconds: float, *, light: bool, averaged: bool = False) -> Life:
-    """One life of a shipped rig with the body, the noise and the person of this seed."""
-    rig = RIGS[name]
-    plans = tuple(plan for plan in rig.plans if not light or name == "pivot" or "explore" not in plan)
-    loop = loop_of(name, seed, plans[seed % len(plans)], light=light, averaged=averaged)
+def lived(task: LifeTask) -> Life:
+    """One life of a shipped rig."""
+    rig = RIGS[task.rig]
+    plans = tuple(plan for plan in rig.plans if not task.light or task.rig == "pivot" or "explore" not in plan)
+    loop = loop_of(task.rig, task.seed, plans[task.seed % len(plans)], light=task.light)
     config = load_any_config(shipped(rig.config))
     full = {f"palm{number}": pad.full_scale_n for number, pad in enumerate(config.pads.each(), 1)}
-    person = Person(rig, plans, seed, loop, force_limits(config.limits.force_n, full))
-    person.live(seconds)
-    return Life(
-        name, seed, seconds, round(person.moved_s, 1), tuple(person.guards), dict(person.others),
-        dict(person.commands), round(person.following_share, 3),
+    person = Person(rig, plans, task.seed, loop, force_limits(config.limits.force_n, full))
+    person.live(task.seconds)
+    return result(
+        Life, task, moved_s=round(person.moved_s, 1), guards=tuple(person.guards), others=dict(person.others),
+        commands=dict(person.commands), following_share=round(person.following_share, 3),
     )  # fmt: skip
+
+
+def draw(arguments: argparse.Namespace) -> Sequence[LifeTask]:
+    """One life for each seed."""
+    return [LifeTask(arguments.rig, seed, arguments.seconds, arguments.light) for seed in harness.seeds_of(arguments)]
+
+
+def remarks(rows: Sequence[Life]) -> Iterator[str]:
+    """A line for each false alarm, and each life that ended in an error."""
+    for row in rows:
+        if row.error:
+            yield f"{row.rig} {row.seed}: {row.error}"
+        for t, code, text in row.guards:
+            yield f"{row.rig} {row.seed}: {code} after {t:g} s: {text}"
+
+
+STUDY = Study(
+    "false alarms",
+    draw,
+    lived,
+    Life,
+    order=lambda row: row.seed,
+    by=lambda row: row.rig,
+    columns=[
+        ("lives", runs),
+        ("hours", lambda rows: f"{sum(row.seconds for row in rows) / 3600.0:.2f}"),
+        ("moved", lambda rows: f"{sum(row.moved_s for row in rows) / 3600.0:.2f}"),
+        ("false alarms", total(lambda row: len(row.guards))),
+        ("other holds and stops", total(lambda row: sum(row.others.values()))),
+        ("commands", total(lambda row: sum(row.commands.values()))),
+        ("following error, most of its limit", most(lambda row: row.following_share)),
+        ("errors", errors),
+    ],
+    remarks=remarks,
+    goals=[Goal("no guard holds or stops", lambda rows: not any(row.guards or row.error for row in rows))],
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     parser.add_argument("rig", choices=RIGS)
-    parser.add_argument("--runs", type=count, default=10, metavar="N", help="how many lives (default: %(default)s)")
-    parser.add_argument("--seed", type=seed, default=9100, metavar="FIRST", help="the first's (default: %(default)s)")
-    parser.add_argument("--seconds", type=seconds, default=60.0, metavar="S", help="of each life; default: %(default)g")
+    harness.add_arguments(parser, runs=10, seconds_each=60.0, output=None, what="how many lives")
+    parser.set_defaults(seed=9100)
     parser.add_argument("--light", action="store_true", help="no real observer: for more hours")
-    parser.add_argument("--averaged", action="store_true", help="with --light: the old law of friction, twice as fast")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """One life for each seed."""
-    light = arguments.light or arguments.averaged
-    alarms = 0
-    for number in range(arguments.seed, arguments.seed + arguments.runs):
-        life = lived(arguments.rig, number, arguments.seconds, light=light, averaged=arguments.averaged)
-        alarms += len(life.guards)
-        print(json.dumps(asdict(life)), flush=True)
-    return BAD_INPUT if alarms else 0

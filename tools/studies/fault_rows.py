@@ -65,14 +65,7 @@ class WallClockStep:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class BrokenObserver:
-    """In a run without wires, so that no hook is needed in the daemon: from a tick on the observer raises, or lies."""
-
-    how: Literal["raises", "nan"]
-
-
-Act = RowFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep | BrokenObserver
+Act = RowFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,32 +91,19 @@ class FaultRow:
         return frozenset(code for code, _ in self.faults)
 
 
+# fmt: off
 def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
     """Of a pad on a serial line; `damaged`: the share of its bytes that it can just do without, in words and number."""
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
         FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
-        FaultRow(
-            f"{pad}-garbled",
-            f"{damaged[0]} of its bytes are damaged",
-            RowFault("garble", pad, damaged[1]),
-            "tracking",
-            ("nothing", f"{pad}-damaged"),
-            ((garbled, "degrade"),),
-            late,
-        ),
-        FaultRow(
-            f"{pad}-late",
-            "what it says comes 200 ms late",
-            RowFault("late", pad, 0.2),
-            "hold",
-            (f"{pad}-mute",),
-            ((silent, "hold"),),
-        ),
-        FaultRow(
-            f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", (f"{pad}-mute",), ((silent, "hold"),)
-        ),
+        FaultRow(f"{pad}-garbled", f"{damaged[0]} of its bytes are damaged", RowFault("garble", pad, damaged[1]),
+                 "tracking", ("nothing", f"{pad}-damaged"), ((garbled, "degrade"),), late),
+        FaultRow(f"{pad}-late", "what it says comes 200 ms late", RowFault("late", pad, 0.2), "hold",
+                 (f"{pad}-mute",), ((silent, "hold"),)),
+        FaultRow(f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", (f"{pad}-mute",),
+                 ((silent, "hold"),)),
         FaultRow(
             f"{pad}-replaced",
             "its port comes back under another number",
@@ -133,14 +113,8 @@ def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
             ((port, "hold"),),
             (silent,),  # from the opening to the first packet
         ),
-        FaultRow(
-            f"{pad}-foreign",
-            "another device speaks at its port",
-            RowFault("misbaud", pad),
-            "hold",
-            (f"{pad}-foreign",),
-            ((silent, "hold"), (garbled, "degrade")),
-        ),
+        FaultRow(f"{pad}-foreign", "another device speaks at its port", RowFault("misbaud", pad), "hold",
+                 (f"{pad}-foreign",), ((silent, "hold"), (garbled, "degrade"))),
     )
 
 
@@ -163,9 +137,8 @@ def arm_port_rows(
         FaultRow("arm-dead", f"{port} disappears", RowFault("unplug", "arm"), "fault", gone, stop, lost, goal_s),
         FaultRow("arm-mute", mute, RowFault("mute", "arm"), "fault", ("arm-mute",), late, own, goal_s),
         FaultRow("arm-replaced", f"{port} comes back under another number", back, "fault", gone, stop, lost, goal_s),
-        FaultRow(
-            "arm-foreign", foreign[0], RowFault("misbaud", "arm"), "fault", (foreign[1],), (ARM_LOST,), own, goal_s
-        ),
+        FaultRow("arm-foreign", foreign[0], RowFault("misbaud", "arm"), "fault", (foreign[1],), (ARM_LOST,), own,
+                 goal_s),
     )
 
 
@@ -175,201 +148,115 @@ _ARM_DEAD, _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN = arm_port_rows(
 
 ROWS: tuple[FaultRow, ...] = (
     *(row for pad in PADS for row in pad_rows(pad, ("a fifth", 0.2))),
-    FaultRow(
-        "object-lifted",
-        "the object is lifted off",
-        RowFault("lift"),
-        "hold",
-        ("lifted",),
-        (("pad1-lifted", "hold"), ("pad2-lifted", "hold")),
-    ),
-    FaultRow(
-        "arm-blocked",
-        "something holds the arm for 2 s",
-        RowFault("block", "arm", for_s=2.0),
-        "fault",
-        ("not-followed",),
-        (("following-error", "stop"),),
-        goal_s=STOPPED_S,
-    ),
-    FaultRow(
-        "arm-frozen",
-        "the arm reports the same pose all the time",
-        RowFault("freeze", "arm", for_s=2.0),
-        "fault",
-        ("not-followed",),
-        (("following-error", "stop"),),
-        goal_s=STOPPED_S,
-    ),
-    FaultRow(
-        "arm-jump",
-        "the pose that the arm reports jumps by 20 mm",
-        RowFault("jump", "arm", 0.02, for_s=1.0),
-        "fault",
-        ("implausible",),
-        (("pose-implausible", "stop"),),
-        goal_s=STOPPED_S,
-    ),
-    FaultRow(
-        "arm-impossible",
-        "the arm reports a pose that no palm angles belong to",
-        RowFault("jump", "arm", 0.5, for_s=1.0),
-        "fault",
-        ("implausible",),
-        (("pose-implausible", "stop"),),
-        goal_s=STOPPED_S,
-    ),
+    FaultRow("object-lifted", "the object is lifted off", RowFault("lift"), "hold", ("lifted",),
+             (("pad1-lifted", "hold"), ("pad2-lifted", "hold"))),
+    FaultRow("arm-blocked", "something holds the arm for 2 s", RowFault("block", "arm", for_s=2.0), "fault",
+             ("not-followed",), (("following-error", "stop"),), goal_s=STOPPED_S),
+    FaultRow("arm-frozen", "the arm reports the same pose all the time", RowFault("freeze", "arm", for_s=2.0),
+             "fault", ("not-followed",), (("following-error", "stop"),), goal_s=STOPPED_S),
+    FaultRow("arm-jump", "the pose that the arm reports jumps by 20 mm", RowFault("jump", "arm", 0.02, for_s=1.0),
+             "fault", ("implausible",), (("pose-implausible", "stop"),), goal_s=STOPPED_S),
+    FaultRow("arm-impossible", "the arm reports a pose that no palm angles belong to",
+             RowFault("jump", "arm", 0.5, for_s=1.0), "fault", ("implausible",), (("pose-implausible", "stop"),),
+             goal_s=STOPPED_S),
     *(
-        FaultRow(
-            f"{pad}-saturated",
-            "its pressure is eight times what it was",
-            RowFault("saturate", pad, for_s=3.0),
-            "hold",
-            ("pressed",),
-            (("force-limit", "hold"),),
-            ("force-excess", "pads-swapped", "estimate-lost"),
-            goal_s=STOPPED_S,
-        )
+        FaultRow(f"{pad}-saturated", "its pressure is eight times what it was", RowFault("saturate", pad, for_s=3.0),
+                 "hold", ("pressed",), (("force-limit", "hold"),), ("force-excess", "pads-swapped", "estimate-lost"),
+                 goal_s=STOPPED_S)
         for pad in PADS
     ),
     _ARM_DEAD,
-    FaultRow(
-        "arm-garbled",
-        "a fifth of its line's bytes are damaged",
-        RowFault("garble", "arm", 0.2),
-        "fault",
-        ("arm-damaged",),
-        (ARM_LOST,),
-        ("arm-fault", "arm-left-tracking"),
-    ),
-    FaultRow(
-        "arm-late",
-        "what it says comes 120 ms late",
-        RowFault("late", "arm", 0.12),
-        "tracking",
-        ("arm-late",),
-        (("arm-late", "degrade"),),
-    ),
-    _ARM_MUTE,
-    _ARM_REPLACED,
-    _ARM_FOREIGN,
-    FaultRow(
-        "controller-break",
-        "a break on the arm's line",
-        RowFault("break", "arm"),
-        "fault",
-        ("arm-break",),
-        (("arm-fault", "stop"),),
-        ("arm-left-tracking",),
-    ),
-    FaultRow(
-        "controller-estop",
-        "the e-stop is pressed",
-        RowFault("estop", "arm"),
-        "fault",
-        ("arm-estop",),
-        (("arm-estop", "stop"),),
-    ),
-    FaultRow(
-        "controller-power-off",
-        "arm power goes",
-        RowFault("power_off", "arm"),
-        "fault",
-        ("arm-power-off",),
-        (("arm-power-off", "stop"),),
-    ),
-    FaultRow(
-        "controller-manual",
-        "the operator takes the arm and jogs it",
-        RowFault("manual", "arm"),
-        "fault",
-        ("arm-manual",),
-        (("arm-manual", "stop"),),
-        goal_s=math.inf,
-    ),
-    FaultRow(
-        "controller-watchdog",
-        "200 ms without a set-point",
-        RowFault("mute", "arm", for_s=0.2),
-        "fault",
-        ("arm-watchdog", "arm-mute"),
-        (("arm-fault", "stop"),),
-        ("arm-left-tracking", "arm-link-lost"),
-        HOST_DEAD_S,
-    ),
-    FaultRow(
-        "daemon-paused-50",
-        "the daemon is stopped for 50 ms",
-        Pause("daemon", 0.05),
-        "tracking",
-        ("stalled",),
-        (("loop-overrun", "note"),),
-    ),
-    FaultRow(
-        "daemon-paused-300",
-        "the daemon is stopped for 300 ms",
-        Pause("daemon", 0.3),
-        "fault",
-        ("stalled",),
-        (("arm-fault", "stop"), ("loop-overrun", "note")),
-        ("arm-left-tracking", "arm-link-lost", "pad1-silent", "pad2-silent"),
-        HOST_DEAD_S,
-    ),
-    FaultRow(
-        "daemon-killed",
-        "the daemon is killed, and another one started",
-        Kill("daemon"),
-        "ready",
-        ("died",),
-        (("arm-fault", "stop"),),
-        goal_s=HOST_DEAD_S,
-    ),
-    FaultRow(
-        "observer-raises",
-        "the observer raises",
-        BrokenObserver("raises"),
-        "fault",
-        ("failed",),
-        (("tick-error", "stop"),),
-    ),
-    FaultRow(
-        "observer-nan",
-        "the observer calls NaN valid",
-        BrokenObserver("nan"),
-        "fault",
-        ("not-finite",),
-        (("estimate-not-finite", "stop"),),
-    ),
-    FaultRow(
-        "disk-full", "the recorder cannot write", FullDisk(), "tracking", ("cut",), (("recorder-failed", "note"),)
-    ),
-    FaultRow(
-        "recorder-killed",
-        "the recorder is killed",
-        Kill("recorder"),
-        "tracking",
-        ("cut",),
-        (("recorder-silent", "note"),),
-    ),
-    FaultRow(
-        "recorder-stuck",
-        "the recorder is stopped for 5 s",
-        Pause("recorder", 5.0),
-        "tracking",
-        ("nothing",),
-        (("recorder-silent", "note"),),
-    ),
-    FaultRow(
-        "smoother-stopped",
-        "the smoother is stopped for 4 s",
-        Pause("smoother", 4.0),
-        "tracking",
-        ("nothing",),
-        (("smoother-silent", "degrade"),),
-    ),
+    FaultRow("arm-garbled", "a fifth of its line's bytes are damaged", RowFault("garble", "arm", 0.2), "fault",
+             ("arm-damaged",), (ARM_LOST,), ("arm-fault", "arm-left-tracking")),
+    FaultRow("arm-late", "what it says comes 120 ms late", RowFault("late", "arm", 0.12), "tracking", ("arm-late",),
+             (("arm-late", "degrade"),)),
+    _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN,
+    FaultRow("controller-break", "a break on the arm's line", RowFault("break", "arm"), "fault", ("arm-break",),
+             (("arm-fault", "stop"),), ("arm-left-tracking",)),
+    FaultRow("controller-estop", "the e-stop is pressed", RowFault("estop", "arm"), "fault", ("arm-estop",),
+             (("arm-estop", "stop"),)),
+    FaultRow("controller-power-off", "arm power goes", RowFault("power_off", "arm"), "fault", ("arm-power-off",),
+             (("arm-power-off", "stop"),)),
+    FaultRow("controller-manual", "the operator takes the arm and jogs it", RowFault("manual", "arm"), "fault",
+             ("arm-manual",), (("arm-manual", "stop"),), goal_s=math.inf),
+    FaultRow("controller-watchdog", "200 ms without a set-point", RowFault("mute", "arm", for_s=0.2), "fault",
+             ("arm-watchdog", "arm-mute"), (("arm-fault", "stop"),), ("arm-left-tracking", "arm-link-lost"),
+             HOST_DEAD_S),
+    FaultRow("daemon-paused-50", "the daemon is stopped for 50 ms", Pause("daemon", 0.05), "tracking", ("stalled",),
+             (("loop-overrun", "note"),)),
+    FaultRow("daemon-paused-300", "the daemon is stopped for 300 ms", Pause("daemon", 0.3), "fault", ("stalled",),
+             (("arm-fault", "stop"), ("loop-overrun", "note")),
+             ("arm-left-tracking", "arm-link-lost", "pad1-silent", "pad2-silent"), HOST_DEAD_S),
+    FaultRow("daemon-killed", "the daemon is killed, and another one started", Kill("daemon"), "ready", ("died",),
+             (("arm-fault", "stop"),), goal_s=HOST_DEAD_S),
+    FaultRow("disk-full", "the recorder cannot write", FullDisk(), "tracking", ("cut",),
+             (("recorder-failed", "note"),)),
+    FaultRow("recorder-killed", "the recorder is killed", Kill("recorder"), "tracking", ("cut",),
+             (("recorder-silent", "note"),)),
+    FaultRow("recorder-stuck", "the recorder is stopped for 5 s", Pause("recorder", 5.0), "tracking", ("nothing",),
+             (("recorder-silent", "note"),)),
+    FaultRow("smoother-stopped", "the smoother is stopped for 4 s", Pause("smoother", 4.0), "tracking", ("nothing",),
+             (("smoother-silent", "degrade"),)),
     FaultRow("page-killed", "the live page is killed", Kill("page"), "tracking", ("nothing",)),
     FaultRow("page-stuck", "the live page is stopped for 3 s", Pause("page", 3.0), "tracking", ("nothing",)),
     FaultRow("address-taken", "a second daemon wants the same addresses", TakenAddress(), "tracking", ("nothing",)),
     FaultRow("clock-step", "the wall clock is set back by an hour", WallClockStep(-3600.0), "tracking", ("nothing",)),
 )
 NAMES = tuple(row.name for row in ROWS)
+
+# ---- rigs of servos, strips and input devices
+
+SERVOS_DEAD_S = 0.150
+"""From the host's death to the palms standing still: the servos' own watchdogs."""
+
+_OWN = ("arm-fault", "arm-servo-watchdog", "arm-servo-restarted", "arm-servo-refused")
+"""What a servo may say of itself once it is heard again."""
+
+
+def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
+    return FaultRow(name, cause, RowFault(trick, "arm"), "fault", ("arm-servo",), ((code, "stop"),), ("arm-fault",))
+
+
+_SERVOS_DEAD, _SERVOS_MUTE, _SERVOS_REPLACED, _SERVOS_FOREIGN = arm_port_rows(
+    "the adapter's port",
+    "both servos fall silent, and hear nothing",
+    ("the bus runs at another speed", "arm-mute"),  # for the servos hear nothing that is an instruction
+    _OWN,
+    SERVOS_DEAD_S,
+)
+
+SERVO_ROWS: tuple[FaultRow, ...] = (
+    _SERVOS_DEAD, _SERVOS_MUTE, _SERVOS_FOREIGN, _SERVOS_REPLACED,
+    _servo("servo-overload", "palm 1's servo is overloaded", "overload", "arm-servo-overload"),
+    _servo("servo-hot", "palm 1's servo gets too hot", "overheat", "arm-servo-hot"),
+    _servo("servo-voltage", "palm 1's servo says that its supply is out of range", "undervoltage", "arm-servo-voltage"),
+    FaultRow("servo-brownout", "palm 1's servo starts anew, which takes it 0.4 s", RowFault("brownout", "arm"),
+             "fault", ("arm-mute",), (ARM_LOST,), _OWN),
+    FaultRow("supply-cut", "the supply's switch is opened", RowFault("estop", "arm"), "fault", ("arm-mute",),
+             (ARM_LOST,), _OWN),
+    FaultRow("servo-watchdog", "200 ms without an instruction", RowFault("mute", "arm", for_s=0.2), "fault",
+             ("arm-servo-watchdog", "arm-mute"), (("arm-servo-watchdog", "stop"),), ("arm-fault", "arm-link-lost"),
+             SERVOS_DEAD_S),
+    FaultRow("daemon-paused-300", "the daemon is stopped for 300 ms", Pause("daemon", 0.3), "fault", ("stalled",),
+             (ARM_LOST, ("loop-overrun", "note")), (*_OWN, "pad1-silent", "pad2-silent"), SERVOS_DEAD_S),
+    FaultRow("daemon-killed", "the daemon is killed, and another one started", Kill("daemon"), "ready", ("died",),
+             goal_s=SERVOS_DEAD_S),
+)
+
+STRIP_ROWS: tuple[FaultRow, ...] = tuple(row for pad in PADS for row in pad_rows(pad, ("a twentieth", 0.05)))
+
+
+def _input(pad: PortName) -> tuple[FaultRow, ...]:
+    port = f"{pad}-port"
+    return (
+        FaultRow(f"{pad}-dead", "it is unplugged", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
+        FaultRow(f"{pad}-replaced", "it comes back under another number", RowFault("unplug", pad, for_s=0.5), "hold",
+                 (port,), ((port, "hold"),), (f"{pad}-silent",)),
+        FaultRow(f"{pad}-overflow", "the kernel drops what it said", RowFault("overflow", pad), "tracking",
+                 ("nothing",)),
+        FaultRow(f"{pad}-mute", "it says nothing any more, and the palms turn", RowFault("mute", pad), "hold",
+                 (f"{pad}-mute",), ((f"{pad}-silent", "hold"),)),
+    )
+
+
+INPUT_ROWS: tuple[FaultRow, ...] = tuple(row for pad in PADS for row in _input(pad))

@@ -1,39 +1,46 @@
-"""Blind reconstruction of random objects in random motion: one run, by its kind and seed.
-
-`run` needs nothing but its task and touches nothing but a temporary file, so that it gives the same row in any
-process, on any machine and in any order.
-"""
+"""Random objects in random motion, reconstructed blind, scored against their truth and the Cramér–Rao bound."""
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from palmd import observer
 from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, ShapeEstimate
-from palmd.observer.bound import cramer_rao
+from palmd.observer.bound import Bound, Truth, cramer_rao
 from palmd.observer.reconstruct import reconstruct
+from palmd.observer.reconstruction import Reconstruction
 from palmd.record.eventlog import EventLog
 from palmd.record.replay import replay
 from palmd.rig.shapes import KINDS, Kind
-from tools.studies.runs import with_failures
+from palmd.rig.simulate import CALIBRATION
+from palmd.score import WRONG_M
+from tools.studies import harness
+from tools.studies.cells import Cell, Value, among, count, errors, number, quantiles, runs, share, shares
+from tools.studies.harness import Goal, Line, Study
 from tools.studies.scoring import (
-    Line,
-    MonteCarloRow,
+    RIGHT_M,
+    Causal,
     ObserverAnswers,
+    OutlineErrors,
     causal_of,
     outline_errors,
-    row_of,
+    rms,
     score_where_known,
     truth_of,
 )
 from tools.studies.simulated import simulated
 
 TICKS_PER_SHAPE = 10
+CAUSAL_GOAL_S = 6.0
+MEDIAN_P90_P95 = (0.5, 0.9, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,44 +50,81 @@ class MonteCarloTask:
     kind: Kind
     seed: int
     seconds: float = 10.0
-    causal: bool = True
+    live: bool = True
     imperfections: Drawn = "none"
 
 
-def tasks_of(
-    kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, causal: bool, imperfections: Drawn = "none"
-) -> list[MonteCarloTask]:
-    """So many runs of each kind, all kinds with the same seeds."""
-    return [MonteCarloTask(kind, first_seed + i, seconds, causal, imperfections) for i in range(runs) for kind in kinds]
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """One parameter: its true value, the estimate's error and 1σ, and the least 1σ possible."""
+
+    true: float = math.nan
+    error: float = math.nan
+    sd: float = math.nan
+    bound: float = math.nan
+
+    @property
+    def relative_error(self) -> float:
+        """|error| over the true value, NaN where that is 0."""
+        return abs(self.error) / self.true if self.true else math.nan
 
 
-def failed(task: MonteCarloTask, error: BaseException) -> MonteCarloRow:
-    """The row of a run that came to nothing."""
-    return MonteCarloRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
+@dataclass(frozen=True, slots=True)
+class MonteCarloRow(MonteCarloTask):
+    """A run in numbers; NaN for what there is not.
+
+    error: what was raised, then nothing else is known. converged, reason, chi2, took: as `reconstruct` says. e_h,
+    max_error: over the touched normals after the best rotation; touched: their share. h_bound: RMS of the posterior
+    Cramér–Rao bound over the same normals, efficiency: h_bound / e_h. nees_h: mean over them of (error / 1σ)².
+    psi_rms: without the constant that is gauge.
+    """
+
+    error: str = ""
+    converged: bool = False
+    reason: str = ""
+    chi2: float = math.nan
+    e_h_m: float = math.nan
+    max_error_m: float = math.nan
+    mean_radius_m: float = math.nan
+    touched: float = math.nan
+    h_bound_m: float = math.nan
+    efficiency: float = math.nan
+    nees_h: float = math.nan
+    rho_m: Scalar = Scalar()
+    mu: Scalar = Scalar()
+    mass_kg: Scalar = Scalar()
+    psi_rms_rad: float = math.nan
+    omega0_rms_rad_s: float = math.nan
+    took_s: float = math.nan
+    causal: Causal | None = None
+
+    @property
+    def right(self) -> bool:
+        """Whether the outline is right to `RIGHT_M`, accepted or not."""
+        return self.e_h_m < RIGHT_M
+
+    @property
+    def wrong(self) -> bool:
+        """Whether it is accepted, and the outline is off by more than `WRONG_M`."""
+        return self.converged and self.e_h_m > WRONG_M
 
 
-@with_failures(failed)
 def run(task: MonteCarloTask) -> MonteCarloRow:
-    """Simulate, reconstruct, replay and score; what raises becomes a row that says so."""
-    log, told = simulated(task.kind, task.seed, task.seconds, imperfections=task.imperfections)
-    truth = truth_of(told)
+    """Simulate, reconstruct, replay and score."""
+    log, truth_line = simulated(task.kind, task.seed, task.seconds, imperfections=task.imperfections)
+    truth = truth_of(truth_line)
     # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
     answer = reconstruct(log.events, log.rig)
     outline = outline_errors(answer, truth)
     bound = cramer_rao(log.events, log.rig, truth, truth.theta if outline is None else outline.true_theta)
     watcher = observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig))
-    causal = causal_of(answers(log, told, watcher)) if task.causal else None
-    return row_of(task.kind, task.seed, truth, answer, outline, bound, causal)
+    causal = causal_of(answers(log, truth_line, watcher)) if task.live else None
+    return row_of(task, truth, answer, outline, bound, causal)
 
 
-def in_order(rows: Iterable[MonteCarloRow]) -> list[MonteCarloRow]:
-    """By kind and seed, whichever was finished first."""
-    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
-
-
-def answers(log: EventLog, told: Line, watcher: observer.Observer) -> ObserverAnswers:
-    """Everything that the observer says of the run, tick by tick, against the truth that was `told`."""
-    true_h = np.array(told["h_m"])
+def answers(log: EventLog, truth: Line, watcher: observer.Observer) -> ObserverAnswers:
+    """Everything that the observer says of the run, tick by tick, against the `truth`."""
+    true_h = np.array(truth["h_m"])
     t, valid, r, sd, e_h, latest = [], [], [], [], [], math.nan
     for tick in replay(log, watcher):
         if tick.number % TICKS_PER_SHAPE == 0:
@@ -92,7 +136,7 @@ def answers(log: EventLog, told: Line, watcher: observer.Observer) -> ObserverAn
         sd.append((estimate.sd["r1"], estimate.sd["r2"]))
         e_h.append(latest)
     times = np.array(t)
-    true_r = np.column_stack([np.interp(times, told["t"], told[name]) for name in ("r1_m", "r2_m")])
+    true_r = np.column_stack([np.interp(times, truth["t"], truth[name]) for name in ("r1_m", "r2_m")])
     return ObserverAnswers(
         t=times - log.events[0].t_sample,
         valid=np.array(valid, dtype=np.bool_),
@@ -105,3 +149,155 @@ def answers(log: EventLog, told: Line, watcher: observer.Observer) -> ObserverAn
 def _e_h(shape: ShapeEstimate | None, true_h: FloatArray) -> float:
     score = shape and score_where_known(shape.theta, shape.h, shape.touched, true_h)
     return score.e_h if score else math.nan
+
+
+def row_of(
+    task: MonteCarloTask,
+    truth: Truth,
+    answer: Reconstruction,
+    outline: OutlineErrors | None,
+    bound: Bound,
+    causal: Causal | None,
+) -> MonteCarloRow:
+    """The row of a run; `bound.h_sd` is for the normals `outline.true_theta`."""
+    row = harness.result(
+        MonteCarloRow,
+        task,
+        converged=bool(answer.converged),
+        reason=answer.reason,
+        chi2=float(answer.chi2),
+        mean_radius_m=float(np.mean(truth.h)),
+        rho_m=_scalar(truth.rho, answer.rho, answer.rho_sd, bound.rho_sd),
+        mu=_scalar(truth.mu, answer.mu, answer.mu_sd, bound.mu_sd),
+        mass_kg=_scalar(truth.mass, answer.mass, answer.mass_sd, bound.mass_sd),
+        took_s=float(answer.seconds),
+        causal=causal,
+    )
+    if len(answer.t):
+        turn = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)  # a straight line would be off by 0.3 mrad
+        psi, omega0 = turn(answer.t), turn(answer.t, 1)
+        row = replace(
+            row, psi_rms_rad=rms(_without_gauge(answer.psi - psi)), omega0_rms_rad_s=rms(answer.omega0 - omega0)
+        )
+    if outline is None:
+        return row
+    touched = outline.touched
+    h_bound = rms(bound.h_sd[touched])
+    return replace(
+        row,
+        e_h_m=outline.score.e_h,
+        max_error_m=outline.score.max_error,
+        touched=outline.score.touched,
+        h_bound_m=h_bound,
+        efficiency=h_bound / outline.score.e_h,
+        nees_h=float(np.mean((outline.error[touched] / outline.h_sd[touched]) ** 2)),
+    )
+
+
+def _scalar(true: float, value: float, sd: float, bound: float) -> Scalar:
+    return Scalar(float(true), float(value - true), float(sd), float(bound))
+
+
+def _without_gauge(angle: FloatArray) -> FloatArray:
+    """The angles about their own mean, on whichever branch they were given (rad)."""
+    centred = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
+    return np.asarray(centred - np.mean(centred))
+
+
+# ---------------------------------------------------------------------------------------------------- the study
+
+
+def draw(arguments: argparse.Namespace) -> Sequence[MonteCarloTask]:
+    """So many runs of each kind, all kinds with the same seeds."""
+    how = arguments.seconds, arguments.causal, arguments.imperfections
+    kinds = harness.kinds_of(arguments, KINDS)
+    return [MonteCarloTask(kind, seed, *how) for seed in harness.seeds_of(arguments) for kind in kinds]
+
+
+def _parameter(name: str, of: Callable[[Any], Scalar]) -> list[tuple[str, Cell]]:
+    def within(rows: Sequence[Any]) -> str:
+        finite = [each for each in map(of, rows) if math.isfinite(each.error + each.sd)]
+        return shares(lambda each: abs(each.error) <= 2.0 * each.sd)(finite)
+
+    return [
+        (f"{name}: |error|, median (%)", quantiles(lambda row: of(row).relative_error, 100.0)),
+        (f"{name}: within 2 sd (%)", within),
+        (f"{name}: sd / bound, median", quantiles(lambda row: of(row).sd / (of(row).bound or math.nan))),
+    ]
+
+
+def _causal(value: Value, unit: float = 1.0, *, worst: bool = False) -> Cell:
+    """Over all runs where some were replayed: one that came to nothing has not converged either."""
+    qs = MEDIAN_P90_P95 if worst else (0.5,)
+    return among(lambda row: row.causal is not None, quantiles(lambda row: value(row.causal), unit, qs, worst=worst))
+
+
+def _within_goal(rows: Sequence[MonteCarloRow]) -> str:
+    done = [row.causal for row in rows if row.causal is not None]
+    return number(share(each.converged_after_s <= CAUSAL_GOAL_S for each in done), 100.0)
+
+
+COLUMNS: list[tuple[str, Cell]] = [
+    ("runs", runs),
+    ("ended in an error", errors),
+    ("right: e_h < 0.1 mm (%)", shares(lambda row: row.right)),
+    ("converged (%)", shares(lambda row: row.converged)),
+    ("accepted but wrong: e_h > 0.3 mm", count(lambda row: row.wrong)),
+    ("e_h, median / p90 / p95 (µm)", quantiles(lambda row: row.e_h_m, 1e6, MEDIAN_P90_P95, worst=True)),
+    ("largest error, median / p90 / p95 (µm)", quantiles(lambda row: row.max_error_m, 1e6, MEDIAN_P90_P95, worst=True)),
+    ("touched normals, median (%)", quantiles(lambda row: row.touched, 100.0)),
+    ("efficiency: bound / e_h, median", quantiles(lambda row: row.efficiency)),
+    ("(error / sd)² of h, median", quantiles(lambda row: row.nees_h)),
+    ("ψ RMS, median (mrad)", quantiles(lambda row: row.psi_rms_rad, 1e3)),
+    ("ω0 RMS, median (mrad/s)", quantiles(lambda row: row.omega0_rms_rad_s, 1e3)),
+    *_parameter("ρ", lambda row: row.rho_m),
+    *_parameter("μ", lambda row: row.mu),
+    *_parameter("mass", lambda row: row.mass_kg),
+    ("reconstruct, median / p90 / p95 (s)", quantiles(lambda row: row.took_s, 1.0, MEDIAN_P90_P95)),
+    ("live: converged after, median / p90 / p95 (s)", _causal(lambda each: each.converged_after_s, worst=True)),
+    (f"live: within {CAUSAL_GOAL_S:g} s (%)", _within_goal),
+    ("live: first valid after, median (s)", _causal(lambda each: each.first_valid_s)),
+    ("live: r1, r2 RMS in the last 5 s, median (µm)", _causal(lambda each: each.r_rms_m, 1e6)),
+    ("live: (error / sd)² of r1, r2, median", _causal(lambda each: each.nees_r)),
+]
+
+
+def remarks(rows: Sequence[MonteCarloRow]) -> list[str]:
+    """The runs to look at: a line for each that is accepted and wrong, or ended in an error."""
+    return [
+        f"{row.kind} {row.seed}: {row.error or f'accepted but wrong by {row.e_h_m * 1e6:.0f} µm'}"
+        for row in rows
+        if row.error or row.wrong
+    ]
+
+
+def _converged_after(row: MonteCarloRow) -> float:
+    return row.causal.converged_after_s if row.causal else math.nan
+
+
+STUDY = Study(
+    "montecarlo",
+    draw,
+    run,
+    MonteCarloRow,
+    order=lambda row: (KINDS.index(row.kind), row.seed),
+    by=lambda row: row.kind,
+    columns=COLUMNS,
+    across=True,
+    remarks=remarks,
+    goals=[Goal("no accepted outline is wrong by more than 0.3 mm", lambda rows: not any(row.wrong for row in rows))],
+    panels=[
+        ("error of the outline e_h (µm)", lambda row: row.e_h_m, 1e6, (1e6 * RIGHT_M, 1e6 * WRONG_M), True),
+        ("efficiency: Cramér–Rao bound / e_h", lambda row: row.efficiency, 1.0, (1.0,), False),
+        ("mean (error / sd)² of the outline; calibrated at 1", lambda row: row.nees_h, 1.0, (1.0,), True),
+        ("live: converged after (s)", _converged_after, 1.0, (CAUSAL_GOAL_S,), False),
+    ],
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(parser, runs=100, seconds_each=10.0, output="montecarlo", kinds=KINDS)
+    add = parser.add_argument
+    add("--causal", action=argparse.BooleanOptionalAction, default=True, help="also through the daemon's observer")
+    add("--imperfections", choices=CALIBRATION, default="none", help="of the rig, drawn (default: %(default)s)")

@@ -1,12 +1,14 @@
-"""One thing about the rig, or about its readings, is not as described: a run reconstructed blind, and what is named.
+"""One property of the rig is not as configured: what is still accepted, how far off it is, and whether it is named.
 
-The rest of the rig is either as described, and declared to be (`exact`), or as calibration leaves one, which is what a
-log without a word about it is taken for (`calibrated`). Of each run the first ten seconds are reconstructed too: by
-then what leads the outline astray should have a name, where the readings tell it.
+Runs of 20 s (kinds friction and rig in turns) on an emulated rig of which one constant is off, or whose readings are
+spoilt. The rest of the rig is either as described, and declared to be (`exact`), or as calibration leaves one, which is
+what a log without a word about it is taken for (`calibrated`). Of each run the first ten seconds are reconstructed too:
+by then what leads the outline astray should have a name, where the readings determine it.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +17,6 @@ from typing import Literal, get_args
 import numpy as np
 
 from palmd import observer
-from palmd.console.columns import aligned
 from palmd.events import Event, PadSample
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog, read_log
@@ -26,9 +27,10 @@ from palmd.rig.simulate import PERFECTLY_KNOWN, simulate_log
 from palmd.score import WRONG_M
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
+from tools.studies import harness
+from tools.studies.cells import Cell, among, count, count_of, most, quantiles
+from tools.studies.harness import Study, result
 from tools.studies.montecarlo import answers
-from tools.studies.off_telling import Telling, telling
-from tools.studies.runs import with_failures
 from tools.studies.scoring import FAR, Line, outline_errors, truth_of
 from tools.studies.simulated import written
 
@@ -146,73 +148,47 @@ class OffTask:
 
 
 @dataclass(frozen=True, slots=True)
-class OffRow:
+class OffRow(OffTask):
     """What came of it; NaN for what there is not.
 
-    e_h, h_sd: RMS over the touched normals (m). z: of the constants that are off, the largest error in one-sigmas.
-    named, named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. bias,
-    sigmas, apart: of the latter, as `Telling` has them. ticks, valid, live_far, live_wrong: of a causal replay, those
-    that are valid, and of these with r1 and r2 by RMS more than `FAR` one-sigmas off, or either by more than `WRONG_M`.
+    e_h, h_sd: RMS over the touched normals (m). z: of the constants that are off, the largest error in 1σ. named,
+    named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. ticks, valid,
+    live_far, live_wrong: of a causal replay, those that are valid, and of these with r1 and r2 by RMS more than `FAR`
+    1σ off, or either by more than `WRONG_M`.
     """
 
-    off: str
-    taken_for: TakenFor
-    kind: Kind
-    seed: int
     error: str = ""
-    claimed: bool = False
+    accepted: bool = False
     reason: str = ""
     e_h_m: float = math.nan
     h_sd_m: float = math.nan
     z: float = math.nan
     named: tuple[str, ...] = ()
     named_early: tuple[str, ...] = ()
-    bias: float = math.nan
-    sigmas: float = math.nan
-    apart: float = math.nan
     ticks: int = 0
     valid: int = 0
     live_far: int = 0
     live_wrong: int = 0
 
     @property
-    def astray(self) -> bool:
-        """Whether what is off leads the outline astray by more than three one-sigmas before it should be named."""
-        return self.bias > FAR
-
-    @property
-    def told(self) -> bool:
-        """Whether the readings tell by then what it is."""
-        return Telling(self.bias, self.sigmas, self.apart).told
-
-    @property
     def far(self) -> bool:
-        """Whether it is claimed, and wrong by more than its band allows."""
-        return self.claimed and self.e_h_m > FAR * self.h_sd_m
+        """Whether it is accepted, and wrong by more than its band allows."""
+        return self.accepted and self.e_h_m > FAR * self.h_sd_m
 
 
-def tasks_of(
-    offs: Iterable[str], taken_for: Iterable[TakenFor], first: int, runs: int, seconds: float, live: bool = False
-) -> list[OffTask]:
+def draw(arguments: argparse.Namespace) -> Sequence[OffTask]:
     """So many runs of each, the kinds `friction` and `rig` in turns."""
     kinds: tuple[Kind, Kind] = ("friction", "rig")
-    worlds, names = tuple(taken_for), tuple(offs)
     return [
-        OffTask(off, world, kinds[seed % 2], seed, seconds, live)
-        for world in worlds
-        for off in names
-        for seed in range(first, first + runs)
+        OffTask(off, world, kinds[seed % 2], seed, arguments.seconds, arguments.live)
+        for world in arguments.taken_for
+        for off in arguments.only
+        for seed in harness.seeds_of(arguments)
     ]
 
 
-def failed(task: OffTask, error: BaseException) -> OffRow:
-    """The row of a run that came to nothing."""
-    return OffRow(task.off, task.taken_for, task.kind, task.seed, error=f"{type(error).__name__}: {error}")
-
-
-@with_failures(failed)
 def run(task: OffTask) -> OffRow:
-    """Simulate, spoil, reconstruct, compare; what raises becomes a row that says so."""
+    """Simulate, spoil, reconstruct, compare."""
     off = of_name(task.off)
     known = RigDescription().known_to(_KNOWN[task.taken_for])
     stream = KINDS.index(task.kind), task.seed
@@ -230,16 +206,13 @@ def run(task: OffTask) -> OffRow:
     first = [event for event in events if event.t_sample < NAMED_WITHIN_S]
     early = reconstruct(first, log.rig)
     answer = early if len(first) == len(events) else reconstruct(events, log.rig)
-    row = OffRow(
-        task.off, task.taken_for, task.kind, task.seed, claimed=bool(answer.converged), reason=answer.reason,
+    row = result(
+        OffRow, task, accepted=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
     if task.live:
         row = _replayed(row, replace(log, events=tuple(events)), told)
     truth, true = truth_of(told), np.array([told["rig"][name] for name in RIG_NAMES])
-    if off.constants:
-        best = telling(first, log.rig, truth, true, [*off.constants, *off.as_well])
-        row = replace(row, bias=best.bias, sigmas=best.sigmas, apart=best.apart)
     scored = outline_errors(answer, truth)
     if scored is None:
         return row
@@ -285,96 +258,11 @@ def names(contradicted: Iterable[float]) -> tuple[str, ...]:
     return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
-# ------------------------------------------------------------------------------------------------------ told
+# ---------------------------------------------------------------------------------------------------- the study
 
 
 VERDICTS = ("right", "with others", "wrong", "none")
-HEAD = (
-    "claimed",
-    "µm",
-    "error / sd: median",
-    "most",
-    "> 3 sd",
-    "told, 2 sd",
-    "named: right",
-    "with others",
-    "wrong",
-    "none",
-    "in the end: right",
-    "with others",
-    "live: valid",
-    "> 3 sd",
-    "> 0.3 mm",
-)
-
-
-def report(rows: Sequence[OffRow]) -> str:
-    """A line for each thing that is off, in each world; then what is claimed too sharply, by seeds."""
-    parts = []
-    for world in TAKEN_FOR:
-        of_world = [row for row in rows if row.taken_for == world]
-        if not of_world:
-            continue
-        lines: list[tuple[str, Sequence[str]]] = [(f"taken for {world}", HEAD)]
-        lines += [
-            (off.name, _cells(off, mine)) for off in OFF if (mine := [row for row in of_world if row.off == off.name])
-        ]
-        parts.append(aligned(lines))
-        blind = {off.name for off in OFF if off.blind}
-        claimed = [row for row in of_world if row.claimed]
-        plain = [row for row in claimed if row.off not in blind]
-        parts.append(
-            f"{sum(row.far for row in claimed)} of {len(claimed)} claims are more than {FAR:g} sd off, "
-            f"{sum(row.far for row in plain)} of {len(plain)} where touch can tell all of what is off"
-        )
-        if any(row.ticks for row in of_world):
-            valid, far, wrong = (
-                sum(getattr(row, name) for row in of_world) for name in ("valid", "live_far", "live_wrong")
-            )
-            parts.append(
-                f"live: {far} of {valid} valid ticks are more than {FAR:g} sd off, "
-                f"{wrong} by more than {1e3 * WRONG_M:g} mm; valid are {valid / sum(row.ticks for row in of_world):.0%}"
-            )
-        astray = [row for row in of_world if row.astray]
-        parts.append(
-            f"by {NAMED_WITHIN_S:g} s, of {_counted(astray)} led astray by more than {FAR:g} sd of the clean run\n"
-            f"of {_counted([row for row in astray if row.told])} whose readings tell then what it is"
-        )
-        parts.append("\n".join(_remarks(of_world)))
-    return "\n\n".join(filter(None, parts))
-
-
-def _cells(off: Off, rows: Sequence[OffRow]) -> Sequence[str]:
-    claimed = [row for row in rows if row.claimed]
-    ratios = [row.e_h_m / row.h_sd_m for row in claimed]
-    verdicts = [verdict(off, row.named_early) for row in rows]
-    in_the_end = [verdict(off, row.named) for row in rows]
-    told = sum(row.z <= 2.0 for row in claimed)
-    return (
-        f"{len(claimed)} of {len(rows)}",
-        f"{1e6 * np.median([row.e_h_m for row in claimed]):.0f}" if claimed else "–",
-        f"{np.median(ratios):.1f}" if claimed else "–",
-        f"{max(ratios):.1f}" if claimed else "–",
-        str(sum(row.far for row in claimed)),
-        f"{told} of {len(claimed)}" if off.constants else "–",
-        *(str(verdicts.count(each)) for each in VERDICTS),
-        *(str(in_the_end.count(each)) for each in VERDICTS[:2]),
-        *_live_cells(rows),
-    )
-
-
-def _live_cells(rows: Sequence[OffRow]) -> Sequence[str]:
-    ticks, valid = sum(row.ticks for row in rows), sum(row.valid for row in rows)
-    if not ticks:
-        return "–", "–", "–"
-    shares = (sum(row.live_far for row in rows), sum(row.live_wrong for row in rows))
-    return f"{valid / ticks:.0%}", *(f"{share / max(valid, 1):.1%}" for share in shares)
-
-
-def _counted(rows: Sequence[OffRow]) -> str:
-    verdicts = [verdict(of_name(row.off), row.named_early) for row in rows]
-    named = ", ".join(f"{verdicts.count(each)} {each}" for each in VERDICTS)
-    return f"{len(rows)} ({named})"
+NAMES = [each.name for each in OFF]
 
 
 def verdict(off: Off, named: Sequence[str]) -> str:
@@ -387,9 +275,79 @@ def verdict(off: Off, named: Sequence[str]) -> str:
     return "right" if set(named) <= right else "with others"
 
 
-def _remarks(rows: Iterable[OffRow]) -> Iterable[str]:
+def _early(what: str) -> Cell:
+    return count(lambda row: verdict(of_name(row.off), row.named_early) == what)
+
+
+def _of_accepted(cell: Cell) -> Cell:
+    return among(lambda row: row.accepted, cell)
+
+
+def _of_ticks(name: str) -> Callable[[OffRow], float]:
+    return lambda row: getattr(row, name) / row.valid if row.valid else math.nan
+
+
+COLUMNS: list[tuple[str, Cell]] = [
+    ("accepted", count_of(lambda row: row.accepted)),
+    ("µm", _of_accepted(quantiles(lambda row: row.e_h_m, 1e6))),
+    ("error / sd: median", _of_accepted(quantiles(lambda row: row.e_h_m / row.h_sd_m))),
+    ("most", _of_accepted(most(lambda row: row.e_h_m / row.h_sd_m))),
+    ("> 3 sd", count(lambda row: row.far)),
+    ("constant within 2 sd", _of_accepted(count(lambda row: row.z <= 2.0))),
+    *((f"named: {what}", _early(what)) for what in VERDICTS),
+    ("in the end: right", count(lambda row: verdict(of_name(row.off), row.named) == "right")),
+    ("live: valid %", quantiles(lambda row: row.valid / row.ticks if row.ticks else math.nan, 100.0)),
+    ("> 3 sd %", quantiles(_of_ticks("live_far"), 100.0)),
+    ("> 0.3 mm %", quantiles(_of_ticks("live_wrong"), 100.0)),
+]
+
+
+def remarks(rows: Sequence[OffRow]) -> list[str]:
+    """How many are accepted too sharply, in each world; then a line for each that is, or is not accepted."""
+    said = []
+    for world in dict.fromkeys(row.taken_for for row in rows):
+        accepted = [row for row in rows if row.accepted and row.taken_for == world]
+        plain = [row for row in accepted if not of_name(row.off).blind]
+        said.append(
+            f"{world}: {sum(row.far for row in accepted)} of {len(accepted)} accepted are more than {FAR:g} sd off, "
+            f"{sum(row.far for row in plain)} of {len(plain)} where touch can determine all of what is off"
+        )
+    ticks, valid, far, wrong = (sum(getattr(row, name) for row in rows) for name in _TICKS)
+    if ticks:
+        said.append(
+            f"live: {far} of {valid} valid ticks are more than {FAR:g} sd off, "
+            f"{wrong} by more than {1e3 * WRONG_M:g} mm; valid are {valid / ticks:.0%}"
+        )
     for row in rows:
-        if row.error or not row.claimed:
-            yield f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}"
+        if row.error or not row.accepted:
+            said.append(f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}")
         elif row.far:
-            yield f"{row.off}, {row.kind} {row.seed}: {1e6 * row.e_h_m:.0f} µm off, sd {1e6 * row.h_sd_m:.0f} µm"
+            off, sd = 1e6 * row.e_h_m, 1e6 * row.h_sd_m
+            said.append(f"{row.off}, {row.kind} {row.seed}: {off:.0f} µm off, sd {sd:.0f} µm")
+    return said
+
+
+_TICKS = ("ticks", "valid", "live_far", "live_wrong")
+
+STUDY = Study(
+    "one property off",
+    draw,
+    run,
+    OffRow,
+    order=lambda row: (TAKEN_FOR.index(row.taken_for), NAMES.index(row.off), row.seed),
+    by=lambda row: f"{row.taken_for}: {row.off}",
+    columns=COLUMNS,
+    remarks=remarks,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(parser, runs=4, seconds_each=20.0, output="off.jsonl", what="how many of each")
+    add = parser.add_argument
+    add("--taken-for", choices=TAKEN_FOR, nargs="+", default=TAKEN_FOR, metavar="WORLD",
+        help=f"what the rest of the rig is: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
+    add("--only", choices=NAMES, nargs="+", default=NAMES, metavar="WHAT",
+        help=f"what is off: {'; '.join(NAMES)} (default: each of them)".replace("%", "%%"))  # fmt: skip
+    add("--live", action="store_true",
+        help="replay each log through the live observer too, as `palmd estimate` does")  # fmt: skip

@@ -1,28 +1,197 @@
-"""The runs behind the figures of CMU-CS-01-107 again: its method and palmd's."""
+"""The runs behind the figures of CMU-CS-01-107, chapter 3: its method and palmd's.
+
+Its simulation (section 3.4) is an object that is always in balance, felt exactly. Its experiment (section 3.5) is an
+object with friction under noisy, irregular readings, here from the emulated plant or from any log with its truth.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from palmd.cli.logs import read
+from palmd.console.columns import aligned
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
-from palmd.console.progress import Progress
+from palmd.events import FloatArray
+from palmd.observer.quasistatic import QuasistaticObserver
+from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import EventLog
+from palmd.record.replay import replay
 from palmd.rig.shapes import Kind
-from tools.studies.paper_report import as_text, rows
-from tools.studies.paper_runs import SideBySide, paper_simulation, side_by_side
+from tools.studies import harness
+from tools.studies.cells import NOTHING
+from tools.studies.harness import Line, Study, result
+from tools.studies.paper_runs import paper_simulation, psi_error, relative_radius_error
+from tools.studies.scoring import Bools, rms, score_where_known
 from tools.studies.simulated import simulated
 
-DEFAULT_RUNS: tuple[tuple[Kind, int], ...] = (("friction", 401), ("friction", 405), ("rig", 401), ("rig", 404))
-SECONDS = 10.0
-_TOLD = ("t", "psi_rad", "r1_m", "r2_m", "theta_rad", "h_m")
+PUBLISHED_RADIUS, PUBLISHED_PSI_RAD = 0.06, 0.078
+"""Errors read off figures 3.10 and 3.11, for the paper prints none: of r1, r2 over their RMS, and of ψ."""
+HARDWARE_RMS_M, HARDWARE_RADIUS_M, HARDWARE_TOUCHED, HARDWARE_PSI_RAD = 1.9e-3, 41e-3, 0.54, 0.27
+"""Off figure 3.15: distance of the points from the true outline, its radius, share touched, ψ against the camera's."""
+SIMULATED: tuple[tuple[Kind, int], ...] = (("friction", 401), ("friction", 405), ("rig", 401), ("rig", 404))
+TRUTH = ("t", "psi_rad", "r1_m", "r2_m", "theta_rad", "h_m")
+HEAD = ("method", "outline e_h", "of the radius", "r1, r2", "ψ", "touched")
 
-Told = dict[str, Any]
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Of one method, RMS: outline where touched (m, and over the mean radius), radii (m), ψ without the gauge (rad)."""
+
+    e_h_m: float = math.nan
+    of_radius: float = math.nan
+    r_m: float = math.nan
+    psi_rad: float = math.nan
+    touched: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class PaperTask:
+    """A log in a file with its truth beside it, or a simulated run by kind, seed and length (s)."""
+
+    log: str
+    kind: Kind
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class PaperRow(PaperTask):
+    """Errors of "it does not turn" (psi_still, rad), of the paper's quasistatic observer and of `reconstruct`."""
+
+    error: str = ""
+    psi_still: float = math.nan
+    quasistatic: Errors = Errors()
+    smoother: Errors = Errors()
+
+    @property
+    def name(self) -> str:
+        """What it is called in the table."""
+        return Path(self.log).stem if self.log else f"{self.kind} {self.seed}"
+
+
+def run(task: PaperTask) -> PaperRow:
+    """Both methods on one run, against its truth."""
+    if task.log:
+        path = Path(task.log)
+        log, truth = read(path), truth_beside(path)
+    else:
+        log, truth = simulated(task.kind, task.seed, task.seconds)
+    still = float(np.std(truth["psi_rad"]))
+    return result(PaperRow, task, psi_still=still, quasistatic=_quasistatic(log, truth), smoother=_smoother(log, truth))
+
+
+def _quasistatic(log: EventLog, truth: Line) -> Errors:
+    observer = QuasistaticObserver(log.rig)
+    ticks = [tick.estimate for tick in replay(log, observer)]
+    outline = observer.shape(ticks[-1].t)
+    valid = [e for e in ticks if e.valid]
+    if outline is None or not valid:
+        return Errors()
+    t, r1, r2, psi = np.array([(e.t, e.r1, e.r2, e.psi) for e in valid]).T
+    return _errors(t, r1, r2, psi, outline.theta, outline.h, outline.touched, truth)
+
+
+def _smoother(log: EventLog, truth: Line) -> Errors:
+    answer = reconstruct(log.events, log.rig)
+    if not answer.converged or answer.h is None or answer.touched is None:
+        return Errors()
+    r1, r2 = answer.radii
+    return _errors(answer.t, r1, r2, answer.psi, answer.theta, answer.h, answer.touched, truth)
+
+
+def _errors(
+    t: FloatArray, r1: FloatArray, r2: FloatArray, psi: FloatArray,
+    theta: FloatArray, h: FloatArray, touched: Bools, truth: Line,
+) -> Errors:  # fmt: skip
+    true_h = np.array(truth["h_m"])
+    score = score_where_known(theta, h, touched, true_h)
+    if score is None:
+        return Errors()
+    true1, true2, true_psi = (np.interp(t, truth["t"], truth[name]) for name in ("r1_m", "r2_m", "psi_rad"))
+    off = rms(np.stack([r1 - true1, r2 - true2]))
+    return Errors(score.e_h, score.e_h / float(np.mean(true_h)), off, float(np.std(psi - true_psi)), score.touched)
+
+
+def truth_beside(log: Path) -> Line:
+    """The truth of a log; CliError where it is none."""
+    path = log.with_suffix(".truth.json")
+    try:
+        truth: Line = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CliError(BAD_INPUT, f"{path}: {error.strerror or error}; the study needs each log's truth") from None
+    except ValueError as error:
+        raise CliError(BAD_INPUT, f"{path}: not JSON: {error}") from None
+    missing = [name for name in TRUTH if not (isinstance(truth, dict) and isinstance(truth.get(name), list))]
+    if missing:
+        raise CliError(BAD_INPUT, f"{path}: no truth: {', '.join(missing)} missing")
+    return truth
+
+
+# ---------------------------------------------------------------------------------------------------- the study
+
+
+def draw(arguments: argparse.Namespace) -> Sequence[PaperTask]:
+    """The logs that are given, or four simulated runs; CliError for a log that cannot be used."""
+    for path in arguments.logs:
+        read(path)
+        truth_beside(path)
+    given = [PaperTask(str(path), "rig", 0, arguments.seconds) for path in arguments.logs]
+    return given or [PaperTask("", kind, seed, arguments.seconds) for kind, seed in SIMULATED]
+
+
+def report(rows: Sequence[PaperRow]) -> str:
+    """The paper's figures in numbers, beside those of the same runs here."""
+    simulation = paper_simulation()
+    run = simulation.run
+    lines: list[tuple[str, Sequence[str]]] = [
+        ("", HEAD),
+        ("the paper's simulation", _cells("the paper's", r=f"{PUBLISHED_RADIUS:.0%}", psi=PUBLISHED_PSI_RAD)),
+        ("the same here, exact", _cells("e_f, e_c alone", r="any mean radius does")),
+    ]
+    for beginning, trace in (("mean radius 6 % off", simulation.astray), ("with the conflict", simulation.found)):
+        off = f"{relative_radius_error(run, trace):.2%}"
+        lines.append(("the same here, exact", _cells(beginning, r=off, psi=psi_error(run, trace))))
+    hardware = Errors(HARDWARE_RMS_M, HARDWARE_RMS_M / HARDWARE_RADIUS_M, math.nan, HARDWARE_PSI_RAD, HARDWARE_TOUCHED)
+    lines.append(("the paper's experiment", _of(hardware, "the paper's")))
+    for row in rows:
+        lines.append((row.name, _cells("it does not turn", psi=row.psi_still)))
+        lines += [(row.name, _of(each, name)) for name, each in methods(row)]
+    return aligned(lines)
+
+
+def methods(row: PaperRow) -> Sequence[tuple[str, Errors]]:
+    """Both, by name."""
+    return ("quasistatic", row.quasistatic), ("reconstruct", row.smoother)
+
+
+def _of(errors: Errors, method: str) -> Sequence[str]:
+    if math.isnan(errors.e_h_m):
+        return (method, "no answer", *[NOTHING] * 4)
+    r = NOTHING if math.isnan(errors.r_m) else f"{errors.r_m * 1e3:.3f} mm"
+    outline = f"{errors.e_h_m * 1e3:.3f} mm", f"{errors.of_radius:.2%}"
+    return (method, *outline, r, f"{errors.psi_rad:.4f} rad", f"{errors.touched:.0%}")
+
+
+def _cells(method: str, *, r: str = NOTHING, psi: float = math.nan) -> Sequence[str]:
+    return (method, NOTHING, NOTHING, r, NOTHING if math.isnan(psi) else f"{psi:.4f} rad", NOTHING)
+
+
+STUDY = Study(
+    "both methods",
+    draw,
+    run,
+    PaperRow,
+    order=lambda row: row.name,
+    report=report,
+    remarks=lambda rows: [f"{row.name}: {row.error}" for row in rows if row.error],
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,52 +199,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("logs", nargs="*", type=Path, default=[], metavar="LOG",
         help="event logs with their truth in *.truth.json beside them (default: four simulated runs)")  # fmt: skip
-    add("-o", "--output", type=Path, default=Path(), metavar="FOLDER", help="for the figures (default: here)")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Prints the table, saves the figures; CliError when a log or its truth cannot be used."""
-    logs: Sequence[Path] = arguments.logs
-    output: Path = arguments.output
-    try:
-        from tools.studies import paper_figures, stable_pose_figures
-    except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
-        raise missing("the figures", "matplotlib", "studies") from None
-    runs = [(path.stem, read(path), _truth(path)) for path in logs] or [
-        (f"{kind} {seed}", *simulated(kind, seed, SECONDS)) for kind, seed in DEFAULT_RUNS
-    ]
-    sides = _compared(runs)
-    simulation = paper_simulation()
-    print(as_text(rows(simulation, sides)), end="")
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        saved = paper_figures.save(simulation, sides, output) + stable_pose_figures.save(output)
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
-    print("figures: " + ", ".join(map(str, saved)))
-    return 0
-
-
-def _compared(runs: list[tuple[str, EventLog, Told]]) -> list[SideBySide]:
-    sides = []
-    with Progress("both methods", len(runs), "runs") as progress:
-        for name, log, told in runs:
-            sides.append(side_by_side(name, log, told))
-            progress.at(len(sides))
-    return sides
-
-
-def _truth(log: Path) -> Told:
-    path = log.with_suffix(".truth.json")
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CliError(BAD_INPUT, f"{path}: {error.strerror or error}; the report needs each log's truth") from None
-    except ValueError as error:
-        raise CliError(BAD_INPUT, f"{path}: not JSON: {error}") from None
-    missing = [name for name in _TOLD if not (isinstance(told, dict) and isinstance(told.get(name), list))]
-    if missing:
-        raise CliError(BAD_INPUT, f"{path}: no truth: {', '.join(missing)} missing")
-    result: Told = told
-    return result
+    add("--seconds", type=float, default=10.0, metavar="S", help="of the simulated runs (default: %(default)g)")
+    add("-o", "--output", type=Path, metavar="FILE", help="a JSON line for each run")
+    harness.add_workers(parser)

@@ -1,28 +1,18 @@
-"""The runs behind the figures of CMU-CS-01-107, chapter 3, again: its own method, and palmd's beside it. Pure.
-
-Its simulation (section 3.4) is an object that is always in balance, felt exactly 270 times. Its experiment (section
-3.5) is an object with friction under noisy, irregular readings, here from the emulated plant or any log with its truth.
-"""
+"""The simulation of CMU-CS-01-107, section 3.4, by its own method: an object in balance, felt exactly. Pure."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
+from palmd.model.stable_poses import TouchedPoint, follow, touch
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
-from palmd.observer.quasistatic import QuasistaticObserver
-from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import EventLog
-from palmd.record.replay import replay
-from palmd.score import OutlineScore
-from tools.studies.balanced import BalancedRun, balanced_run, eased_path
-from tools.studies.scoring import Bools, score_where_known
 
 READINGS = 270
 # An elongated body whose centre of mass is off its middle, radii of 12 to 24 mm: the Fourier series of h (m).
@@ -139,73 +129,6 @@ def _valley(run: BalancedRun, true: float, circle: float) -> tuple[Trace, Valley
     return traces[astray], Valley(mean, observable, beginnings.conflict[balanced])
 
 
-# -------------------------------------------------------------------------------------- as in the experiment
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """What one method makes of a log: its trace, outline, and its errors; psi_rms after the gauge is taken out."""
-
-    trace: Trace
-    theta: FloatArray
-    h: FloatArray
-    touched: Bools
-    score: OutlineScore
-    r_rms: float
-    psi_rms: float
-
-
-@dataclass(frozen=True, slots=True)
-class SideBySide:
-    """The paper's quasistatic observer and `reconstruct` on one log; None for a method without an answer."""
-
-    name: str
-    told: dict[str, Any]  # the truth
-    psi_still: float  # RMS (rad) that saying "it does not turn" would have
-    quasistatic: Method | None
-    smoother: Method | None
-
-
-def side_by_side(name: str, log: EventLog, told: dict[str, Any]) -> SideBySide:
-    """Both methods on `log`, against the truth that was `told` in the fields of a `*.truth.json`."""
-    psi = np.array(told["psi_rad"])
-    return SideBySide(name, told, float(np.std(psi)), _quasistatic(log, told), _smoother(log, told))
-
-
-def _quasistatic(log: EventLog, told: dict[str, Any]) -> Method | None:
-    observer = QuasistaticObserver(log.rig)
-    ticks = [tick.estimate for tick in replay(log, observer)]
-    outline = observer.shape(ticks[-1].t)
-    valid = [e for e in ticks if e.valid]
-    if outline is None or not valid:
-        return None
-    columns = np.array([(e.t, e.r1, e.r2, e.psi, e.omega0, e.e_f, e.e_c) for e in valid]).T
-    return _method(Trace(*columns), outline.theta, outline.h, outline.touched, told)
-
-
-def _smoother(log: EventLog, told: dict[str, Any]) -> Method | None:
-    answer = reconstruct(log.events, log.rig)
-    if not answer.converged or answer.h is None or answer.touched is None:
-        return None
-    none = np.full(len(answer.t), math.nan)
-    one, two = answer.radii
-    trace = Trace(answer.t, one, two, answer.psi, answer.omega0, none, none)
-    return _method(trace, answer.theta, answer.h, answer.touched, told)
-
-
-def _method(trace: Trace, theta: FloatArray, h: FloatArray, touched: Bools, told: dict[str, Any]) -> Method | None:
-    score = score_where_known(theta, h, touched, np.array(told["h_m"]))
-    if score is None:
-        return None
-    true = {name: np.interp(trace.t, told["t"], told[name]) for name in ("r1_m", "r2_m", "psi_rad")}
-    r_errors = np.stack([trace.r1 - true["r1_m"], trace.r2 - true["r2_m"]])
-    return Method(
-        trace, theta, h, touched, score,
-        r_rms=float(np.sqrt(np.mean(r_errors**2))),
-        psi_rms=float(np.std(trace.psi - true["psi_rad"])),
-    )  # fmt: skip
-
-
 def relative_radius_error(run: BalancedRun, trace: Trace) -> float:
     """RMS of r1 and r2's errors over their true RMS: as the paper's 6 % was read off its figure 3.10(b)."""
     errors = np.concatenate([trace.r1 - run.contacts.r1, trace.r2 - run.contacts.r2])
@@ -215,3 +138,44 @@ def relative_radius_error(run: BalancedRun, trace: Trace) -> float:
 def psi_error(run: BalancedRun, trace: Trace) -> float:
     """RMS of ψ's error (rad)."""
     return float(np.sqrt(np.mean((trace.psi - run.psi) ** 2)))
+
+
+# ------------------------------------------------------------------------------------------- always in balance
+
+
+@dataclass(frozen=True, slots=True)
+class BalancedRun:
+    """Times t (s), palm angles and ψ (rad) along a run, both contacts, and what is felt, rates included: n instants."""
+
+    t: FloatArray
+    phi1: FloatArray
+    phi2: FloatArray
+    psi: FloatArray
+    contacts: TouchedPoint
+    felt: tuple[qs.QuasistaticReadings, ...]
+    jumps: int
+
+
+def balanced_run(
+    coefficients: FloatArray, psi: float, t: FloatArray, phi1: FloatArray, phi2: FloatArray
+) -> BalancedRun:
+    """The object with this outline (m, about its centre of mass) put down near `psi` (rad), palms on a path (n).
+
+    Rates are those of cubic splines through the exact values. Raises ValueError as `model.stable_poses.follow` does.
+    """
+    followed = follow(coefficients, np.array([psi]), phi1, phi2)
+    turned = followed.psi[:, 0]
+    contacts = touch(coefficients, phi1, phi2, turned)
+    values = np.stack([contacts.s1, contacts.s2, phi1, phi2])
+    rates = CubicSpline(t, values, axis=1)(t, 1)
+    felt = tuple(qs.QuasistaticReadings(*column) for column in np.concatenate([values, rates]).T.tolist())
+    return BalancedRun(t, phi1, phi2, turned, contacts, felt, int(followed.jumped.sum()))
+
+
+def eased_path(t: FloatArray, corners: FloatArray) -> FloatArray:
+    """A path (n, k) through `corners` (m, k) in equal times, at rest in each: minimum jerk between them."""
+    u = np.clip((t - t[0]) / (t[-1] - t[0]) * (len(corners) - 1), 0.0, len(corners) - 1)
+    leg = np.minimum(u.astype(np.intp), len(corners) - 2)
+    w = (u - leg)[:, None]
+    path: FloatArray = corners[leg] + (corners[leg + 1] - corners[leg]) * w**3 * (10 - 15 * w + 6 * w**2)
+    return path

@@ -1,18 +1,50 @@
-"""Runs of the pivoting grasp, reconstructed blind: how far outline, friction and their bands are from the truth."""
+"""The pivoting grasp reconstructed blind from simulated runs: outline about the pivot, friction, and their bands.
+
+Right is an outline within 0.1 mm (RMS) of the truth where it was touched, after the best rotation. Runs of the rigid
+gripper (tilt) and of the slide (float) are drawn by their seeds; `--trouble` spoils the readings. With `--live` the
+daemon's core explores emulated rigs in closed loop without wires, and what it accepts on the way is scored; a file that
+has live runs already is resumed.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from palmd.console.columns import aligned
+from palmd import pivot_messages as says
+from palmd.config.pivot import PivotConfig, PivotPlanSpec
+from palmd.config.two_palms import Drawn
+from palmd.console.arguments import seconds, seconds_within
+from palmd.console.shipped import shipped
+from palmd.daemon.dragging import Dragging
+from palmd.harness.pivot_wireless import PivotWireless
+from palmd.harness.wireless import Instant
+from palmd.model import shape
+from palmd.model.pivot import ORDER, P
+from palmd.observer.outline import directions
+from palmd.observer.pivot.claimed import friction_of
+from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER
 from palmd.record.systems import read_log_of_any
-from palmd.rig.pivot import AS_TOLD, PivotImperfections, PivotKind, simulate_pivot_log
-from palmd.score import score_outline
+from palmd.rig.imperfections import perfect
+from palmd.rig.pivot import AS_TOLD, LEAST_S, PIVOT_KINDS, PivotImperfections, PivotKind, simulate_pivot_log
+from palmd.score import WRONG_M, score_outline
+from palmd.system.pivot import PivotAnswer, Vertical
+from palmd.yamlfile import load_any_config, parse, read_document
+from tools.studies import harness
+from tools.studies.cells import Cell, Value, among, count, most, quantiles, runs, shares
+from tools.studies.cells import rms as rms_cell
+from tools.studies.harness import Study, result
+from tools.studies.scoring import rms
 from tools.studies.simulated import written
+
+Mark = Callable[[Any], bool]
 
 RIGHT_M = 1e-4
 
@@ -28,25 +60,19 @@ class PivotTask:
 
 
 @dataclass(frozen=True)
-class PivotRow:
-    """What came of a task: e (m, RMS over touched normals), its claimed one-sigma (m), and (estimate − truth)/sd.
+class PivotRow(PivotTask):
+    """What came of a task: e (m, RMS over touched normals), its 1σ (m), and (estimate − truth)/1σ."""
 
-    reason: why nothing is claimed, empty where something is.
-    """
-
-    kind: str
-    seed: int
-    seconds: float
-    trouble: str
-    converged: bool
-    reason: str
-    e_m: float
-    sd_m: float
-    mu_error: float
-    mu_z: float
-    touched: float
-    chi2: float
-    took_s: float
+    error: str = ""
+    converged: bool = False
+    reason: str = ""
+    e_m: float = math.nan
+    sd_m: float = math.nan
+    mu_error: float = math.nan
+    mu_z: float = math.nan
+    touched: float = math.nan
+    chi2: float = math.nan
+    took_s: float = math.nan
 
 
 TROUBLES: dict[str, PivotImperfections] = {
@@ -64,51 +90,297 @@ def run(task: PivotTask) -> PivotRow:
     with written(lines) as path:
         system, log = read_log_of_any(path)
     told = system.reconstruct(log, 0).line
-    nan = math.nan
-    error = sd = touched = mu_error = mu_z = nan
-    if told["converged"]:
-        theta, h, h_sd, marks = (np.array(told[name]) for name in ("theta_rad", "hP_m", "hP_sd_m", "touched"))
-        score = score_outline(theta, h, marks == 1, np.array(truth["hP_m"]))
-        error, touched = score.e_h, score.touched
-        sd = float(np.sqrt(np.mean(h_sd[marks == 1] ** 2)))
-        mu_error = told["mu"] - truth["mu"]
-        mu_z = mu_error / told["mu_sd"]
-    return PivotRow(
-        task.kind, task.seed, task.seconds, task.trouble, told["converged"], told["reason"] or "", error, sd,
-        mu_error, mu_z, touched, nan if told["chi2"] is None else told["chi2"], told["seconds"],
+    row = result(
+        PivotRow, task, converged=told["converged"], reason=told["reason"] or "", took_s=told["seconds"],
+        chi2=math.nan if told["chi2"] is None else told["chi2"],
     )  # fmt: skip
-
-
-def failed(task: PivotTask, error: BaseException) -> PivotRow:
-    """The row of a run that ended in an error: a fault of ours."""
-    why, nan = f"{type(error).__name__}: {error}", math.nan
-    values = (nan,) * 7
-    return PivotRow(task.kind, task.seed, task.seconds, task.trouble, False, why, *values)
-
-
-def report(rows: Sequence[PivotRow]) -> str:
-    """The study's table: a line for each kind of run and trouble."""
-    groups = sorted({(row.kind, row.trouble) for row in rows})
-    titles = ["runs", "right", "wrong and claimed", "h_P, µm", "90 %", "error/sd", "mu off", "within 0.01", "off/sd"]
-    return aligned(
-        [("", titles), *(_line([row for row in rows if (row.kind, row.trouble) == each]) for each in groups)]
+    if not row.converged:
+        return row
+    theta, h, h_sd, marks = (np.array(told[name]) for name in ("theta_rad", "hP_m", "hP_sd_m", "touched"))
+    score = score_outline(theta, h, marks == 1, np.array(truth["hP_m"]))
+    off = told["mu"] - truth["mu"]
+    return replace(
+        row, e_m=score.e_h, sd_m=rms(h_sd[marks == 1]), mu_error=off, mu_z=off / told["mu_sd"], touched=score.touched
     )
 
 
-def _line(rows: Sequence[PivotRow]) -> tuple[str, list[str]]:
-    claimed = [row for row in rows if row.converged]
-    right = [row for row in claimed if row.e_m < RIGHT_M]
-    name = rows[0].kind if rows[0].trouble == "none" else f"{rows[0].kind}, {rows[0].trouble}"
-    cells = [str(len(rows)), f"{len(right)}", f"{len(claimed) - len(right)}"]
-    if not claimed:
-        return name, cells + [""] * 6
-    e, sd, mu, mu_z = np.array([(row.e_m, row.sd_m, row.mu_error, row.mu_z) for row in claimed]).T
-    return name, [
-        *cells,
-        f"{np.median(e) * 1e6:.1f}",
-        f"{np.percentile(e, 90) * 1e6:.1f}",
-        f"{np.sqrt(np.mean((e / sd) ** 2)):.2f}",
-        f"{np.median(np.abs(mu)):.4f}",
-        f"{np.mean(np.abs(mu) < 0.01):.0%}",
-        f"{np.sqrt(np.mean(mu_z**2)):.2f}",
+def draw(arguments: argparse.Namespace) -> Sequence[PivotTask]:
+    """So many runs of each kind, all kinds with the same seeds."""
+    return [
+        PivotTask(kind, seed, arguments.seconds, arguments.trouble)
+        for kind in harness.kinds_of(arguments, PIVOT_KINDS)
+        for seed in harness.seeds_of(arguments)
     ]
+
+
+def outline_columns(e: Value, sd: Value, mu_error: Value, mu_z: Value, accepted: Mark) -> Sequence[tuple[str, Cell]]:
+    """How good and how honest outlines and frictions are of the runs that are accepted."""
+    cells: list[tuple[str, Cell]] = [
+        ("h_P, µm", quantiles(e, 1e6)),
+        ("90 %", quantiles(e, 1e6, (0.9,))),
+        ("error/sd", rms_cell(lambda row: e(row) / sd(row))),
+        ("mu off", quantiles(lambda row: abs(mu_error(row)))),
+        ("within 0.01, %", shares(lambda row: abs(mu_error(row)) < 0.01)),
+        ("off/sd", rms_cell(mu_z)),
+    ]
+    return [(title, among(accepted, cell)) for title, cell in cells]
+
+
+OFFLINE = Study(
+    "pivoting grasp",
+    draw,
+    run,
+    PivotRow,
+    order=lambda row: (row.kind, row.trouble, row.seed),
+    by=lambda row: row.kind if row.trouble == "none" else f"{row.kind}, {row.trouble}",
+    columns=[
+        ("runs", runs),
+        ("right", count(lambda row: row.converged and row.e_m < RIGHT_M)),
+        ("accepted, wrong", count(lambda row: row.converged and not row.e_m < RIGHT_M)),
+        *outline_columns(
+            lambda row: row.e_m, lambda row: row.sd_m, lambda row: row.mu_error, lambda row: row.mu_z,
+            lambda row: row.converged,
+        ),
+    ],
+    remarks=lambda rows: [f"{row.kind} {row.seed}: {row.error or row.reason}" for row in rows if not row.converged],
+)  # fmt: skip
+
+
+LONGEST_S = 240.0  # of a run, whose exploration ends by itself before
+AFTER_S = 2.0  # that its end is waited for what the smoother still says
+BEYOND = 3.0  # one-sigmas, from which a claim is wrong
+
+
+@dataclass(frozen=True, slots=True)
+class LiveTask:
+    """One exploration: the seed of body, noise and rig, how far off the rig is, and the smoother's period (s).
+
+    vertical: whether the gripper is rigid in height or on a slide.
+    """
+
+    seed: int
+    rig: Drawn
+    period_s: float
+    vertical: Vertical = "rigid"
+
+    @property
+    def name(self) -> str:
+        """The kind of rig, in words."""
+        return self.rig if self.vertical == "rigid" else f"{self.rig}, slide"
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRow(LiveTask):
+    """What came of a task; SI units, NaN for what there is not.
+
+    claimed, reason: at the end. t_claim: of the first claim, since the start. e, most, sd: of the last outline where
+    felt: RMS and largest error, RMS of its one-sigma. worst_e, worst_z: of all outlines that were claimed, the largest
+    RMS error, by itself and over its one-sigma. mu_error, mu_z: of the last, and over its one-sigma. valid: ticks; of
+    those wrong: by `WRONG_M` of the contact, or with an outline `BEYOND` its band; beyond: the contact's error is
+    `BEYOND` its one-sigma. left: how often the body left the pad unasked, as was noticed; losses: in all, raised off at
+    the end of a side too. error: what was raised, then nothing else is known.
+    """
+
+    error: str = ""
+    claimed: bool = False
+    reason: str = ""
+    ended: str = ""
+    t_end: float = math.nan
+    t_claim: float = math.nan
+    e: float = math.nan
+    most: float = math.nan
+    sd: float = math.nan
+    touched: float = math.nan
+    worst_e: float = math.nan
+    worst_z: float = math.nan
+    claims: int = 0
+    mu_error: float = math.nan
+    mu_z: float = math.nan
+    ticks: int = 0
+    valid: int = 0
+    wrong: int = 0
+    beyond: int = 0
+    left: int = 0
+    jams: int = 0
+    losses: int = 0
+    most_force: float = math.nan
+    force_limit: float = math.nan
+    took_s: float = math.nan
+
+    @property
+    def right(self) -> bool:
+        """The outline claimed in the end is right."""
+        return self.claimed and self.e < RIGHT_M
+
+    @property
+    def wrong_claim(self) -> bool:
+        """Some outline was claimed and `WRONG_M` off, or `BEYOND` its band."""
+        return self.claims > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
+
+
+def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
+    """One exploration for each seed."""
+    rig: Drawn = "none" if arguments.perfect else "calibrated"
+    vertical: Vertical = "float" if arguments.slide else "rigid"
+    return [LiveTask(seed, rig, arguments.period, vertical) for seed in harness.seeds_of(arguments)]
+
+
+def lived(task: LiveTask) -> LiveRow:
+    """Explore one body from start to end, and score all that is claimed on the way."""
+    begun = time.process_time()
+    config, spec = shipped_rig(task.rig, task.vertical)
+    live = PivotWireless(config, spec, task.seed, period_s=task.period_s)
+    scored = Scored(live)
+    live.start()
+    scored.t_start, end = live.t, math.inf
+    while live.t < min(LONGEST_S, end):
+        scored.take(live.tick())
+        if live.core.setpoints.over:
+            end = min(end, live.t + AFTER_S)
+    world = live.world
+    return result(
+        LiveRow,
+        task,
+        ended=live.core.exploring.reason,
+        t_end=live.t - scored.t_start,
+        left=exploring.left_the_pad if isinstance(exploring := live.core.exploring, Dragging) else 0,
+        jams=world.jams,
+        losses=world.contact_losses,
+        most_force=world.most_force,
+        force_limit=config.limits.force_n,
+        took_s=time.process_time() - begun,
+        **scored.told(),
+    )
+
+
+def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
+    """The shipped configuration of a rig that is so far off, and the plan that explores."""
+    path = shipped("pivot.yaml" if vertical == "rigid" else "slide.yaml")
+    config = load_any_config(path)
+    plan = config.plan
+    if not isinstance(config, PivotConfig) or plan is None:
+        raise TypeError(f"{path} is no pivoting grasp with a plan")
+    config = perfect(config) if rig == "none" else config
+    return config, parse(read_document(path.parent / plan), PivotPlanSpec)
+
+
+@dataclass
+class Scored:
+    """Takes the ticks of a run and notes what is claimed beside what is true."""
+
+    live: PivotWireless
+    t_start: float = 0.0
+    _told: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "claims": 0})
+    _ticks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("ticks", "valid", "wrong", "beyond"), 0))
+    _outline_is_wrong: bool = False
+
+    def take(self, tick: Instant) -> None:
+        """One tick."""
+        if (answered := tick.messages.get(PIVOT_ANSWER.name)) is not None:
+            self._answered(tick.t, says.answer_of(answered))
+        said, truth, ticks = tick.messages[PIVOT.name], tick.truth, self._ticks
+        self._told["reason"] = said["reason"]
+        ticks["ticks"] += 1
+        if not said["valid"]:
+            return
+        ticks["valid"] += 1
+        off = abs(said["e_m"] - truth["e_m"]) if truth["touch1"] else 0.0
+        ticks["wrong"] += off > WRONG_M or self._outline_is_wrong
+        ticks["beyond"] += off > BEYOND * said["sd"]["e_m"]
+
+    def _answered(self, t: float, answer: PivotAnswer) -> None:
+        told, truth = self._told, self.live.world.object_truth()
+        told["claimed"] = answer.claimed
+        if not answer.claimed:
+            self._outline_is_wrong = False
+            return
+        theta, felt = directions(), answer.touched > 0
+        score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], felt, np.array(truth["hP_m"]))
+        sd = float(np.sqrt(np.mean(answer.h_sd[felt] ** 2)))
+        told.setdefault("t_claim", t - self.t_start)
+        told["claims"] += 1
+        told |= {"e": score.e_h, "most": score.max_error, "sd": sd, "touched": score.touched}
+        told["worst_e"] = max(told["worst_e"], score.e_h)
+        told["worst_z"] = max(told["worst_z"], score.e_h / sd)
+        self._outline_is_wrong = score.e_h > WRONG_M or score.e_h > BEYOND * sd
+        mu, mu_sd = friction_of(answer.p, answer.covariance)
+        told["mu_error"] = mu - truth["mu"]
+        told["mu_z"] = told["mu_error"] / mu_sd
+
+    def told(self) -> dict[str, Any]:
+        """For the row."""
+        return self._told | self._ticks
+
+
+def remarks(rows: Sequence[LiveRow]) -> list[str]:
+    """A line for each run that did not go as it should."""
+    return [remark(row) for row in rows if not row.right or row.wrong_claim]
+
+
+def remark(row: LiveRow) -> str:
+    """What is to be said of one."""
+    name = f"{row.name} {row.seed}"
+    if row.error or not row.claims:
+        return f"{name}: {row.error or row.reason or 'nothing was accepted'}"
+    off, band = row.e * 1e6, row.sd * 1e6
+    worst = f"at worst {row.worst_e * 1e6:.0f} µm and {row.worst_z:.1f} bands off"
+    kept = "" if row.claimed else f", and withdrawn: {row.reason}"
+    return f"{name}: outline {off:.0f} µm off, band {band:.0f} µm, {worst}{kept}"
+
+
+def _part(such: str, of: str, form: str) -> Cell:
+    def cell(rows: Sequence[LiveRow]) -> str:
+        some, whole = (sum(getattr(row, name) for row in rows) for name in (such, of))
+        return format(some / max(whole, 1), form)
+
+    return cell
+
+
+LIVE = Study(
+    "pivoting grasp, live",
+    draw_live,
+    lived,
+    LiveRow,
+    order=lambda row: (row.name, row.seed),
+    by=lambda row: row.name,
+    columns=[
+        ("runs", runs),
+        ("right", count(lambda row: row.right)),
+        ("not accepted", count(lambda row: not row.claimed)),
+        ("accepted, wrong", count(lambda row: row.wrong_claim)),
+        *outline_columns(
+            lambda row: row.e, lambda row: row.sd, lambda row: row.mu_error, lambda row: row.mu_z,
+            lambda row: row.claimed,
+        ),
+        ("accepted after, s: median / 90 %", quantiles(lambda row: row.t_claim, 1.0, (0.5, 0.9))),
+        ("left the pad", count(lambda row: row.left > 0)),
+        ("jams", count(lambda row: row.jams > 0)),
+        ("over its limit", count(lambda row: row.most_force > row.force_limit)),
+        ("most force, N", most(lambda row: row.most_force)),
+        ("valid", _part("valid", "ticks", ".0%")),
+        ("of those wrong", _part("wrong", "valid", ".2%")),
+    ],
+    remarks=remarks,
+    resumes=True,
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(
+        parser, runs=100, seconds_each=12.0, output=None, kinds=PIVOT_KINDS, length=seconds_within(LEAST_S, 120.0)
+    )
+    add = parser.add_argument
+    add("--trouble", choices=tuple(TROUBLES), default="none", help="with the readings (default: %(default)s)")
+    add("--live", action="store_true", help="explore in closed loop and score what is accepted live")
+    add("--slide", action="store_true", help="live: with a gripper on a slide")
+    add("--perfect", action="store_true", help="live: on rigs exactly as configured, which is known")
+    add("--period", type=seconds, default=5.0, metavar="S",
+        help="live: how often the smoother is begun (default: %(default)s)")  # fmt: skip
+
+
+def conduct(arguments: argparse.Namespace) -> int:
+    """Offline or live; interrupted, it ends with what is finished until then; CliError when it cannot begin."""
+    study: Study[Any, Any] = LIVE if arguments.live else OFFLINE
+    arguments.output = arguments.output or Path("pivot-live.jsonl" if arguments.live else "pivot.jsonl")
+    return study.conduct(arguments)

@@ -1,4 +1,4 @@
-"""Simulation-based calibration: what one blind reconstruction believes of each quantity, beside the truth.
+"""Simulation-based calibration: whether blind reconstructions have standard deviations that hold.
 
 A rig's constants, ρ and friction are drawn from the very priors that `reconstruct` goes by, outline, mass and motion as
 the simulator's kinds have them, and a record is simulated and reconstructed. Were all priors the same and the posterior
@@ -7,15 +7,21 @@ the posterior is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a
 alone, so ranks of claimed runs should be uniform as well. The outlines are narrower than those believed: where readings
 hardly tell them ranks crowd about the middle without the band being wrong. The vibration's constants are not asked for:
 the palms vibrate as described, on mounts that are drawn from no prior.
+
+A file that has runs already is resumed: the same command with more runs does those that are not there yet, and reports
+all. Files of several machines are put together with `cat`.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Container, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import stats
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.events import FloatArray
@@ -28,11 +34,13 @@ from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.rig.plant import FrictionSurface, random_surface
 from palmd.rig.shapes import KINDS, Body, Kind, random_body
-from palmd.score import support_at
+from palmd.score import WRONG_M, support_at
 from palmd.system.rig_constants import RIG_NAMES
-from tools.studies.runs import with_failures
-from tools.studies.scoring import Bools, Line, outline_errors, truth_of
+from tools.studies import harness
+from tools.studies.harness import Goal, Line, Study, result
+from tools.studies.scoring import Bools, outline_errors, rms, truth_of
 from tools.studies.simulated import simulated
+from tools.studies.uniformity import CONFIDENCE, Uniformity, at_most, table
 
 DRAWN = np.flatnonzero(LEFT)
 CONSTANTS = tuple(RIG_NAMES[i] for i in DRAWN)
@@ -41,6 +49,8 @@ NORMALS = 8  # of the outline that are asked, of those touched and of the others
 _FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
 _LEAST_MU = 0.01  # the belief is a Gaussian, friction is not negative
 _STREAM = 31  # of a seed's random numbers: the body's, not the motion's
+MOST_SIGMAS = 6.0  # beyond which an accepted run is wrong, whatever its error
+TOGETHER = "rig, together"
 _ALL_ROUND: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
 
 
@@ -68,7 +78,7 @@ class MarginalPosterior:
 
 
 @dataclass(frozen=True, slots=True)
-class SbcRow:
+class SbcRow(SbcTask):
     """A run in numbers; NaN for what there is not.
 
     error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
@@ -79,9 +89,6 @@ class SbcRow:
     the rig is as it is described.
     """
 
-    kind: Kind
-    seed: int
-    seconds: float
     error: str = ""
     converged: bool = False
     reason: str = ""
@@ -96,28 +103,9 @@ class SbcRow:
     beliefs: Mapping[str, MarginalPosterior] = field(default_factory=dict)
     contradicted: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def task(self) -> SbcTask:
-        """What was asked for."""
-        return SbcTask(self.kind, self.seed, self.seconds)
 
-
-def tasks_of(
-    kinds: Iterable[Kind], first_seed: int, runs: int, seconds: float, done: Container[SbcTask] = ()
-) -> list[SbcTask]:
-    """So many runs of each kind, all kinds with the same seeds, without those that are done."""
-    tasks = [SbcTask(kind, first_seed + i, seconds) for i in range(runs) for kind in kinds]
-    return [task for task in tasks if task not in done]
-
-
-def failed(task: SbcTask, error: BaseException) -> SbcRow:
-    """The row of a run that came to nothing."""
-    return SbcRow(task.kind, task.seed, task.seconds, error=f"{type(error).__name__}: {error}")
-
-
-@with_failures(failed)
 def run(task: SbcTask) -> SbcRow:
-    """Simulate, reconstruct and compare; what raises becomes a row that says so."""
+    """Simulate, reconstruct and compare."""
     body, surface = believed(task.kind, task.seed)
     log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
     return row_of(task, told, reconstruct(log.events, log.rig))
@@ -138,14 +126,9 @@ def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
     return body, FrictionSurface(mu=mu, dither=dither)
 
 
-def in_order(rows: Iterable[SbcRow]) -> list[SbcRow]:
-    """By kind and seed, whichever was finished first."""
-    return sorted(rows, key=lambda row: (KINDS.index(row.kind), row.seed))
-
-
 def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
     """What an answer believes beside what the simulator `told` of the truth."""
-    row = SbcRow(task.kind, task.seed, task.seconds, reason=answer.reason, chi2=float(answer.chi2))
+    row = result(SbcRow, task, reason=answer.reason, chi2=float(answer.chi2))
     truth = truth_of(told)
     scored = outline_errors(answer, truth)
     if scored is None or answer.h is None:
@@ -160,9 +143,9 @@ def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
         row,
         converged=bool(answer.converged),
         touched=scored.score.touched,
-        e_h_m=_rms(error[at]),
+        e_h_m=rms(error[at]),
         best_e_h_m=scored.score.e_h,
-        h_sd_m=_rms(scored.h_sd[at]),
+        h_sd_m=rms(scored.h_sd[at]),
         beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
         worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
         rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance[np.ix_(DRAWN, DRAWN)], off)),
@@ -213,25 +196,119 @@ def _beliefs(names: Iterable[str], rows: FloatArray) -> dict[str, MarginalPoster
     return {name: MarginalPosterior(*row) for name, row in zip(names, rows.tolist(), strict=True)}
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 # ------------------------------------------------------------------------------------------------ written
 
 
 def as_line(row: SbcRow) -> Line:
-    """The row as a JSON object; a number that is none becomes None."""
-    line = {name: or_none(getattr(row, name)) for name in SbcRow.__slots__}
-    line["beliefs"] = {name: [or_none(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
-    return line | {"contradicted": dict(row.contradicted)}
+    """The row as a JSON object, posteriors as lists of numbers."""
+    beliefs = {name: [or_none(x) for x in (b.true, b.mean, b.sd)] for name, b in row.beliefs.items()}
+    return harness.as_line(replace(row, beliefs={})) | {"beliefs": beliefs}
 
 
 def row_from(line: Line) -> SbcRow:
-    """What `as_line` made; raises TypeError or ValueError for what it did not make."""
-    plain = {name: math.nan if value is None else value for name, value in line.items()}
+    """What `as_line` made; raises AttributeError, KeyError, TypeError or ValueError for what it did not make."""
     beliefs = {
         name: MarginalPosterior(*(math.nan if x is None else float(x) for x in each))
         for name, each in line["beliefs"].items()
     }
-    return SbcRow(**plain | {"beliefs": beliefs})
+    return harness.row_of(SbcRow, line | {"beliefs": beliefs})
+
+
+# ---------------------------------------------------------------------------------------------------- the study
+
+
+def draw(arguments: argparse.Namespace) -> Sequence[SbcTask]:
+    """So many runs of each kind, all kinds with the same seeds."""
+    kinds = harness.kinds_of(arguments, KINDS)
+    return [SbcTask(kind, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for kind in kinds]
+
+
+def claims(rows: Iterable[SbcRow]) -> list[SbcRow]:
+    """The runs that are accepted."""
+    return [row for row in rows if row.converged]
+
+
+def wrong(row: SbcRow) -> bool:
+    """Whether a touched normal is off by more than `WRONG_M` beyond its band."""
+    return row.beyond_m > WRONG_M
+
+
+def far(row: SbcRow, sigmas: float = MOST_SIGMAS) -> list[str]:
+    """What is off by more than so many 1σ."""
+    found = [name for name, belief in row.beliefs.items() if abs(belief.z) > sigmas]
+    return [*found, "a touched normal"] if row.worst_z > sigmas else found
+
+
+def uniformities(rows: Sequence[SbcRow]) -> dict[str, Uniformity]:
+    """Of each quantity that an accepted run estimates, the rig's constants together last."""
+    accepted = claims(rows)
+    names = dict.fromkeys(name for row in accepted for name in row.beliefs)
+    all_z = {name: [row.beliefs[name].z for row in accepted if name in row.beliefs] for name in names}
+    distances = np.array([row.rig_distance2 for row in accepted])
+    all_z[TOGETHER] = stats.norm.isf(stats.chi2.sf(distances, len(CONSTANTS))).tolist()
+    finite = {name: np.array(z)[np.isfinite(z)] for name, z in all_z.items()}
+    return {name: Uniformity.of(z) for name, z in finite.items() if len(z)}
+
+
+def report(rows: Sequence[SbcRow]) -> str:
+    """For each kind of run and for all: seeds, accepted runs, a line for each quantity."""
+    kinds: list[tuple[str, Sequence[SbcRow]]] = [(kind, [row for row in rows if row.kind == kind]) for kind in KINDS]
+    kinds = [each for each in kinds if each[1]]
+    return "\n\n".join(_of_kind(*each) for each in ([*kinds, ("all kinds", rows)] if len(kinds) > 1 else kinds))
+
+
+def remarks(rows: Iterable[SbcRow]) -> list[str]:
+    """A line for each run that ended in an error, is accepted and wrong, or contradicts a rig that is as described."""
+    return [f"{row.kind} {row.seed}: {remark}" for row in rows for remark in _remarks(row)]
+
+
+def _remarks(row: SbcRow) -> list[str]:
+    found = [row.error] if row.error else []
+    if row.converged and wrong(row):
+        found.append(f"accepted, and {row.beyond_m * 1e3:.2f} mm off beyond its band")
+    if row.converged and far(row):
+        found.append(f"accepted, and more than {MOST_SIGMAS:g} sd off: {', '.join(far(row))}")
+    if row.contradicted:
+        found.append("contradicted: " + ", ".join(f"{name} ({z:+.1f} sd)" for name, z in row.contradicted.items()))
+    return found
+
+
+def _of_kind(kind: str, rows: Sequence[SbcRow]) -> str:
+    accepted = claims(rows)
+    marks: list[tuple[str, Callable[[SbcRow], bool], Sequence[SbcRow]]] = [
+        (f"accepted, a touched normal more than {WRONG_M * 1e3:g} mm off beyond its band", wrong, accepted),
+        (f"accepted, anything more than {MOST_SIGMAS:g} sd off", lambda row: bool(far(row)), accepted),
+        ("accepted, a touched normal more than 3 sd off", lambda row: row.worst_z > 3.0, accepted),
+        ("a constant named contradicted", lambda row: bool(row.contradicted), rows),
+    ]
+    lines = [f"{kind}: seeds {harness.numbers(row.seed for row in rows)}"]
+    lines.append(f"  accepted: {len(accepted)} of {len(rows)}")
+    refusals = Counter(row.error or row.reason for row in rows if not row.converged)
+    lines += [f"  not accepted: {count}: {why}" for why, count in refusals.most_common()]
+    lines += [f"  {what}: {_share(sum(map(such, of)), len(of))}" for what, such, of in marks if of]
+    return "\n".join(lines) + ("\n" + table(uniformities(rows)) if accepted else "")
+
+
+def _share(such: int, of: int) -> str:
+    return f"{such} of {of} (at most {100.0 * at_most(such, of):.2g} %, with {100.0 * CONFIDENCE:g} % confidence)"
+
+
+STUDY = Study(
+    "calibration",
+    draw,
+    run,
+    SbcRow,
+    order=lambda row: (KINDS.index(row.kind), row.seed),
+    report=report,
+    remarks=remarks,
+    goals=[Goal("no accepted touched normal is off by more than 0.3 mm beyond its band",
+                lambda rows: not any(map(wrong, claims(rows))))],
+    resumes=True,
+    line=as_line,
+    row_of=row_from,
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    harness.add_arguments(parser, runs=500, seconds_each=10.0, output="sbc.jsonl", kinds=KINDS)

@@ -50,9 +50,6 @@ class SilentObserver:
         return None
 
 
-MISSED_NIS = 3.0
-
-
 class ModelError(Exception):
     """What a broken model raises."""
 
@@ -62,13 +59,13 @@ class Breakable:
 
     def __init__(self, sound: Observer) -> None:
         self._sound = sound
-        self.how: Literal["raises", "nan", "blind", "misses"] | None = None
+        self.how: Literal["raises", "nan", "blind"] | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sound, name)
 
     def estimate(self, t: float) -> Estimate:
-        """As the sound one's; or an error, NaN that is called valid, nothing, or one that its readings contradict."""
+        """As the sound one's; or an error, NaN that is called valid, or nothing."""
         if self.how == "raises":
             raise ModelError("the model is broken")
         estimate = self._sound.estimate(t)
@@ -77,6 +74,4 @@ class Breakable:
                 return dataclasses.replace(estimate, valid=True, r1=math.nan)
             case "blind":
                 return dataclasses.replace(estimate, valid=False)
-            case "misses":
-                return dataclasses.replace(estimate, nis=MISSED_NIS)
         return estimate

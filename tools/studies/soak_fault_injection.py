@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from palmd.rig.fault_injection import ARM, PADS, PORTS, PortName
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, PortName
 
-Ports = tuple[PortName, ...]
 GAP_S = (4.0, 16.0)
 """Between one doing and the next: half of them mischief, which needs time to be got over."""
 
@@ -24,7 +23,7 @@ class SoakFault:
     what: ClassVar = "trick"
     name: str
     port: PortName | None
-    strength: float | None
+    strength: float
     for_s: float
 
 
@@ -61,26 +60,7 @@ class Doing:
     act: Act
 
 
-_TRICKS: tuple[tuple[str, Ports, tuple[float, float] | None, tuple[float, float]], ...] = (
-    ("drop", PORTS, (0.01, 0.2), (0.5, 4.0)),
-    ("garble", PORTS, (0.01, 0.2), (0.5, 4.0)),
-    ("mute", PORTS, None, (0.05, 3.0)),
-    ("unplug", PORTS, None, (0.3, 4.0)),
-    ("late", PORTS, (0.02, 0.2), (0.5, 4.0)),
-    ("burst", PORTS, (0.016, 0.06), (0.5, 4.0)),
-    ("misbaud", PORTS, None, (0.3, 2.0)),
-    ("touch", PADS, (0.2, 1.0), (0.5, 3.0)),
-    ("break", ARM, None, (0.1, 0.2)),
-    ("estop", ARM, None, (0.5, 3.0)),
-    ("power_off", ARM, None, (0.5, 3.0)),
-    ("manual", ARM, None, (0.5, 3.0)),
-    ("block", ARM, None, (0.5, 3.0)),
-    ("freeze", ARM, None, (0.5, 3.0)),
-    ("jump", ARM, (0.01, 0.03), (0.5, 3.0)),
-    ("saturate", PADS, (4.0, 16.0), (0.5, 3.0)),
-    ("lift", (), None, (0.5, 3.0)),
-    ("swap", (), None, (1.0, 1.5)),
-)
+_LASTS_S = (0.3, 3.0)
 _SAYINGS = (("hold", (0.5, 4.0)), ("stop", (0.5, 4.0)), ("reset", (0.5, 1.0)), ("plan", (0.1, 1.0)))
 _VISITS = (("listener", (0.2, 10.0)), ("deaf", (1.0, 25.0)), ("page", (1.0, 10.0)), ("asker", (0.1, 2.0)))
 
@@ -101,9 +81,11 @@ def draw(rng: np.random.Generator, seconds: float) -> list[Doing]:
 def _act(rng: np.random.Generator) -> Act:
     kind = rng.random()
     if kind < 0.6:
-        name, ports, strengths, lasts = _TRICKS[int(rng.integers(len(_TRICKS)))]
-        port = ports[int(rng.integers(len(ports)))] if ports else None
-        return SoakFault(name, port, None if strengths is None else _uniform(rng, strengths), _uniform(rng, lasts))
+        fault = list(INJECTABLE_FAULTS.values())[int(rng.integers(len(INJECTABLE_FAULTS)))]
+        port = fault.ports[int(rng.integers(len(fault.ports)))] if fault.ports else None
+        return SoakFault(
+            fault.name, port, round(fault.strength * float(rng.uniform(0.3, 2.0)), 4), _uniform(rng, _LASTS_S)
+        )
     if kind < 0.75:
         command, lasts = _SAYINGS[int(rng.integers(len(_SAYINGS)))]
         return Say(command, _uniform(rng, lasts))

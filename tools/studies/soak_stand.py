@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import threading
 import time
@@ -26,7 +25,6 @@ from palmd.console.shipped import shipped
 from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
 from palmd.view.http_guard import SOCKET
-from tools.studies.soak_behaviour import GivenCommand, PossibleCause
 from tools.studies.soak_fault_injection import Act, Say, SoakFault, Visit
 from tools.studies.soak_watch import Process, SoakWatch
 
@@ -41,42 +39,8 @@ PLANS = ("plans/lively.yaml", "plans/explore.yaml")
 """The one that is run first, and the one that takes turns with it."""
 
 BESIDE = {"palmd.daemon.smoothing": "smoother", "palmd.daemon.explorer_process": "planner"}
-WATCHED_EVERY_S, HELD_UP_S = 0.01, 0.03
 NONSENSE = b"\xc1 no command"
 ASKED_EVERY_S = 0.05
-
-
-class _Watchmen:
-    """A thread of ordinary priority on each processor, which sees when such threads do not get it.
-
-    The kernel hands over the bytes of a terminal in threads like these, on the processor that wrote them.
-    """
-
-    def __init__(self, causes: list[PossibleCause]) -> None:
-        self._causes = causes
-        self._over = threading.Event()
-        self._threads = [
-            threading.Thread(target=self._watch, args=(number,), name=f"watchman {number}")
-            for number in os.sched_getaffinity(0)
-        ]
-
-    def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        for thread in self._threads:
-            thread.join()
-
-    def _watch(self, number: int) -> None:
-        os.sched_setaffinity(0, {number})
-        t = time.monotonic()
-        while not self._over.wait(WATCHED_EVERY_S):
-            before, t = t, time.monotonic()
-            if t - before > WATCHED_EVERY_S + HELD_UP_S:
-                self._causes.append(PossibleCause("stall", None, before, t))
 
 
 class SoakStand:
@@ -85,8 +49,7 @@ class SoakStand:
     def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
         """`folder` takes configurations and what the processes say, `runs` the recordings."""
         self._folder, self._seed = folder, seed
-        pads = config.pads
-        self.watch = SoakWatch({"pad1": pads.palm1.length_mm * 1e-3, "pad2": pads.palm2.length_mm * 1e-3})
+        self.watch = SoakWatch()
         self.nonsense = 0
         self.unserved: list[str] = []
         self._resources = ExitStack()
@@ -117,10 +80,9 @@ class SoakStand:
         self._resources.close()
 
     def _start(self) -> None:
-        self._resources.enter_context(_Watchmen(self.watch.causes))
         self._stack.start_rig("--seed", str(self._seed))
         self._stack.start(record=True)
-        self._wait(lambda: bool(self.watch.states), START_S, "palmd run did not start")
+        self._wait(lambda: bool(self.watch.told), START_S, "palmd run did not start")
         self._stack.start_page()
 
     # ---- living on ---------------------------------------------------------------------------------------
@@ -163,8 +125,7 @@ class SoakStand:
     def _look(self, loop: Message) -> None:
         """Each second: what the rig counts, and now and then what the processes take."""
         t = time.monotonic()
-        self.watch.rig(self._stack.rig_status(), t)
-        self.watch.waited(_waited_ms(self._stack.children["daemon"].number))
+        self.watch.on_palms = self._stack.rig_status()["on_palms"]
         if t - self._t_sampled >= SAMPLE_S:
             self._t_sampled = t
             for name, number in self._processes().items():
@@ -197,13 +158,11 @@ class SoakStand:
         elif t - self._t_fallen > FALLEN_S:
             self._t_fallen = t
             self._stack.ask_rig("new_object")
-            self.watch.causes.append(PossibleCause("swap", None, t, t + 1.5))
         command = self._operator.decide(t)
         if command is not None:
             self._command(command)
 
     def _command(self, name: str) -> bool:
-        self.watch.commands.append(GivenCommand(time.monotonic(), name))
         return bool(self._stack.client.ask(name)["ok"])
 
     # ---- doings ------------------------------------------------------------------------------------------
@@ -212,11 +171,8 @@ class SoakStand:
         """Do it, or have it done while we go on; raises CliError when the rig refuses."""
         match act:
             case SoakFault():
-                args = {"name": act.name, "port": act.port, "for_s": act.for_s}
-                if act.strength is not None:
-                    args["strength"] = act.strength
-                t_on = float(self._stack.ask_rig("mischief", **args)["t_on_s"])
-                self.watch.causes.append(PossibleCause(act.name, act.port, t_on, t_on + act.for_s))
+                how = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
+                self._stack.ask_rig("mischief", **how)
             case Say(command="plan"):
                 self._change_plan()
                 self._t_hands_on = time.monotonic() + act.for_s
@@ -285,8 +241,8 @@ class SoakStand:
 
     # ---- the end -----------------------------------------------------------------------------------------
 
-    def come_to_rest(self) -> tuple[str, dict[str, Any], dict[str, Any]]:
-        """Stop as an operator does; the state then, and what rig and daemon have counted when the lines are at rest."""
+    def come_to_rest(self) -> tuple[str, dict[str, Any]]:
+        """Stop as an operator does; the state then, and what the daemon has counted when the lines are at rest."""
         for visitor in self._visitors:
             visitor.join()
         with suppress(CliError):  # what it comes to is judged
@@ -294,14 +250,9 @@ class SoakStand:
         self._command("stop")
         with suppress(CliError):
             self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms were not stopped")
-        end = self.watch.state
-        for port in ("pad1", "pad2", "arm"):
-            self._stack.ask_rig("mischief", name="mute", port=port)
-        t = time.monotonic()
-        self.watch.causes += [PossibleCause("mute", port, t, t + QUIET_S) for port in ("pad1", "pad2", "arm")]
-        t_quiet = t + QUIET_S
+        end, t_quiet = self.watch.state, time.monotonic() + QUIET_S
         self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "palm/loop does not come")
-        return end, self._stack.rig_status(), self.watch.loop
+        return end, self.watch.loop
 
     def finish(self) -> list[Path]:
         """End the daemon, then the recorder; the recording's files, in their order."""
@@ -314,14 +265,6 @@ class SoakStand:
         """Keep what the processes have said there."""
         for path in self._folder.glob("*/*.err"):
             shutil.copy(path, folder)
-
-
-def _waited_ms(number: int) -> float:
-    """For how long the process's first thread has been ready to run and had no processor; 0 where that is not told."""
-    try:
-        return int(Path(f"/proc/{number}/task/{number}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-6
-    except (OSError, ValueError, IndexError):
-        return 0.0
 
 
 def _sampled(number: int) -> Process | None:

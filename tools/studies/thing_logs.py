@@ -7,29 +7,47 @@ gives the same row in any process and in any order.
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from palmd.config.two_palms import Drawn, PlanSpec
-from palmd.console.columns import aligned
+from palmd.config.plans import ExploreGoal, ExploreSpec
+from palmd.config.two_palms import Drawn, PlanSpec, rig_description
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.daemon.planner import read_plan
+from palmd.events import Event
+from palmd.harness.wireless import Wireless
+from palmd.messages import events_of
+from palmd.motion.check import motion_limits
+from palmd.motion.rollout_predictor import BINS
+from palmd.observer import Simulated
 from palmd.observer.reconstruct import reconstruct
-from palmd.record.eventlog import read_log
+from palmd.quantities import EVENTS
+from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.dry_plant import DRY
-from palmd.rig.plant import PlantOptions
+from palmd.rig.plant import FrictionSurface, PlantOptions
 from palmd.rig.real_things import Random, thing
 from palmd.rig.shapes import Body, Support, random_body
 from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
-from palmd.rig.simulate import CALIBRATION, simulate_log
+from palmd.rig.simulate import CALIBRATION, Line, simulate_log
+from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system import vibration
-from tools.studies.runs import with_failures
+from palmd.yamlfile import ConfigError, load_plan
+from tools.studies import harness
+from tools.studies.cells import Cell, among, count_of, most, quantiles
+from tools.studies.exploring_plans import plan
+from tools.studies.exploring_watch import ExplorationWatch
+from tools.studies.harness import Study, result
 from tools.studies.scoring import FAR, RIGHT_M
+from tools.studies.silent_observer import SilentObserver
 from tools.studies.simulated import written
-from tools.studies.thing_recordings import ThingRecording, recorded
 
 _STREAM = 31  # keeps the bodies' random numbers apart from those of the motion
 
@@ -88,19 +106,16 @@ class SharpTask:
 
 
 @dataclass(frozen=True, slots=True)
-class SharpRow:
+class SharpRow(SharpTask):
     """What came of it; NaN for what there is not.
 
     e_h, most, sd: RMS and largest error, and RMS of the one-sigma, over the touched normals (m). touched: their share.
     shown: the share that a recording's object was really touched by.
     explained_s: how much of the log the answer explains; mass_z: by how many one-sigmas the mass is too large.
-    seconds: of the processor. perfect: the rig is as described.
+    took_s: of the processor.
     """
 
-    kind: str
-    seed: int
     error: str = ""
-    perfect: bool = True
     claimed: bool = False
     reason: str = ""
     e_h_m: float = math.nan
@@ -111,7 +126,7 @@ class SharpRow:
     sides: int = 0
     explained_s: float = math.nan
     mass_z: float = math.nan
-    seconds: float = math.nan
+    took_s: float = math.nan
     looks_like: str = ""
 
     @property
@@ -122,7 +137,7 @@ class SharpRow:
     @property
     def rough(self) -> bool:
         """Whether it is not, but no farther off than its band allows on a rig that is not as described."""
-        return self.claimed and not self.right and not self.perfect and self.e_h_m < FAR * self.sd_m
+        return self.claimed and not self.right and self.imperfections != "none" and self.e_h_m < FAR * self.sd_m
 
     @property
     def wrong(self) -> bool:
@@ -130,24 +145,12 @@ class SharpRow:
         return self.claimed and not self.right and not self.rough
 
 
-def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imperfections: Drawn) -> list[SharpTask]:
-    """So many of each kind, all with the same seeds."""
-    return [SharpTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
-
-
-def failed(task: SharpTask, error: BaseException) -> SharpRow:
-    """The row of a run that came to nothing."""
-    return SharpRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
-
-
-@with_failures(failed)
 def run(task: SharpTask) -> SharpRow:
-    """Simulate, reconstruct, compare; what raises becomes a row that says so."""
+    """Simulate, reconstruct, compare."""
     log, truth, shown = simulated(task)
     begun = time.process_time()
     answer = reconstruct(log.events, log.rig)
-    seconds, perfect = time.process_time() - begun, task.imperfections == "none"
-    row = SharpRow(task.kind, task.seed, perfect=perfect, reason=answer.reason, seconds=seconds, shown=shown)
+    row = result(SharpRow, task, reason=answer.reason, took_s=time.process_time() - begun, shown=shown)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -181,34 +184,37 @@ def simulated(task: SharpTask) -> ThingRecording:
         return ThingRecording(read_log(path), truth, math.nan)
 
 
-_VERDICTS = ("right", "in its band", "wrong", "refused")
-HEAD = (*_VERDICTS, "µm", "largest", "error / sd", "touched", "explained (s)", "processor (s)")
+LOG_S = 20.0  # how long each lasts
 
 
-def table(rows: Sequence[SharpRow]) -> str:
-    """A line for each kind: errors and shares are medians of what is claimed, the largest error is of all that is."""
-    lines: list[tuple[str, Sequence[str]]] = [("", HEAD)]
-    groups = [(kind, [row for row in rows if row.kind == kind and not row.error]) for kind in KINDS]
-    return aligned([*lines, *((name, _cells(mine)) for name, mine in groups if mine)])
+def draw(arguments: argparse.Namespace) -> Sequence[SharpTask]:
+    """So many of each kind, all with the same seeds; CliError with all that is wrong with a plan."""
+    seconds = arguments.seconds or LOG_S
+    moves = _moves(arguments.plan, seconds) if arguments.explored or arguments.plan is not None else None
+    return [
+        SharpTask(kind, seed, seconds, arguments.imperfections, moves)
+        for seed in harness.seeds_of(arguments)
+        for kind in harness.kinds_of(arguments, KINDS)
+    ]
 
 
-def _cells(rows: Sequence[SharpRow]) -> Sequence[str]:
-    claimed = [row for row in rows if row.claimed]
-    verdicts = [(row.right, row.rough, row.wrong, not row.claimed) for row in rows]
-    counts = [sum(each) for each in zip(*verdicts, strict=True)]
-    spent = f"{np.median([row.seconds for row in rows]):.0f}, most {max(row.seconds for row in rows):.0f}"
-    ratios = [row.e_h_m / row.sd_m for row in claimed]
-    if not claimed:
-        return (*(f"{count} of {len(rows)}" for count in counts), *("–",) * 5, spent)
-    return (
-        *(f"{count} of {len(rows)}" for count in counts),
-        f"{1e6 * np.median([row.e_h_m for row in claimed]):.0f}",
-        f"{1e6 * max(row.most_m for row in claimed):.0f}",
-        f"{np.median(ratios):.1f}, most {max(ratios):.1f}",
-        f"{np.median([row.touched for row in claimed]):.0%}",
-        f"{np.median([row.explained_s for row in claimed]):.0f}",
-        spent,
-    )
+def _moves(path: Path | None, seconds: float) -> PlanSpec:
+    """The plan in a file, None: an exploration that takes so long."""
+    config = default_config()
+    if path is None:
+        return plan("explore", config, ExploreGoal(coverage=1.0, time_limit_s=seconds), seed=0)
+    try:
+        read_plan(path, motion_limits(config), None)
+        return load_plan(path)
+    except ConfigError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+
+
+def verdict(row: SharpRow) -> str:
+    """Right, in its band, wrong, or rejected."""
+    if not row.claimed:
+        return "rejected"
+    return "right" if row.right else "in its band" if row.rough else "wrong"
 
 
 def remarks(rows: Sequence[SharpRow]) -> list[str]:
@@ -216,13 +222,79 @@ def remarks(rows: Sequence[SharpRow]) -> list[str]:
     said = []
     for row in rows:
         shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
+        name = f"{row.kind} {row.seed}"
         if row.error or not row.claimed:
-            said.append(f"{row.kind} {row.seed}: {row.error or 'refused: ' + row.reason}{shown}")
+            said.append(f"{name}: {row.error or 'rejected: ' + row.reason}{shown}")
         else:
-            verdict = "right" if row.right else "in its band" if row.rough else "WRONG"
             said.append(
-                f"{row.kind} {row.seed}: {verdict}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
+                f"{name}: {verdict(row)}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
                 f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched{shown}, {row.explained_s:.1f} s explained, sides:"
-                f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.seconds:.0f} s; {row.looks_like}"
+                f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.took_s:.0f} s; {row.looks_like}"
             )
     return said
+
+
+def _verdict(which: str) -> tuple[str, Cell]:
+    return which, count_of(lambda row: verdict(row) == which)
+
+
+def _claimed(cell: Cell) -> Cell:
+    return among(lambda row: row.claimed, cell)
+
+
+OFFLINE = Study(
+    "logs",
+    draw,
+    run,
+    SharpRow,
+    order=lambda row: (KINDS.index(row.kind), row.seed),
+    by=lambda row: row.kind,
+    columns=[
+        *map(_verdict, ("right", "in its band", "wrong", "rejected")),
+        ("µm", _claimed(quantiles(lambda row: row.e_h_m, 1e6))),
+        ("largest", _claimed(most(lambda row: row.most_m, 1e6))),
+        ("error / sd: median, most", _claimed(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
+        ("touched %", _claimed(quantiles(lambda row: row.touched, 100.0))),
+        ("explained (s)", _claimed(quantiles(lambda row: row.explained_s))),
+        ("processor (s): median, most", quantiles(lambda row: row.took_s, 1.0, (0.5, 1.0))),
+    ],
+    remarks=remarks,
+    line=lambda row: harness.as_line(replace(row, plan=None)) | {"plan": row.plan and row.plan.name},
+)
+
+
+class ThingRecording(NamedTuple):
+    """What the daemon was fed, the body as `rig/object` tells it, and the share of its normals that were touched."""
+
+    log: EventLog
+    truth: Line
+    shown: float
+
+
+def recorded(
+    body: Body,
+    plan: PlanSpec,
+    seed: int,
+    seconds: float,
+    imperfections: Drawn,
+    options: PlantOptions,
+    surface: FrictionSurface | None = None,
+) -> ThingRecording:
+    """So many seconds of the plan. One that explores does so by what the observer and its smoother find.
+
+    Against `surface`, by default a random one. The same arguments, the same bits. Raises PlanError for a plan that
+    leaves the default limits, WirelessError where the daemon does not get ready.
+    """
+    config = default_config(imperfections)
+    rig = rig_description(config)
+    explores = any(isinstance(segment, ExploreSpec) for segment in plan.segments)
+    found_by = {"smoothing": Simulated(rig)} if explores else {"estimator": SilentObserver()}
+    wireless = Wireless(config, plan, seed, options=options, body=body, surface=surface, **found_by)
+    wireless.start()
+    pads = tuple(pad.length for pad in rig.pads)
+    fed = list[Event]()
+    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, wireless.t)
+    for instant in wireless.run(seconds):
+        watch.take(instant)
+        fed += events_of(instant.messages[EVENTS.name])
+    return ThingRecording(EventLog(rig, tuple(fed)), wireless.world.object_truth(), watch.coverage)

@@ -1,34 +1,40 @@
-"""Things with corners, flat sides and round ones on the emulated rig: how often the live estimate is valid and wrong.
+"""Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong.
 
 The daemon's core and its smoother against the plant, without wires, on moves drawn at random; blind, each run by its
-kind and seed. Corners, dents and dry lumps that a study of `reconstruct` has logs of (`thing_logs`) are these logs,
-replayed through the live observer. `run` gives the same row in any process and in any order.
+kind and seed. Corners, dents and dry lumps of `thing_logs` are these logs, replayed through the live observer. With
+--offline: logs of polygons, of dented and of dry lumps, of dice and profiles, reconstructed blind: how many are right,
+wrong, rejected. With --explored: the same bodies, each explored in the emulated rig, and its recording reconstructed;
+with --plan: each moved by a plan in it.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import Drawn, rig_description
-from palmd.console.columns import aligned
+from palmd.console.errors import BAD_INPUT, CliError
 from palmd.harness.scorer import Scorer
 from palmd.harness.wireless import Wireless
 from palmd.observer import Simulated, make
-from palmd.quantities import ESTIMATE, SHAPE, UNEXPLAINED
+from palmd.quantities import ESTIMATE, UNEXPLAINED
 from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body, random_body
+from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
-from tools.studies import thing_logs
+from tools.studies import harness, thing_logs
+from tools.studies.cells import Cell, mean, most, runs, total
 from tools.studies.exploring_plans import plan
+from tools.studies.harness import Study, kinds_of, result, seeds_of
 from tools.studies.montecarlo import answers
-from tools.studies.runs import with_failures
 from tools.studies.scoring import FAR
 
 LUMP = "lump"  # a smooth one, as other studies have
@@ -36,16 +42,7 @@ LOGGED: tuple[str, ...] = tuple(kind for kind in thing_logs.KINDS if kind not in
 KINDS: tuple[str, ...] = (*THINGS, LUMP, *LOGGED)
 OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
 MUCH = 0.01  # of the ticks
-HEAD = (
-    "runs",
-    "valid",
-    "wrong, of all ticks",
-    "worst run",
-    "beyond 3 sd",
-    "largest error (mm)",
-    "refusals",
-    "contacts lost",
-)
+LIVE_S = 15.0  # how long each lasts
 _STREAM = 18  # keeps the bodies' random numbers apart from those of the motion
 _MARGIN_S = 2.0  # by which the moves last longer than the run
 
@@ -61,26 +58,20 @@ class ThingTask:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingRow:
+class ThingRow(ThingTask):
     """A run in numbers; NaN for what there is not.
 
     valid, wrong, far: shares of all ticks from the first move on; wrong: valid, and a radius off by more than 0.3 mm;
-    far: by more than three of its one-sigmas. most: the largest such error (m). e_h: of the last valid outline where it
-    was touched (m). refusals: of the smoother.
-    losses: of a contact, falls: off the palms, objects: how many were begun. Of a log the shares and the error alone.
+    far: by more than three of its one-sigmas. most: the largest such error (m). refusals: of the smoother. losses:
+    of a contact. Of a log the shares and the error alone.
     """
 
-    kind: str
-    seed: int
     error: str = ""
     valid: float = math.nan
     wrong: float = math.nan
     most_m: float = math.nan
-    e_h_m: float = math.nan
     refusals: int = 0
     losses: int = 0
-    falls: int = 0
-    objects: int = 0
     far: float = math.nan
 
 
@@ -93,19 +84,8 @@ def body_of(task: ThingTask) -> Body:
     return thing(task.kind, random, off).body
 
 
-def tasks_of(kinds: Iterable[str], first: int, count: int, seconds: float, imperfections: Drawn) -> list[ThingTask]:
-    """So many of each kind, all with the same seeds."""
-    return [ThingTask(kind, first + i, seconds, imperfections) for i in range(count) for kind in kinds]
-
-
-def failed(task: ThingTask, error: BaseException) -> ThingRow:
-    """The row of a run that came to nothing."""
-    return ThingRow(task.kind, task.seed, error=f"{type(error).__name__}: {error}")
-
-
-@with_failures(failed)
 def run(task: ThingTask) -> ThingRow:
-    """Move, estimate and compare; what raises becomes a row that says so."""
+    """Move, estimate and compare."""
     if task.kind in LOGGED:
         return _replayed(task)
     config = default_config(task.imperfections)
@@ -126,21 +106,15 @@ def run(task: ThingTask) -> ThingRow:
             far += any(miss > FAR * estimate["sd"][name] for name, miss in misses.items())
             wrong += error > WRONG_M
             most = max(most, error)
-        if SHAPE.name in instant.messages:
-            scorer.take_shape(instant.messages[SHAPE.name])
-    outline = scorer.outline(wireless.world.object_truth()["h_m"])
     status = wireless.world.status()
-    return ThingRow(
-        kind=task.kind,
-        seed=task.seed,
+    return result(
+        ThingRow,
+        task,
         valid=valid / ticks,
         wrong=wrong / ticks,
         most_m=most if valid else math.nan,
-        e_h_m=math.nan if outline is None else outline.e_h,
         refusals=refusals,
         losses=int(status["contact_losses"] - before),
-        falls=int(status["falls"]),
-        objects=int(scorer.estimate["object"]),
         far=far / ticks,
     )
 
@@ -151,9 +125,9 @@ def _replayed(task: ThingTask) -> ThingRow:
     live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
     misses = np.abs(live.r_error)
     error = misses.max(axis=1)
-    return ThingRow(
-        kind=task.kind,
-        seed=task.seed,
+    return result(
+        ThingRow,
+        task,
         valid=float(live.valid.mean()),
         wrong=float(live.wrong.mean()),
         most_m=float(error[live.valid].max()) if live.valid.any() else math.nan,
@@ -161,35 +135,64 @@ def _replayed(task: ThingTask) -> ThingRow:
     )
 
 
-def table(rows: Sequence[ThingRow]) -> str:
-    """A line for each kind, and one for all that are no smooth lump."""
-    lines: list[tuple[str, Sequence[str]]] = [("", HEAD)]
-    groups = [(kind, [row for row in rows if row.kind == kind and not row.error]) for kind in KINDS]
-    groups.append(("all things", [row for row in rows if row.kind != LUMP and not row.error]))
-    lines += [(name, _cells(mine)) for name, mine in groups if mine]
-    return aligned(lines)
-
-
-def _cells(rows: Sequence[ThingRow]) -> Sequence[str]:
-    most = [row.most_m for row in rows if math.isfinite(row.most_m)]
-    return (
-        str(len(rows)),
-        f"{np.mean([row.valid for row in rows]):.0%}",
-        f"{np.mean([row.wrong for row in rows]):.1%}",
-        f"{max(row.wrong for row in rows):.1%}",
-        f"{np.mean([row.far for row in rows]):.1%}",
-        f"{1e3 * max(most):.2f}" if most else "–",
-        str(sum(row.refusals for row in rows)),
-        str(sum(row.losses for row in rows)),
-    )
+def draw(arguments: argparse.Namespace) -> Sequence[ThingTask]:
+    """So many of each kind, all with the same seeds."""
+    rest = arguments.seconds or LIVE_S, arguments.imperfections
+    return [ThingTask(kind, seed, *rest) for seed in seeds_of(arguments) for kind in kinds_of(arguments, KINDS)]
 
 
 def remarks(rows: Sequence[ThingRow]) -> list[str]:
-    """A line for each run that came to nothing, or was valid and wrong for more than a hundredth of its ticks."""
-    said = []
+    """What all but the smooth lump come to, then a line for each run that came to nothing, or was often wrong."""
+    some = [row for row in rows if row.kind != LUMP and not row.error]
+    said = [f"all things: {', '.join(f'{title} {cell(some)}' for title, cell in COLUMNS)}"] if some else []
     for row in rows:
         if row.error:
             said.append(f"{row.kind} {row.seed}: {row.error}")
         elif row.wrong > MUCH:
             said.append(f"{row.kind} {row.seed}: wrong for {row.wrong:.1%}, by up to {1e3 * row.most_m:.2f} mm")
     return said
+
+
+COLUMNS: list[tuple[str, Cell]] = [
+    ("runs", runs),
+    ("valid", mean(lambda row: row.valid, ".0%")),
+    ("wrong, of all ticks", mean(lambda row: row.wrong, ".1%")),
+    ("worst run, %", most(lambda row: row.wrong, 100.0)),
+    ("beyond 3 sd", mean(lambda row: row.far, ".1%")),
+    ("largest error (mm)", most(lambda row: row.most_m, 1e3)),
+    ("refusals", total(lambda row: row.refusals)),
+    ("contacts lost", total(lambda row: row.losses)),
+]
+
+LIVE = Study(
+    "things",
+    draw,
+    run,
+    ThingRow,
+    order=lambda row: (KINDS.index(row.kind), row.seed),
+    by=lambda row: row.kind,
+    columns=COLUMNS,
+    remarks=remarks,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The study's arguments."""
+    kinds = tuple(dict.fromkeys((*KINDS, *thing_logs.KINDS)))
+    harness.add_arguments(parser, runs=10, seconds_each=None, output=None, kinds=kinds)
+    add = parser.add_mutually_exclusive_group().add_argument
+    add("--offline", action="store_true", help="reconstruct logs of corners, dents and dry lumps")
+    add("--explored", action="store_true", help="the same of recordings: each is explored in the emulated rig")
+    add("--plan", type=Path, metavar="FILE", help="the same of recordings of a motion plan in the emulated rig")
+    parser.add_argument("--imperfections", choices=tuple(CALIBRATION), default="none",
+        help="what the rig is off by, drawn by the seed (default: %(default)s)")  # fmt: skip
+
+
+def conduct(arguments: argparse.Namespace) -> int:
+    """Interrupted, it reports what is finished until then. CliError for a kind that there are no such runs of."""
+    offline = arguments.offline or arguments.explored or arguments.plan is not None
+    known: tuple[str, ...] = thing_logs.KINDS if offline else KINDS
+    if arguments.kind not in (*known, harness.ALL):
+        wanted = "without --offline, --explored and --plan" if offline else "with --offline, --explored or --plan"
+        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted}; here there are: {', '.join(known)}")
+    return thing_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)

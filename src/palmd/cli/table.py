@@ -93,7 +93,7 @@ _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 
 MOVED = {
     "bench": f"{_STUDY} NAME",
-    "observability": f"{_STUDY} observability",
+    "observability": "this study is finished; its results are in docs/theory/paper.md",
     "report paper": f"{_STUDY} paper",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }

@@ -23,7 +23,7 @@ from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
 from palmd.rig.pads import PadOptions
 from palmd.yamlfile import load_config
-from tools.studies.rolled_marble import rolled
+from tools.rolled_marble import rolled
 
 CONFIG = "pads: {{palm1: {{port: {port}{more}}}, palm2: {{port: /dev/none2}}}}\narm: {{port: /dev/none3}}\n"
 

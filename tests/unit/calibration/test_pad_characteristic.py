@@ -9,7 +9,7 @@ from palmd.calibration.pad_characteristic import TooFewReportsError, characteris
 from palmd.config.pads import VersaPadConfig
 from palmd.devices.versapad import PadPacket, VersaPadDecoder, encode_packet
 from palmd.rig.pads import ACROSS_JITTER_COUNTS, PACKET_S, PadOptions, Press, VersaPadEmulator
-from tools.studies.rolled_marble import rolled
+from tools.rolled_marble import rolled
 
 CONFIG = VersaPadConfig(port="p")
 SECONDS = 20.0

@@ -111,7 +111,7 @@ def test_a_former_spelling_works_and_names_the_new_one(old, capsys):
         (("bench",), "python -m tools.studies NAME"),
         (("bench", "montecarlo", "--runs", "3"), "python -m tools.studies montecarlo"),
         (("outlook",), "docs/theory/outlook.md"),
-        (("observability", "--states", "5"), "python -m tools.studies observability"),
+        (("observability", "--states", "5"), "docs/theory/paper.md"),
         (("report", "paper", "-o", "x"), "python -m tools.studies paper"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 
 from palmd.cli import main
 from palmd.rig.simulate import simulate_log
-from tools.studies.camera import Camera, as_csv, filmed
+from tools.camera import Camera, as_csv, filmed
 
 CAMERA = Camera()
 SECONDS = 6.0

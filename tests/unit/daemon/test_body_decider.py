@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from body_stand import WIDE, BodyStand, known_parameters
 
 from palmd.config.three_palms import TiltGoal
 from palmd.daemon import body_decider
@@ -22,7 +23,6 @@ from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.simulate import REST_POSE
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
-from tools.studies.space_exploring import WIDE, BodyStand, known_parameters
 
 RIG, SEED = ThreePalmsRig(), 4
 LIMITS = TiltLimits.over(WIDE, 75.0)

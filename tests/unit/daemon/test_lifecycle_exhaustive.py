@@ -7,9 +7,8 @@ import pytest
 from abstract_rig import Rig, happenings
 
 from palmd.daemon.lifecycle import COMMANDED, State
-from palmd.faults import FAULTS, TABLE, FaultMonitor
+from palmd.faults import FAULTS, FaultMonitor
 from palmd.harness.rules import Rules
-from tools.studies.simulation.reached import unreachable
 
 pytestmark = pytest.mark.timeout(3600)  # a busy machine takes its time over half a million ticks
 
@@ -130,14 +129,6 @@ def test_after_a_fault_or_a_stop_autostart_starts_nothing_more():
     stopped = {node.ways["stop"] for node in nodes} | {n for n, node in enumerate(nodes) if node.state is State.FAULT}
     assert not any(node.state in COMMANDED for node in reached(nodes, stopped, {"arm"}))
     assert [what for node in nodes for what in node.broken] == []
-
-
-def test_what_simulated_runs_are_not_expected_to_reach_is_what_cannot_be_reached(nodes):
-    """Of the faults of the arm; those that are one of each severity here come up without a cause, or its motion."""
-    there = {(node.state, code) for node in nodes for code in node.faults}
-    codes = {code for _, code in there if code.startswith("arm-")}
-    expected = {(state, code) for state in State for code in codes if unreachable(state, TABLE[code]) is None}
-    assert {(state, code) for state, code in there if code in codes} == expected
 
 
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault.latch != "no"], ids=lambda fault: fault.code)

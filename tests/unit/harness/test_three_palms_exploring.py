@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from body_stand import known_parameters
 
 from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
@@ -12,8 +13,7 @@ from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config
-from tools.studies.space_exploring import known_parameters
-from tools.studies.space_live import SpaceLiveRow, TrueCoverage, told_of_exploring
+from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage, remarks
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
 TOLD_S, SECONDS = 2.2, 6.5
@@ -85,8 +85,11 @@ def test_every_set_point_keeps_the_limits(explored):
 
 
 def test_a_row_tells_how_much_was_touched_and_what_was_lost():
-    row = SpaceLiveRow(5, 8.0, 9.0, 0.9, 2e-5, 0, 0.5, (0.4, 0.6, 0.85), 0.8, 1, 1, 9.5, "")
-    lines = list(told_of_exploring([row]))
-    assert lines[0] == "       5: 40% after 20 s, 60% after 40 s, 85% after 60 s, told 80%"
-    assert "fell off 1 times, 1 times valid again after 9.5 s" in lines[1]
-    assert lines[-1] == "touched: median 85%, 1 with at least 80%; lost 1"
+    row = SpaceLiveRow(
+        5, 60.0, "explore", settled=8.0, for_good=9.0, valid=0.9, surface_error=2e-5, ratio=0.5,
+        coverage=(0.4, 0.6, 0.85), told=0.8, losses=1, recovered=1, back_s=9.5,
+    )  # fmt: skip
+    lines = list(remarks([row]))
+    assert "fell off 1 times, 1 times valid again after 9.5 s" in lines[0]
+    assert lines[1] == "       5: touched 40% after 20 s, 60% after 40 s, 85% after 60 s, published 80%"
+    assert LIVE.tabled([row]).split()[-3:] == ["1", "85", "1"]

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from body_stand import WIDE, BodyStand, known_parameters
 
 from palmd.model import rotation
 from palmd.model.body_rollout import ROUGH_ORDER
@@ -20,10 +21,8 @@ from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
-from palmd.rig.three_palms.simulate import REST_POSE
+from palmd.rig.three_palms.simulate import REST_POSE, STEP_S
 from palmd.system.three_palms import ThreePalmsRig, palms_at
-from tools.studies import space_exploring
-from tools.studies.space_exploring import WIDE, known_parameters
 
 GRAVITY, SIDE, SEED = 9.81, 0.075, 4
 RIG = ThreePalmsRig()
@@ -34,7 +33,7 @@ LIMITS = TiltLimits.over(WIDE, 1e3 * SIDE)
 @cache
 def stand():
     """A body at rest, and what is known of it."""
-    there = space_exploring.BodyStand(SEED, GRAVITY)
+    there = BodyStand(SEED, GRAVITY)
     return there, known_parameters(there.plant.body, there.plant.rubbing)
 
 
@@ -304,8 +303,16 @@ def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
 
 
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
-    row = space_exploring.explored(SEED, 4.0)
-    assert math.isnan(row.lost)
-    assert row.coverage[-1] > 0.2
-    line = space_exploring.SpaceExploringRow(**{**row.line(), "lost": math.nan})
-    assert next(space_exploring.told_of_exploring([line])).startswith("       4: μ 0.")
+    there = BodyStand(SEED, GRAVITY)
+    directions = icosphere(3)[0]
+    foresight = BodyForesight(known_parameters(there.plant.body, there.plant.rubbing), ThreePalmsRig())
+    explorer = BodyExplorer(foresight, LIMITS, directions, SEED)
+    pose, t, touched = tuple(REST_POSE.tolist()), 0.0, np.zeros(len(directions), np.bool_)
+    while t < 4.0:
+        move = explorer.decide(Bearings(*there.bearings, np.array([pose])), touched) or Move(pose, pose, 0.5)
+        move = Move(move.start, move.end, STEP_S * math.ceil(move.duration / STEP_S))
+        normals, held = there.moved(move, SIDE)
+        assert held
+        t, pose = t + move.duration, move.end
+        touched |= explorer.covered(normals)
+    assert touched.mean() > 0.2

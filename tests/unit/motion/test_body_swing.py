@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from body_stand import WIDE
 
 from palmd.config.three_palms import ThreePalmsLimitsConfig
 from palmd.motion.body_swing import FARTHEST_RAD, SWING_RAD, Swing
 from palmd.motion.three_palms import TiltLimits
-from tools.studies.space_exploring import WIDE
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])

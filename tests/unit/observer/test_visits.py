@@ -11,7 +11,7 @@ from simulated import simulated
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.visits import HYSTERESIS_RAD, kept_by_band, kept_by_visits, visits_of
-from tools.studies import pruning_figure
+from tools import pruning_figure
 from tools.studies.scoring import outline_errors
 
 

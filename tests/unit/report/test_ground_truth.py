@@ -13,7 +13,7 @@ from palmd.record.track import CameraTrack, TrackError, read_track
 from palmd.report.camera_clock import GroundTruthError
 from palmd.report.camera_signals import motion_of
 from palmd.report.ground_truth import compared
-from tools.studies.camera import Camera, as_csv, filmed
+from tools.camera import Camera, as_csv, filmed
 from tools.studies.simulated import simulated
 
 MOST_SDS = 4.0

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from plans import SHORT, SWING
 from recorded import config as recorded_config
+from wireless_recorder import WirelessRecorder
 
 from palmd.cli import main
 from palmd.config.pivot import PivotPlanSpec
@@ -24,7 +25,6 @@ from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
-from tools.studies.fault_wireless import WirelessRecorder
 from tools.studies.silent_observer import SilentObserver
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"

@@ -117,11 +117,10 @@ class Scenario:
     """All that one run is made of. `kept` are the numbers of the `happenings` among those drawn.
 
     `eager_s` is how long the operator who wants the palms to move takes between looks, `latency_s` how often each
-    port's adapter delivers. `thorough`: with the real observer on the real plant; `recorded`: as the recorder does.
+    port's adapter delivers. `thorough`: with the real observer on the real plant.
     `trouble_s` is how long things may happen, and until `alone_s` nobody but the clients that are drawn gives commands.
     `calm_s` is how long all must be well again after that. `coarse`: a light rig that lives in longer steps.
-    `rate_hz` is how often the daemon ticks. `sought`: a director of this number does what happens, instead of what is
-    drawn.
+    `rate_hz` is how often the daemon ticks.
     """
 
     seed: int
@@ -132,13 +131,11 @@ class Scenario:
     happenings: tuple[Happening, ...]
     kept: tuple[int, ...]
     thorough: bool = False
-    recorded: bool = False
     trouble_s: float = TROUBLE_S
     alone_s: float = 0.0
     calm_s: float = CALM_S
     coarse: bool = False
     rate_hz: float = RATE_HZ
-    sought: bool = False
 
     def keeping(self, kept: Iterable[int]) -> Scenario:
         """The same with these happenings only, by their numbers among those drawn."""
@@ -148,8 +145,8 @@ class Scenario:
 
 
 PLANS = 4
-THOROUGH_EVERY, RECORDED_EVERY = 64, 16
-"""Of the seeds: one in so many has the real observer and plant, or is recorded."""
+THOROUGH_EVERY = 64
+"""Of the seeds: one in so many has the real observer and plant."""
 
 
 COARSE_LATENCY_S = 0.004
@@ -179,9 +176,9 @@ def drawn(seed: int) -> Scenario:
     found.sort(key=lambda each: each.t)
     happenings = tuple(found)
     numbers = tuple(range(len(happenings)))
-    thorough, recorded = seed % THOROUGH_EVERY == THOROUGH_EVERY - 1, seed % RECORDED_EVERY == RECORDED_EVERY - 1
+    thorough = seed % THOROUGH_EVERY == THOROUGH_EVERY - 1
     alone_s = TROUBLE_S if autostart else 0.0
-    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, recorded, alone_s=alone_s)
+    return Scenario(seed, plan, autostart, eager_s, latency_s, happenings, numbers, thorough, alone_s=alone_s)
 
 
 def _one(t: float, rng: random.Random) -> Happening:

@@ -12,9 +12,7 @@ import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from dataclasses import dataclass
 from typing import Any, cast
 
 import msgpack
@@ -36,8 +34,6 @@ from palmd.messages import Fields, info_fields
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.observer.observer import Observer
-from palmd.record.recording import Ended, Recording
-from palmd.record.run import read_run
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.fault_injection import PORTS, FaultOrder
 from palmd.rig.world import AWAY_S, World, default_config
@@ -73,7 +69,6 @@ from tools.studies.simulation.machine import (
     VirtualSmoother,
     VirtualWaiter,
 )
-from tools.studies.simulation.reach import Director
 from tools.studies.simulation.watch import Breach, Watch
 
 OPERATOR = 99
@@ -95,7 +90,6 @@ class Outcome:
     breach: Breach | None
     simulated_s: float
     digest: str
-    seen: Counter[tuple[str, str, str]]
     sometimes: Counter[str]
 
 
@@ -106,7 +100,7 @@ class WatchedCore(Core):
 
     def handle(self, request: Request, t: float) -> None:
         """As the core."""
-        self.simulation.watch.handled(self, request, self.simulation.machine.clock.now)
+        self.simulation.watch.handled(request, self.simulation.machine.clock.now)
         super().handle(request, t)
 
     def decide(self, t: float) -> None:
@@ -142,9 +136,6 @@ class Simulation:
         self._t_look = 0.0
         self._losses = self._falls = 0
         self._breakable = Breakable(LightObserver())
-        self._recorder: Recorder | None = None
-        self._director = Director(scenario.seed) if scenario.sought else None
-        self._done: list[Happening] = []  # by the director
         for each in scenario.happenings:
             self._order(each)
         self._begin()
@@ -195,8 +186,6 @@ class Simulation:
     def _published(self, frames: Sequence[bytes]) -> None:
         self.spend("publish")
         self.watch.said(frames, self.machine.clock.now)
-        if self._recorder is not None:
-            self._recorder.take(frames, self.machine.clock.wall())
 
     def spend(self, part: Part) -> None:
         """The process gets no processor for as long as a stall in this part has it."""
@@ -216,32 +205,16 @@ class Simulation:
 
     def run(self) -> Outcome:
         """To its end, or to the first broken invariant."""
-        if not self.scenario.recorded:
-            return self._run()
-        with TemporaryDirectory(prefix="palmd-simulate-") as folder:
-            self._recorder = Recorder(self.config, Path(folder))
-            outcome = self._run()
-            wrong = self._recorder.finish()
-        if wrong and outcome.breach is None:
-            breach = Breach(outcome.simulated_s, "the recording holds what was published", wrong)
-            return replace(outcome, breach=breach)
-        return outcome
-
-    def _run(self) -> Outcome:
         clock, watch = self.machine.clock, self.watch
         while clock.now < max(watch.t_trouble, self.scenario.trouble_s) + self.scenario.calm_s and watch.breach is None:
             self.step()
-        if self._director is not None:
-            self._end_seeking(clock.now)
         if watch.breach is None:
             self._judge_the_end(clock.now)
-        return Outcome(self.scenario, watch.breach, clock.now, watch.digest.hexdigest(), watch.seen, watch.sometimes)
+        return Outcome(self.scenario, watch.breach, clock.now, watch.digest.hexdigest(), watch.sometimes)
 
     def step(self) -> None:
         """One period of the loop."""
         clock, watch = self.machine.clock, self.watch
-        if self._director is not None:
-            self._seek(self._director, clock.now)
         self._let_happen(clock.now)
         self._operate(clock.now)
         self.loop.period()
@@ -264,24 +237,6 @@ class Simulation:
         """The rig's tricks are ordered beforehand."""
         if isinstance(what, Trick):
             self.rig.mischief.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
-
-    def _seek(self, director: Director, t: float) -> None:
-        """Let the director do what leads on."""
-        found = director.look(self.core, self.rig.palms(), self.watch.seen, t)
-        for each in found:
-            self._order(each)
-        for cause in causes(found):
-            self.watch.happened(cause.name, cause.t_on, cause.t_off)
-        self._waiting = found[::-1]
-        self._done += found
-        if director.over:
-            self._end_seeking(t)
-
-    def _end_seeking(self, t: float) -> None:
-        """From `t` (s) on the run is as one whose happenings were drawn beforehand, and is repeated as that."""
-        self._director = None
-        done, numbers = tuple(self._done), tuple(range(len(self._done)))
-        self.scenario = replace(self.scenario, happenings=done, kept=numbers, sought=False, trouble_s=t, alone_s=t)
 
     def _judge_the_end(self, t: float) -> None:
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
@@ -332,7 +287,7 @@ class Simulation:
 
     def _operate(self, t: float) -> None:
         """Somebody who wants the palms to move, and reads the state as often as they can."""
-        if self._director is not None or t < max(self._t_look, self.scenario.alone_s):
+        if t < max(self._t_look, self.scenario.alone_s):
             return
         self._t_look = t + self.scenario.eager_s
         core = self.core
@@ -363,32 +318,6 @@ class FullRig(World):
     def palms(self) -> PalmMotion:
         """Where the palms really are and how they move."""
         return self._palms
-
-
-class Recorder:
-    """Records what is published, as the recorder does, and reads it back."""
-
-    def __init__(self, config: Config, folder: Path) -> None:
-        self._ended: list[Ended] = []
-        record = config.record.model_copy(update={"directory": folder})
-        self._recording = Recording(config.model_copy(update={"record": record}), self._ended.append)
-        self._taken = 0
-
-    def take(self, frames: Sequence[bytes], t: float) -> None:
-        """One message, published at `t` (Unix seconds)."""
-        self._recording.take(list(frames), t)
-        self._taken += 1
-
-    def finish(self) -> str:
-        """What is wrong with the files, empty when nothing is."""
-        self._recording.finish()
-        found = missing = 0
-        for each in self._ended:
-            for survey in read_run(each.path).survey().values():
-                found, missing = found + survey.count, missing + survey.missing
-        if (found, missing) == (self._taken, 0):
-            return ""
-        return f"{found} of {self._taken} messages are in {len(self._ended)} files, {missing} missing between others"
 
 
 def simulate(scenario: Scenario) -> Outcome:

@@ -84,12 +84,11 @@ class Breach:
 
 
 class Watch:
-    """See the module. The first breach is kept; `seen` counts (state, fault, command), `sometimes` what was reached."""
+    """See the module. The first breach is kept; `sometimes` counts what was reached."""
 
     def __init__(self, config: Config, causes: Sequence[Cause], arm: AdeptArm, *, autostart: bool) -> None:
         """`causes` are all that is going to happen; `autostart` says that nobody needs to arm."""
         self.breach: Breach | None = None
-        self.seen: Counter[tuple[str, str, str]] = Counter()
         self.sometimes: Counter[str] = Counter()
         self.digest = hashlib.blake2b(digest_size=16)
         self._causes, self._arm, self._autostart = list(causes), arm, autostart
@@ -150,11 +149,8 @@ class Watch:
             return
         self._open[client, repr(request.id)].append(_Asked(t, request.name))
 
-    def handled(self, core: Core, request: Request, t: float) -> None:
+    def handled(self, request: Request, t: float) -> None:
         """A command's turn has come at `t` (s)."""
-        state = str(core.state)
-        codes = [fault.code for fault in core.faults.active] or ["none"]
-        self.seen.update((state, code, request.name) for code in codes)
         client = int(request.route[0]) if request.route else -1
         for asked in self._open.get((client, repr(request.id)), ()):
             if asked.name == request.name and not asked.had_its_turn:

@@ -1,0 +1,400 @@
+"""The harness of studies: runs in threads, processes or a cluster, the file of rows, resuming, the table, the goals."""
+
+import contextlib
+import importlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import connection
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_study import KINDS, ToyRow, ToyTask, asked, draw, study
+
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.extras import install_line
+from tools.studies import cells, harness, runs
+from tools.studies.commands import STUDIES, loaded, main
+
+A_DAY_S = 86_400.0
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    monkeypatch.setattr(runs, "local", lambda _jobs: ThreadPoolExecutor(8))
+
+
+def lines(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+# -------------------------------------------------------------------------------------------- the command line
+
+
+def usage(*argv):
+    with pytest.raises(SystemExit) as caught:
+        main([*argv])
+    return caught.value.code
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_has_its_module_and_help(name, capsys):
+    module = loaded(name)
+    assert callable(module.STUDY.conduct if hasattr(module, "STUDY") else module.conduct)
+    assert usage(name, "--help") == 0
+    assert capsys.readouterr().out.startswith(f"usage: python -m tools.studies {name}")
+
+
+def test_help_names_every_study(capsys):
+    assert usage("--help") == 0
+    shown = capsys.readouterr().out
+    assert all(f"  {name} " in shown for name in STUDIES)
+
+
+def test_a_missing_optional_package_is_named_with_the_line_that_installs_it(monkeypatch, capsys):
+    def not_there(_name):
+        raise ModuleNotFoundError(name="matplotlib")
+
+    monkeypatch.setattr(importlib, "import_module", not_there)
+    assert main(["paper"]) == BAD_INPUT
+    assert install_line("matplotlib", "studies") in capsys.readouterr().err
+
+
+def test_a_missing_module_of_ours_is_a_defect(monkeypatch):
+    monkeypatch.delitem(sys.modules, "tools.studies.sbc", raising=False)
+    monkeypatch.setitem(sys.modules, "tools.studies.uniformity", None)
+    with pytest.raises(ModuleNotFoundError):
+        main(["sbc"])
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ((), "NAME"),
+        (("dance",), "dance"),
+        (("montecarlo", "--runs", "0"), "0 is less than 1"),
+        (("montecarlo", "--runs", "x"), "must be a whole number, got 'x'"),
+        (("montecarlo", "--seed", "-1"), "-1 is negative"),
+        (("montecarlo", "--seconds", "0.1"), "must be 0.5 s or more, got 0.1"),
+        (("montecarlo", "--seconds", "nan"), "must be 0.5 s or more, got nan"),
+        (("montecarlo", "--kind", "strange"), "there is no 'strange'"),
+        (("montecarlo", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "not allowed with"),
+    ],
+)
+def test_usage_errors(argv, said, capsys):
+    assert usage(*argv) == 2
+    assert said in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------ rows, table, goals
+
+
+def test_rows_are_in_order_and_what_raises_is_a_row(threads, tmp_path, capsys):
+    path = tmp_path / "new" / "toy.jsonl"
+    assert study().conduct(asked("--runs", 3, "--seed", 11, "-o", path)) == 0
+    assert [(row["kind"], row["seed"]) for row in lines(path)] == [(kind, s) for kind in KINDS for s in (11, 12, 13)]
+    assert [row["value"] for row in lines(path)] == [11.0, None, 13.0] * 2
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "seeds 11–13"
+    assert [line.split() for line in out[1:4]] == [
+        ["runs", "errors", "large", "median"], ["flat", "3", "1", "2", "12"], ["bent", "3", "1", "2", "12"],
+    ]  # fmt: skip
+    assert out[4:6] == ["flat 12: ValueError: no ground", "bent 12: ValueError: no ground"]
+    assert out[-1] == f"written: {path}"
+
+
+def test_one_kind_across_and_all_together():
+    rows = [ToyRow(kind, seed, 1.0, value=float(seed)) for kind in KINDS for seed in (1, 2)]
+    across = study(across=True, whole="all").tabled(rows).splitlines()
+    assert across[0].split() == ["flat", "bent", "all"]
+    assert across[1].split() == ["runs", "2", "2", "4"]
+    assert [task.kind for task in draw(asked("--kind", "bent", "--runs", 2))] == ["bent", "bent"]
+
+
+def test_a_missed_goal_is_told_and_is_the_exit_status(threads, capsys):
+    assert study().conduct(asked("--runs", 1, "--seed", 30, output=None)) == BAD_INPUT
+    assert "goal missed: no value is above 20" in capsys.readouterr().out
+
+
+def test_a_figure_is_drawn_where_there_is_one(threads, tmp_path, capsys):
+    panels = [("value", lambda row: row.value, 1.0, (2.0,), False), ("nothing", lambda _: math.nan, 1.0, (), True)]
+    assert study(panels=panels).conduct(asked("-o", tmp_path)) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.jsonl", "toy.png", "toy.svg"]
+    first = (tmp_path / "toy.svg").read_bytes()
+    assert study(panels=panels).conduct(asked("-o", tmp_path)) == 0
+    assert (tmp_path / "toy.svg").read_bytes() == first
+    assert capsys.readouterr().out.splitlines()[-1].count("toy") == 2
+
+
+def test_without_matplotlib_there_is_no_figure_and_one_line_says_so(threads, tmp_path, monkeypatch, capsys):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "tools.studies.figure", raising=False)
+    monkeypatch.delattr("tools.studies.figure", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert study(panels=[("value", lambda row: row.value, 1.0, (), False)]).conduct(asked("-o", tmp_path)) == 0
+    out, err = capsys.readouterr()
+    assert err == f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}\n"
+    assert out.splitlines()[-1] == f"written: {tmp_path / 'runs.jsonl'}"
+
+
+def test_quantiles():
+    random = np.random.default_rng(0).normal(size=37)
+    for q in (0.0, 0.5, 0.9, 0.95, 1.0):
+        assert cells.quantile(random, q) == pytest.approx(np.quantile(random, q))
+    assert cells.quantile([1.0, math.inf], 0.5) == math.inf
+
+
+def test_cells_count_what_is_missing_as_they_say():
+    rows = [ToyRow("flat", 0, 1.0, value=each) for each in (3.0, 4.0, math.nan)]
+    value = ToyRow.value.__get__
+    assert cells.quantiles(value, 10.0)(rows) == "35"
+    assert cells.quantiles(value, 1.0, (0.5, 1.0), worst=True)(rows) == "4 / ∞"
+    assert cells.rms(value)(rows) == "3.54"
+    assert cells.mean(value, ".1f")(rows) == "3.5"
+    assert cells.most(value)([]) == cells.quantiles(value)([]) == cells.rms(value)([]) == cells.NOTHING
+    assert cells.count_of(lambda row: row.value > 3.0)(rows) == "1 of 3"
+    assert cells.among(lambda row: row.value > 3.0, cells.runs)(rows) == "1"
+
+
+def test_numbers_in_words():
+    assert harness.numbers([5, 3, 4, 9, 11, 12, 4]) == "3–5, 9, 11–12"
+
+
+# ------------------------------------------------------------------------------------------------ interrupted
+
+
+def test_an_interruption_leaves_what_is_finished(threads, tmp_path, monkeypatch, capsys):
+    def interrupted(_executor, work, _failed, tasks):
+        for task in reversed(tasks[:3]):
+            yield work(task)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "finished", interrupted)
+    path = tmp_path / "toy.jsonl"
+    assert study().conduct(asked("--kind", "bent", "--runs", 50, "-o", path)) == 130
+    assert [row["seed"] for row in lines(path)] == [0, 1, 2]
+    assert "interrupted: 3 of 50 runs are finished\n" in capsys.readouterr().err
+
+
+def test_rows_are_on_disk_as_soon_as_they_are_finished(threads, tmp_path, monkeypatch):
+    path, counts = tmp_path / "toy.jsonl", []
+
+    def watched(_executor, work, _failed, tasks):
+        for task in tasks:
+            yield work(task)
+            counts.append(path.read_text().count("\n"))
+
+    monkeypatch.setattr(runs, "finished", watched)
+    assert study().conduct(asked("--kind", "bent", "--runs", 3, "-o", path)) == 0
+    assert counts == [1, 2, 3]
+    assert study(resumes=True).conduct(asked("--kind", "bent", "--runs", 5, "-o", path)) == 0
+    assert counts == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(("number", "send"), [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.kill)])
+def test_a_signal_ends_real_processes(number, send, tmp_path):
+    """A terminal's Ctrl-C reaches all of them, a termination the first only."""
+    command = [sys.executable, "-m", "tools.studies", "montecarlo", "--kind", "nominal", "--runs", "500"]
+    command += ["--seconds", "0.6", "--no-causal", "--jobs", "1", "-o", str(tmp_path)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, process_group=0) as process:
+        rows = tmp_path / "runs.jsonl"
+        t_end = time.monotonic() + 180.0
+        while time.monotonic() < t_end and not (rows.exists() and rows.read_text().count("\n") > 1):
+            time.sleep(0.05)
+        children = subprocess.run(
+            ["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=True
+        ).stdout.split()
+        before = rows.read_text().count("\n")
+        send(process.pid, number)
+        _, err = process.communicate(timeout=120.0)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert 2 <= before <= len(lines(rows)) <= before + 20  # as soon as can be, however slow the machine
+    assert [row["error"] for row in lines(rows)] == [""] * len(lines(rows))
+    t_end = time.monotonic() + 60.0
+    while any(Path(f"/proc/{child}").exists() for child in children):
+        assert time.monotonic() < t_end
+        time.sleep(0.05)
+
+
+# ---------------------------------------------------------------------------------------------------- resumed
+
+
+def resumed(path, *argv):
+    return study(resumes=True).conduct(asked("--kind", "bent", "-o", path, *argv))
+
+
+def test_a_study_is_resumed_and_files_are_put_together(threads, tmp_path, monkeypatch):
+    done = []
+    finished = runs.finished
+
+    def noted(executor, work, failed, tasks):
+        done.extend(task.seed for task in tasks)
+        return finished(executor, work, failed, tasks)
+
+    monkeypatch.setattr(runs, "finished", noted)
+    path, other = tmp_path / "a.jsonl", tmp_path / "b.jsonl"
+    assert resumed(path, "--runs", 2, "--seed", 10) == resumed(path, "--runs", 4, "--seed", 10) == 0
+    assert done == [10, 11, 12, 13]
+    assert resumed(other, "--runs", 2, "--seed", 13) == 0
+    path.write_text(path.read_text() + other.read_text())
+    done.clear()
+    assert resumed(path, "--runs", 4, "--seed", 10) == 0
+    assert done == []
+    assert [row["seed"] for row in lines(path)] == [10, 11, 12, 13, 14]
+
+
+@pytest.mark.parametrize("text", ["{}\n", "no json\n", "[1]\n", '{"kind": "bent", "seed": 1}\n', b"\xff\xfe\x00"])
+def test_any_other_file_is_left_alone(text, threads, tmp_path):
+    path = tmp_path / "file.jsonl"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    before = path.read_bytes()
+    with pytest.raises(CliError, match=r"is no file of this study: line 1 is no run"):
+        resumed(path)
+    assert path.read_bytes() == before
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(CliError, match="cannot be read: Is a directory"):
+        resumed(tmp_path / "folder")
+
+
+def test_runs_that_last_otherwise_are_another_study(threads, tmp_path):
+    path = tmp_path / "file.jsonl"
+    assert resumed(path, "--runs", 1, "--seconds", 5) == 0
+    with pytest.raises(CliError, match="has runs of 5 s, not 10 s"):
+        resumed(path, "--seconds", 10)
+
+
+def test_a_line_that_was_cut_off_is_told_by_its_number(threads, tmp_path):
+    """As a machine that lost its power leaves one."""
+    path = tmp_path / "file.jsonl"
+    assert resumed(path, "--runs", 2) == 0
+    left = path.read_text()[:-20]
+    path.write_text(left)
+    with pytest.raises(CliError, match="line 2 is no run; remove it"):
+        resumed(path, "--runs", 3)
+    assert path.read_text() == left
+
+
+def test_a_file_that_cannot_be_written_is_one_line(threads, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CliError, match="cannot be written"):
+        study().conduct(asked("-o", tmp_path / "file" / "toy.jsonl"))
+
+
+# -------------------------------------------------------------------------------------- processes and clusters
+
+
+def failed(task, error):
+    return f"{task}: {type(error).__name__}"
+
+
+def test_processes_and_a_cluster_give_the_same(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    one, two = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
+    assert study().conduct(asked("--seed", 11, "--jobs", 2, "-o", one)) == 0
+    with distributed.LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as dask:
+        assert study().conduct(asked("--seed", 11, "--scheduler", dask.scheduler_address, "-o", two)) == 0
+    assert one.read_text() == two.read_text()
+
+
+def test_a_cluster_forgets_what_is_undone_and_tells_failures():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as dask:
+        with runs.cluster(dask.scheduler_address) as executor:
+            assert set(runs.finished(executor, math.sqrt, failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
+            results = runs.finished(executor, time.sleep, failed, [0.0, *[0.3] * 100])
+            assert next(results) is None
+        t_end = time.monotonic() + 10.0  # a third of what all of it would take; the news takes a moment to get there
+        while dask.scheduler.tasks and time.monotonic() < t_end:
+            time.sleep(0.05)
+        assert not dask.scheduler.tasks
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://there"])
+def test_a_scheduler_that_is_not_there_is_one_line_and_earlier_rows_stay(address, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(runs, "CONNECT_S", 0.3)
+    path = tmp_path / "toy.jsonl"
+    path.write_text("precious\n")
+    with pytest.raises(CliError, match="no Dask scheduler at"):
+        study().conduct(asked("--scheduler", address, "-o", path))
+    assert path.read_text() == "precious\n"
+
+
+def test_a_cluster_needs_dask(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(CliError) as caught:
+        study().conduct(asked("--scheduler", "tcp://127.0.0.1:1", output=None))
+    assert str(caught.value) == f"--scheduler needs Dask, which is not installed: {install_line('Dask', 'studies')}"
+
+
+def test_what_raises_in_a_process_or_kills_it_is_a_result():
+    with runs.local(2) as executor:
+        assert set(runs.finished(executor, math.sqrt, failed, [4.0, -1.0])) == {2.0, "-1.0: ValueError"}
+    with runs.local(1) as executor:
+        assert list(runs.finished(executor, os._exit, failed, [3])) == ["3: BrokenProcessPool"]
+
+
+def test_a_worker_keeps_to_one_thread_and_leaves_interruptions_to_its_parent(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    with runs.local(1) as executor:
+        assert executor.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
+        assert executor.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
+    program = "import sys; import tools.studies.runs; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], env=ENVIRONMENT, check=False).returncode == 0
+
+
+def test_an_interruption_does_not_wait_for_the_runs_in_hand():
+    """They would last longer than this test is given: it ends only because they are cut short."""
+    workers = []
+    try:
+        with contextlib.suppress(KeyboardInterrupt), runs.local(2) as executor:
+            next(runs.finished(executor, time.sleep, failed, [0.0, A_DAY_S, A_DAY_S, A_DAY_S]))
+            workers += multiprocessing.active_children()
+            raise KeyboardInterrupt
+        assert len(workers) == 2
+        for worker in workers:
+            connection.wait([worker.sentinel])  # its end; for join() the executor's own thread may take the status away
+    finally:
+        for worker in workers:
+            worker.kill()
+
+
+ORPHAN = """
+import os, time
+from tools.studies import runs
+
+if __name__ == "__main__":
+    with runs.local(1) as executor:
+        print(executor.submit(os.getpid).result(), flush=True)
+        time.sleep(60.0)
+"""
+
+
+def test_workers_do_not_outlive_their_parent(tmp_path):
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    with subprocess.Popen([sys.executable, str(script)], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as parent:
+        worker = Path("/proc") / parent.stdout.readline().strip()
+        assert worker.exists()
+        parent.send_signal(signal.SIGKILL)
+    t_end = time.monotonic() + 10.0
+    while worker.exists():
+        assert time.monotonic() < t_end
+        time.sleep(0.05)
+
+
+def test_a_task_of_an_unknown_kind_is_a_row_that_says_so():
+    row = study().attempted(ToyTask("flat", "no number", 1.0))
+    assert row.error.startswith("TypeError")
+    assert math.isnan(row.value)

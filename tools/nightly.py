@@ -1,0 +1,59 @@
+"""Campaigns that take hours, with seeds of their own each night: `make nightly`, or `tools/nightly.py FOLDER [NAME …]`.
+
+Each writes its rows and what it printed into the folder. Status 1 when one of them missed a goal or did not run.
+"""
+
+from __future__ import annotations
+
+import datetime
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+CAMPAIGNS: dict[str, str] = {
+    "montecarlo": "montecarlo --runs 10 --seed {seed} -o {folder}/montecarlo",
+    "montecarlo-calibrated": "montecarlo --runs 10 --seed {seed} --imperfections calibrated -o {folder}/calibrated",
+    "sbc": "sbc --runs 20 --seed {seed} -o {folder}/sbc.jsonl",
+    "off": "off --runs 1 --seed {seed} -o {folder}/off.jsonl",
+    "explore": "explore --runs 1 --seed {seed} -o {folder}/explore",
+    "curved": "curved --runs 6 --seed {seed} -o {folder}/curved.jsonl",
+    "pivot": "pivot --runs 10 --seed {seed} -o {folder}/pivot.jsonl",
+    "pivot-live": "pivot --live --runs 3 --seed {seed} -o {folder}/pivot-live.jsonl",
+    "space": "space --runs 2 --seed {seed} -o {folder}/space.jsonl",
+    "things": "things --runs 2 --seed {seed} -o {folder}/things.jsonl",
+    "things-offline": "things --offline --runs 1 --seed {seed} -o {folder}/things-offline.jsonl",
+    "engines": "engines --runs 1 --seed {seed} -o {folder}/engines.jsonl",
+    "false-alarms": "false-alarms arm --light --runs 4 --seconds 900 --seed {seed} -o {folder}/false-alarms.jsonl",
+    "simulate": "simulate --fresh 1800",
+    "faults": "faults --seed {seed} -o {folder}/faults",
+    "soak": "soak --seed {seed} -o {folder}/soak",
+}
+"""By name: the arguments of `python -m tools.studies`."""
+
+
+def main(folder: Path, names: list[str]) -> int:
+    """One campaign after the other."""
+    unknown = [name for name in names if name not in CAMPAIGNS]
+    if unknown:
+        print(f"no campaign {', '.join(unknown)}; there are {', '.join(CAMPAIGNS)}", file=sys.stderr)
+        return 2
+    folder.mkdir(parents=True, exist_ok=True)
+    seed = 1000 * datetime.datetime.now(datetime.UTC).date().toordinal()
+    failed = []
+    for name in names or CAMPAIGNS:
+        arguments = CAMPAIGNS[name].format(seed=seed, folder=folder).split()
+        begun = time.monotonic()
+        with (folder / f"{name}.txt").open("w", encoding="utf-8") as out:
+            command = [sys.executable, "-m", "tools.studies", *arguments]
+            status = subprocess.run(command, cwd=ROOT, stdout=out, stderr=out, check=False).returncode
+        print(f"{name}: {'good' if status == 0 else f'status {status}'}, {time.monotonic() - begun:.0f} s", flush=True)
+        failed += [name] * (status != 0)
+    print(f"seeds from {seed}; failed: {', '.join(failed) or 'nothing'}; {folder}")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]).absolute(), sys.argv[2:]))

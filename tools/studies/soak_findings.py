@@ -1,0 +1,302 @@
+"""What a soak has found, as a table: leaks, lateness, and what is missing in the recording. Pure.
+
+Memory, descriptors and threads by robust slopes; missed ticks, drift and storms minute by minute; whether all that was
+published is recorded once and in order, and replays to the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from palmd.console.columns import aligned
+from palmd.jsonvalues import or_none
+from palmd.record.recheck import Checked
+from palmd.record.run import Survey
+
+JUDGED_FROM_S = 1800.0
+"""A shorter soak cannot tell a leak or a drift from the noise; its slopes are told and not judged."""
+
+
+@dataclass(frozen=True, slots=True)
+class SoakFinding:
+    """One thing looked at: the figure, what it must be, and whether it is; None where that is not judged.
+
+    `group` is one of `leak`, `lateness`, `counters`, `recording`, `behaviour`.
+    """
+
+    group: str
+    name: str
+    value: float
+    unit: str
+    goal: str
+    met: bool | None
+    why: str = ""
+
+
+def at_most(group: str, name: str, value: float, most: float, unit: str = "", why: str = "") -> SoakFinding:
+    """A figure that must not exceed `most`; one that is not there has not met its goal."""
+    return SoakFinding(group, name, value, unit, f"≤ {most:g}", value <= most, why)
+
+
+def between(
+    group: str, name: str, value: float, least: float, most: float, unit: str = "", why: str = ""
+) -> SoakFinding:
+    """A figure that must lie between two, both included."""
+    goal = f"= {least:g}" if least == most else f"{least:g} to {most:g}"
+    return SoakFinding(group, name, value, unit, goal, least <= value <= most, why)
+
+
+def told(group: str, name: str, value: float, unit: str = "") -> SoakFinding:
+    """A figure without a goal."""
+    return SoakFinding(group, name, value, unit, "", None)
+
+
+def all_met(findings: Sequence[SoakFinding]) -> bool:
+    """Whether there is anything, and nothing has missed its goal."""
+    return bool(findings) and all(finding.met is not False for finding in findings)
+
+
+def as_line(finding: SoakFinding) -> dict[str, Any]:
+    """One finding for JSON."""
+    return {
+        "group": finding.group,
+        "name": finding.name,
+        "value": or_none(finding.value),
+        "unit": finding.unit,
+        "goal": finding.goal,
+        "met": finding.met,
+        "why": finding.why,
+    }
+
+
+def table(findings: Sequence[SoakFinding]) -> str:
+    """One line a finding."""
+    verdict = {True: "met", False: "MISSED", None: "-"}
+    head = ("finding", ("value", "unit", "goal", "verdict"))
+    rows = [
+        (f"{each.group}: {each.name}", (f"{each.value:.6g}", each.unit, each.goal, verdict[each.met]))
+        for each in findings
+    ]
+    why = [f"  {each.name}: {each.why}" for each in findings if each.met is False and each.why]
+    return "\n".join([aligned([head, *rows]), *why])
+
+
+# ----------------------------------------------------------------------------------------------------- leaks
+
+
+MEMORY_MB_H = 1.0
+POINTS_MOST = 600  # of a series for its slope: there is a slope for every pair
+WARM_UP_PART, WARM_UP_MOST_S = 0.25, 600.0
+HOUR_S = 3600.0
+
+
+@dataclass(slots=True)
+class ProcessSeries:
+    """One process over time: seconds, resident memory (MB), open descriptors, threads."""
+
+    t: list[float] = field(default_factory=list)
+    rss_mb: list[float] = field(default_factory=list)
+    descriptors: list[int] = field(default_factory=list)
+    threads: list[int] = field(default_factory=list)
+
+
+def slope(t: Sequence[float], values: Sequence[float]) -> float:
+    """Theil and Sen's slope: the median over all pairs of points of Δvalue/Δt; NaN for fewer than two points."""
+    x, y = np.asarray(t, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    if x.size > POINTS_MOST:
+        keep = np.linspace(0, x.size - 1, POINTS_MOST).round().astype(int)
+        x, y = x[keep], y[keep]
+    i, j = np.triu_indices(x.size, 1)
+    apart = x[j] != x[i]
+    if not apart.any():
+        return float("nan")
+    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart]))
+
+
+def warm_up_s(seconds: float) -> float:
+    """How much of a soak of so many seconds belongs to no slope."""
+    return min(WARM_UP_PART * seconds, WARM_UP_MOST_S)
+
+
+def leaks(processes: Mapping[str, ProcessSeries], t_begin: float, seconds: float) -> list[SoakFinding]:
+    """Of each process after the warm-up: MB an hour, and by how many the descriptors and threads have become more."""
+    judged = seconds >= JUDGED_FROM_S
+    found = []
+    for name, series in processes.items():
+        t = np.asarray(series.t) - t_begin
+        warm = t >= warm_up_s(seconds)
+        rate = slope(t[warm].tolist(), np.asarray(series.rss_mb)[warm].tolist()) * HOUR_S
+        met = rate <= MEMORY_MB_H if judged else None
+        found.append(SoakFinding("leak", f"{name} memory", rate, "MB/h", f"≤ {MEMORY_MB_H:g}", met))
+        for what, counts in (("descriptors", series.descriptors), ("threads", series.threads)):
+            more = growth(np.asarray(counts, dtype=np.float64)[warm].tolist())
+            found.append(SoakFinding("leak", f"{name} {what}", more, "more", "≤ 0", more <= 0.0 if judged else None))
+    return found
+
+
+def growth(counts: Sequence[float]) -> float:
+    """By how much the lower quartile of the last third is above that of the first third; NaN without any.
+
+    The lower quartile, because what comes and goes opens things for a while.
+    """
+    third = max(1, len(counts) // 3)
+    if not counts:
+        return float("nan")
+    first, last = (np.percentile(part, 25.0) for part in (counts[:third], counts[-third:]))
+    return float(last - first)
+
+
+# -------------------------------------------------------------------------------------------------- lateness
+
+
+MISSED_MOST_PERCENT = 0.01
+DRIFT_MOST_MS_H = 0.1
+STORM_SECONDS_MOST = 2
+STORM_MINUTE_MOST = 30
+"""A storm: ticks missed in more than so many seconds on end, or more than so many of a minute's 6000."""
+
+
+@dataclass(frozen=True, slots=True)
+class Second:
+    """One `palm/loop`: when (s), ticks and skipped ticks since the start, how late each of its ticks began (ms)."""
+
+    t: float
+    ticks: int
+    overruns: int
+    lateness_ms: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Minute:
+    """A minute's median, 99th percentile and largest lateness (ms), and how many ticks were missed in it."""
+
+    t: float
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+    missed: int
+
+
+def minutes(seconds: Sequence[Second]) -> list[Minute]:
+    """Whole minutes of the seconds, in their order."""
+    found: list[Minute] = []
+    for begin in range(0, len(seconds) - 60, 60):
+        part = seconds[begin : begin + 61]
+        late = np.concatenate([np.asarray(second.lateness_ms) for second in part[1:]])
+        p50, p99 = np.percentile(late, (50.0, 99.0))
+        missed = part[-1].overruns - part[0].overruns
+        found.append(Minute(part[0].t, float(p50), float(p99), float(late.max()), missed))
+    return found
+
+
+def longest_run(missed: Sequence[int]) -> int:
+    """Over how many seconds on end ticks were missed."""
+    longest = run = 0
+    for count in missed:
+        run = run + 1 if count > 0 else 0
+        longest = max(longest, run)
+    return longest
+
+
+def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[SoakFinding]:
+    """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged."""
+    if len(seconds) < 2:
+        return [at_most("lateness", "missed ticks", math.nan, MISSED_MOST_PERCENT, "%", "no palm/loop was heard")]
+    ticks, missed = seconds[-1].ticks - seconds[0].ticks, seconds[-1].overruns - seconds[0].overruns
+    each = [b.overruns - a.overruns for a, b in pairwise(seconds)]
+    late = np.concatenate([np.asarray(second.lateness_ms) for second in seconds])
+    percent = 100.0 * missed / max(1, ticks + missed)
+    found = [
+        told("lateness", "ticks", ticks),
+        told("lateness", "missed ticks, number", missed),
+        at_most("lateness", "missed ticks", percent, MISSED_MOST_PERCENT, "%"),
+        at_most("lateness", "longest run of seconds with misses", longest_run(each), STORM_SECONDS_MOST, "s"),
+        *(
+            told("lateness", name, float(value), "ms")
+            for name, value in zip(
+                ("p50", "p99", "p99.9", "max"), (*np.percentile(late, (50.0, 99.0, 99.9)), late.max()), strict=True
+            )
+        ),
+    ]
+    each_minute = minutes(seconds)
+    if each_minute:
+        found.append(
+            at_most("lateness", "worst minute's misses", max(one.missed for one in each_minute), STORM_MINUTE_MOST)
+        )
+        t = [one.t for one in each_minute]
+        judged = seconds[-1].t - seconds[0].t >= JUDGED_FROM_S
+        drift = slope(t, [one.p50_ms for one in each_minute]) * HOUR_S
+        met = abs(drift) <= DRIFT_MOST_MS_H if judged else None
+        found.append(SoakFinding("lateness", "drift of the median", drift, "ms/h", f"within ±{DRIFT_MOST_MS_H:g}", met))
+        found.append(told("lateness", "drift of p99", slope(t, [one.p99_ms for one in each_minute]) * HOUR_S, "ms/h"))
+        found.append(told("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
+    if goal:
+        return found
+    return [_unjudged(one) for one in found]
+
+
+def _unjudged(finding: SoakFinding) -> SoakFinding:
+    return SoakFinding(finding.group, finding.name, finding.value, finding.unit, finding.goal, None)
+
+
+# ------------------------------------------------------------------------------------------------- recording
+
+
+@dataclass(slots=True)
+class Numbers:
+    """The numbers that the messages of one topic had: the first, the last, how many were missing between."""
+
+    first: int
+    last: int
+    missing: int = 0
+
+
+def recorded(
+    surveys: Sequence[Mapping[str, Survey]], heard: Mapping[str, Numbers], published: int
+) -> list[SoakFinding]:
+    """Of one run's files in their order, beside what we heard on the bus and what the daemon says it published."""
+    missing: list[str] = []
+    count = 0
+    for topic in sorted({topic for survey in surveys for topic in survey} | set(heard)):
+        parts = [survey[topic] for survey in surveys if topic in survey]
+        ours = topic.startswith("palm/")
+        count += sum(part.count for part in parts) if ours else 0
+        if not parts:
+            missing.append(f"all of {topic}")
+            continue
+        lost = sum(part.missing for part in parts)
+        after = parts[0].first + parts[0].count + parts[0].missing
+        for part in parts[1:]:
+            lost += part.first - after
+            after = part.first + part.count + part.missing
+        if ours:
+            lost += parts[0].first
+        if topic in heard:
+            lost += max(0, heard[topic].last + 1 - after)
+        if lost:
+            missing.append(f"{lost} of {topic}")
+    return [
+        told("recording", "files", len(surveys)),
+        told("recording", "messages", count),
+        between("recording", "topics with gaps", len(missing), 0, 0, why=", ".join(missing[:8])),
+        between("recording", "messages published and not recorded", max(0, published - count), 0, 0),
+        between("recording", "messages that this bench missed", sum(each.missing for each in heard.values()), 0, 0),
+    ]
+
+
+def replayed(ticks: Iterable[Checked]) -> list[SoakFinding]:
+    """Of the first ticks, given to the observer again."""
+    count = differ = 0
+    for tick in ticks:
+        count += 1
+        differ += bool(tick.differences)
+    return [
+        SoakFinding("recording", "ticks replayed", count, "", "> 0", count > 0),
+        between("recording", "ticks replayed that differ", differ, 0, 0),
+    ]
