@@ -10,8 +10,10 @@
 
 _shtab_palmd_commands() {
   local _commands=(
+    bundle:'pack a recorded run, versions and findings for a bug report'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
     check:'validate configurations and motion plans'
+    compare:'compare runs with each other, with the truth or with an external track'
     ctl:'command a running daemon'
     demo:'run an emulated rig and the daemon on an unknown object'
     doctor:'find what is missing or misconfigured, and test the arm and the pads'
@@ -101,6 +103,16 @@ _shtab_palmd_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_defaults_added=0
+
+_shtab_palmd_bundle_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--config[the configuration (default\: that of the recording)]:FILE:_files"
+  {-o,--output}"[default\: RUN\'s name with .zip, here]:FILE:_files"
+  ":a recording (MCAP) or an event log:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_bundle_defaults_added=0
 
 _shtab_palmd_calibrate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -224,6 +236,17 @@ _shtab_palmd_check_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_check_defaults_added=0
+
+_shtab_palmd_compare_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--reference[what all are compared with]:FILE:_files"
+  {-o,--output}"[everything found, as JSON\; - for standard output]:FILE.json:_files"
+  "--figure[errors over time and outlines (.svg, .png, .pdf)]:FILE.svg:_files"
+  "(*):recordings, results and tracks:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_compare_defaults_added=0
 
 _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -672,8 +695,10 @@ _shtab_palmd() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_palmd-$line[1]:"
       case $line[1] in
+        bundle) _arguments -C -s $_shtab_palmd_bundle_options ;;
         calibrate) _shtab_palmd_calibrate ;;
         check) _arguments -C -s $_shtab_palmd_check_options ;;
+        compare) _arguments -C -s $_shtab_palmd_compare_options ;;
         ctl) _shtab_palmd_ctl ;;
         demo) _arguments -C -s $_shtab_palmd_demo_options ;;
         doctor) _arguments -C -s $_shtab_palmd_doctor_options ;;

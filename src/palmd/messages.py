@@ -409,6 +409,7 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
     from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
+    from palmd.config.guards import pad_force_limits
 
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
@@ -429,6 +430,7 @@ def info_fields(version: str, observer: str, config: Config, plans: Iterable[str
         **{f"{name}_limits_rad": [math.radians(angle) for angle in ends] for name, ends in ranges_deg.items()},
         "rate_limit_rad_s": math.radians(limits.rate_deg_s),
         "acceleration_limit_rad_s2": math.radians(limits.acceleration_deg_s2),
+        "force_limit_n": list(pad_force_limits(limits.force_n, dict(zip(PALMS, config.pads.each(), strict=True)))),
         "palms": list(PALMS),
         "joints": list(JOINTS),
         "sides": list(SIDES),

@@ -396,6 +396,7 @@ INFO = Topic(
         Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
+        Quantity("force_limit_n", "numbers", "N", "what may press on each pad, palm by palm"),
     ),
 )
 TICK = Quantity("t_tick_s", "number", "s", "the tick's time, CLOCK_MONOTONIC, to the last bit")

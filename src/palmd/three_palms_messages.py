@@ -116,6 +116,7 @@ def shaped(**told: Any) -> BodyAnswer:
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
     """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
     from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
+    from palmd.config.guards import pad_force_limits
 
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))
     return {
@@ -138,5 +139,6 @@ def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: It
         },
         "rate_limit_rad_s": math.radians(config.limits.rate_deg_s),
         "acceleration_limit_rad_s2": math.radians(config.limits.acceleration_deg_s2),
+        "force_limit_n": list(pad_force_limits(config.limits.force_n, dict(pads))),
         "plans": list(plans),
     }

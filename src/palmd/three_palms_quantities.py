@@ -168,6 +168,7 @@ PALM3_INFO = Topic(
           for joint in JOINTS),
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each joint"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each joint"),
+        Quantity("force_limit_n", "numbers", "N", "what may press on each pad, palm by palm"),
         Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
     ),
 )  # fmt: skip

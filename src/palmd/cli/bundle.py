@@ -68,12 +68,12 @@ def _of_run(path: Path) -> dict[str, str]:
     """What the recording says of its configuration and its versions; nothing for an event log."""
     from palmd.record import RunError, is_recording
     from palmd.record.metadata import CONFIG
-    from palmd.record.run import read_run
+    from palmd.record.run import read_any_run
 
     if not is_recording(path):
         return {}
     try:
-        recorded = read_run(path)
+        recorded = read_any_run(path)
     except RunError as error:
         return {"run-problem.txt": f"{error}\n"}
     texts = {"run.json": json.dumps(dict(recorded.metadata), indent=2) + "\n"}

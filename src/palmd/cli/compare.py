@@ -1,79 +1,126 @@
-"""Compares a reconstruction with a camera's track of the same run: clock and frame by fit, then the errors."""
+"""Compares runs with each other, with an emulated rig's truth or with an external track: a table of errors, a figure.
+
+A file is a recording (.mcap), a result of `palmd reconstruct` (.json), a track of a camera (.csv with the columns t_s,
+object_x_mm, object_y_mm, object_angle_deg) or a track in the TUM format (.tum: time x y z qx qy qz qw, in s and m). The
+reference is the file of --reference; without it the truth, for recordings of an emulated rig, else the first file.
+Clock offset and frame of a track are found by fit, so are the constant rotation and the tracked point on the object.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from palmd.cli.logs import opened, read
+from palmd.cli.logs import opened
+from palmd.console.columns import aligned
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
-from palmd.events import PalmSample
 from palmd.jsonvalues import or_none
-from palmd.outlinefile import Outline, OutlineError, read_outline
-from palmd.record.resultfile import Result, ResultError, read_result
-from palmd.record.track import ANGLES, OBJECT, TIME, TrackError, read_track
-from palmd.report.camera_clock import GroundTruthError
-from palmd.report.camera_signals import motion_of
-from palmd.report.ground_truth import CameraComparison, compared
-from palmd.report.ground_truth_report import as_line, told
+from palmd.report.alignment import AlignmentError, Compared, compared
+from palmd.report.tracks import PoseTrack, TrackFileError, read_pose_track
+
+_FIGURES = (".svg", ".png", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add = parser.add_argument
-    add("result", type=Path, metavar="RESULT.json", help="as written by palmd reconstruct")
-    add("track", type=Path, metavar="TRACK.csv",
-        help=f"columns {','.join((TIME, *OBJECT))}, and {','.join(ANGLES)} where they are seen")  # fmt: skip
-    add("--log", type=Path, metavar="LOG", help="event log or recording of the run: places are compared too")
-    add("--outline", type=Path, metavar="FILE", help="the object's true outline (.json, .csv)")
-    add("-o", "--output", type=Path, metavar="REPORT.json", help="everything found, as JSON; - for standard output")
-    add("--figure", type=Path, metavar="FILE.svg", help="outline and orientation, after figure 3.15 of the paper")
+    add("files", type=Path, nargs="+", metavar="RUN", help="recordings, results and tracks")
+    add("--reference", type=Path, metavar="FILE", help="what all are compared with")
+    add("-o", "--output", type=Path, metavar="FILE.json", help="everything found, as JSON; - for standard output")
+    add("--figure", type=Path, metavar="FILE.svg", help="errors over time and outlines (.svg, .png, .pdf)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before the comparison is there; CliError when it cannot be made."""
-    inputs = [
-        path for path in (arguments.result, arguments.track, arguments.log, arguments.outline) if path is not None
-    ]
+    """Writes nothing before all is compared; CliError for what cannot be read or aligned."""
+    files, reference = arguments.files, arguments.reference
+    read = [*files, *([reference] if reference else [])]
     for output in (arguments.output, arguments.figure):
-        if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in inputs):
+        if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in read):
             raise CliError(BAD_INPUT, f"{output}: is read here; write to another file")
-    if arguments.figure is not None and arguments.figure.suffix != ".svg":
-        raise CliError(BAD_INPUT, f"{arguments.figure}: the figure is an SVG; name it .svg")
+    if arguments.figure is not None and arguments.figure.suffix not in _FIGURES:
+        raise CliError(BAD_INPUT, f"{arguments.figure}: a figure is {', '.join(_FIGURES)}; name it so")
     try:
-        result, track = read_result(arguments.result), read_track(arguments.track)
-        outline = None if arguments.outline is None else read_outline(arguments.outline)
-    except (ResultError, TrackError, OutlineError) as error:
+        sources = [read_pose_track(path) for path in files]
+        common = read_pose_track(reference) if reference else None
+        pairs = _pairs(sources, common)
+        found = [compared(true, each, fit=each.truth is not true) for true, each in pairs]
+    except (TrackFileError, AlignmentError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    rig, palms = None, []
-    if arguments.log is not None:
-        log = read(arguments.log)
-        rig, palms = log.rig, [event for event in log.events if isinstance(event, PalmSample)]
-        if not palms:
-            raise CliError(BAD_INPUT, f"{arguments.log}: tells no palm angles")
-    try:
-        found = compared(result, motion_of(result, rig, palms), track, outline)
-    except GroundTruthError as error:
-        raise CliError(BAD_INPUT, f"{arguments.track}: {error}") from None
     if arguments.figure is not None:
-        _draw(result, found, outline, arguments.figure)
+        _draw(found, pairs, arguments.figure)
     if arguments.output is not None:
-        with opened(arguments.output, arguments.result) as stream:
-            stream.write(json.dumps(or_none(as_line(found)), allow_nan=False) + "\n")
-    print("\n".join(told(found)), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
+        with opened(arguments.output, files[0]) as stream:
+            stream.write(json.dumps(or_none([_as_map(each) for each in found]), allow_nan=False) + "\n")
+    print(_table(found), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
     return 0
 
 
-def _draw(result: Result, found: CameraComparison, outline: Outline | None, path: Path) -> None:
+def _pairs(sources: list[PoseTrack], common: PoseTrack | None) -> list[tuple[PoseTrack, PoseTrack]]:
+    """Each source with what it is compared with."""
+    if common is not None:
+        return [(common, each) for each in sources]
+    if all(each.truth is not None for each in sources):
+        return [(each.truth, each) for each in sources if each.truth is not None]
+    if len(sources) == 1:
+        raise CliError(
+            BAD_INPUT, f"{sources[0].name}: has no truth to compare it with: name a second run or --reference FILE"
+        )
+    return [(sources[0], each) for each in sources[1:]]
+
+
+def _table(found: list[Compared]) -> str:
+    heads = ("against", "for", "valid", "clock", "position", "largest", "rotation", "largest", "outline", "largest")
+    rows: list[tuple[str, tuple[str, ...]]] = [("file", heads)]
+    for each in found:
+        place, turn, outline = each.position, each.rotation, each.outline
+        cells = (
+            each.reference,
+            f"{each.t[-1] - each.t[0]:.1f} s",
+            f"{each.valid:.0%}" if math.isfinite(each.valid) else "–",
+            f"{each.offset_s:+.3f} s" if each.fitted else "same",
+            *(_number(value, 1e3, "mm", 3) for value in (place.rms, place.largest)),
+            *(_number(value, 180.0 / math.pi, "°", 2) for value in (turn.rms, turn.largest)),
+            *(_number(value, 1e6, "µm", 0) for value in (outline.rms, outline.largest)),
+        )
+        rows.append((each.source, cells))
+    return aligned(rows) + "\nposition, rotation, outline: RMS errors; the outline's where it was touched"
+
+
+def _number(value: float, factor: float, unit: str, digits: int) -> str:
+    return f"{value * factor:.{digits}f} {unit}" if math.isfinite(value) else "–"
+
+
+def _as_map(each: Compared) -> dict[str, Any]:
+    """All but the errors over time, units in the names."""
+    spreads = {"position": ("m", each.position), "rotation": ("rad", each.rotation), "outline": ("m", each.outline)}
+    return {
+        "file": each.source,
+        "reference": each.reference,
+        "compared_s": float(each.t[-1] - each.t[0]),
+        "rows": len(each.t),
+        "valid_share": each.valid,
+        "clock_offset_s": each.offset_s,
+        "fitted": each.fitted,
+    } | {
+        f"{name}_{key}_{unit}": value
+        for name, (unit, spread) in spreads.items()
+        for key, value in asdict(spread).items()
+    }
+
+
+def _draw(found: list[Compared], pairs: list[tuple[PoseTrack, PoseTrack]], path: Path) -> None:
     try:
-        from palmd.report import ground_truth_figure
+        from palmd.report import compare_figure
     except ModuleNotFoundError as error:
         only_without("matplotlib", error)
         raise missing("--figure", "matplotlib", "report") from None
     try:
-        ground_truth_figure.save(result, found, outline, path)
+        compare_figure.save([(each, pair[1].body, pair[0].body) for each, pair in zip(found, pairs, strict=True)], path)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}") from None

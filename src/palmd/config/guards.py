@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
 
@@ -76,6 +76,16 @@ def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float 
     if isinstance(limits, dict) and (strange := [name for name in limits if name not in names]):
         raise ValueError(f"there is no {strange[0]}: name {', '.join(names[:-1])} or {names[-1]}, or give one number")
     return limits
+
+
+class _HasFullScale(Protocol):
+    @property
+    def full_scale_n(self) -> float: ...
+
+
+def pad_force_limits(limits: float | PadForces | None, pads: Mapping[int, _HasFullScale]) -> tuple[float, ...]:
+    """What may press on each pad (N), the pads by their numbers."""
+    return force_limits(limits, {f"palm{number}": pad.full_scale_n for number, pad in pads.items()})
 
 
 def force_limits(limits: float | PadForces | None, full_scales: Mapping[str, float]) -> tuple[float, ...]:

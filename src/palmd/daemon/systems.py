@@ -14,7 +14,7 @@ import numpy as np
 
 from palmd import __version__
 from palmd.config.any_config import AnyConfig
-from palmd.config.guards import force_limits
+from palmd.config.guards import pad_force_limits
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
@@ -90,9 +90,8 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
 
     def force_guard(self) -> ForceGuard:
         """What watches the forces that the pads tell."""
-        named = zip(self.naming.pads, self._config.pads.each(), strict=True)
-        full = {f"palm{number}": pad.full_scale_n for number, pad in named}
-        return ForceGuard(force_limits(self._config.limits.force_n, full), self.naming.pads)
+        named = dict(zip(self.naming.pads, self._config.pads.each(), strict=True))
+        return ForceGuard(pad_force_limits(self._config.limits.force_n, named), self.naming.pads)
 
     @abstractmethod
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:

@@ -9,6 +9,7 @@ from html import escape
 from importlib.resources import files
 from io import StringIO
 
+from palmd.report import words
 from palmd.report.axes import styled
 from palmd.report.sections import Listing, Plate, Player, Report, Section, drawn
 from palmd.report.words import Table
@@ -23,6 +24,9 @@ figcaption { font-size: .92em; margin-top: .3em; }
 table { border-collapse: collapse; font-size: .88em; margin: .8em 0; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; vertical-align: top; padding: .15em .9em .15em 0; border-bottom: 1px solid #e3e3e3;
   overflow-wrap: anywhere; }
+.verdict { font-size: 1.15em; font-weight: 600; border-left: 5px solid #888; padding: .2em .7em; }
+.verdict.good { border-color: #009e73; } .verdict.impaired { border-color: #e69f00; }
+.verdict.failed { border-color: #c0392b; } td:not(:last-child), th:not(:last-child) { white-space: nowrap; }
 .facts th { font-weight: 600; white-space: nowrap; }
 pre { font-size: .78em; line-height: 1.3; white-space: pre-wrap; }
 #player canvas { display: block; } #player p { font-size: .92em; }
@@ -42,7 +46,7 @@ _PLAIN = {"Date": None, "Creator": None, "Format": None, "Type": None}  # no met
 def as_html(report: Report, at: Callable[[int], None] = lambda _: None) -> str:
     """The page; the same report gives the same text. `at` is told how many figures are drawn."""
     number = 0
-    body = [f"<h1>{escape(report.title)}</h1>", _facts(report.facts)]
+    body = [f"<h1>{escape(report.title)}</h1>", _verdict(report), _facts(report.facts)]
     for section in report.sections:
         body.append(f"<section>\n<h2>{escape(section.title)}</h2>")
         for part in section.parts:
@@ -95,6 +99,12 @@ def _player(player: Player) -> str:
         f'<script type="application/json" id="player-data">{data}</script>\n<script>\n{script}</script>\n'
         "<noscript><p>The run can be played back here where scripts are allowed.</p></noscript>"
     )
+
+
+def _verdict(report: Report) -> str:
+    if report.verdict is None:
+        return ""
+    return f'<p class="verdict {report.verdict.word}">{escape(words.verdict(report.verdict))}</p>'
 
 
 def _facts(facts: tuple[tuple[str, str], ...]) -> str:

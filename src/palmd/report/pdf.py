@@ -10,6 +10,7 @@ from io import BytesIO
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
+from palmd.report import words
 from palmd.report.axes import WIDTH_IN, styled
 from palmd.report.sections import Plate, Player, Report
 from palmd.report.words import Table
@@ -56,7 +57,8 @@ def _blocks(report: Report) -> Iterator[_PageBlock]:
     number = 0
     width = max(len(name) for name, _ in report.facts)
     facts = [line for name, value in report.facts for line in _wrapped(value, f"{name:{width}}  ")]
-    yield _PageBlock(report.title, None, 0, tuple(facts))
+    verdict = [] if report.verdict is None else [*_wrapped(words.verdict(report.verdict), ""), ""]
+    yield _PageBlock(report.title, None, 0, (*verdict, *facts))
     for section in report.sections:
         heading = section.title
         for part in section.parts:

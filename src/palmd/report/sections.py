@@ -13,6 +13,7 @@ from palmd.report import words
 from palmd.report.axes import WIDTH_IN
 from palmd.report.body import frames
 from palmd.report.errors import Errors, against, body_at, errors_of, last_outlines
+from palmd.report.findings import RunVerdict, verdict_of
 from palmd.report.frames_figure import MOST, ROW_IN, draw_frames, rows
 from palmd.report.loop_figure import draw_loop
 from palmd.report.motion_figure import bar_rows, draw_motion
@@ -57,11 +58,12 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Title, the facts of the title block, and the sections."""
+    """Title, the verdict where there is one, the facts of the title block, and the sections."""
 
     title: str
     facts: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
+    verdict: RunVerdict | None = None
 
     @property
     def plates(self) -> int:
@@ -73,6 +75,7 @@ def report_of(series: Series) -> Report:
     """Everything there is to say of a run; what it does not hold is left out, or said to be missing."""
     errors = errors_of(series)
     judged = errors if series.valid.any() else None
+    verdict = verdict_of(series, judged)
     sections = [
         Section("Playback", _player(series)),
         Section("Outline", _outlines(series)),
@@ -89,7 +92,16 @@ def report_of(series: Series) -> Report:
         Section("Messages", (words.topics(series),)),
         Section("Configuration", (Listing(words.configuration(series)),)),
     ]
-    return Report(series.run.path.stem, words.facts(series), tuple(section for section in sections if section.parts))
+    told = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
+    return Report(series.run.path.stem, words.facts(series), told, verdict)
+
+
+def verdict_sections(verdict: RunVerdict) -> tuple[Section, ...]:
+    """What was found, and the tests."""
+    return (
+        Section("Findings", (words.findings(verdict),)),
+        Section("Test ratios", (words.ratios(verdict),) if verdict.ratios else ()),
+    )
 
 
 def drawn(plate: Plate) -> Figure:

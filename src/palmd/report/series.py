@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,9 @@ from palmd.record.run import AnyRun, Survey
 from palmd.topics import truth_of
 
 Bools = npt.NDArray[np.bool_]
+
+FOLLOWING_RATIO = "following_ratio"
+"""Column of the motion: the largest following error over its limit."""
 
 SD = "sd."
 """Before a field's name: the column of its one-sigma."""
@@ -88,9 +92,10 @@ class FaultSpell:
 class Series:
     """A run as arrays; times in s since its first message.
 
-    `faults` are in the order in which they came, `log` the entries of `palm/log`, `improvements` the times of the
-    smoother's answers, `counts` the last `palm/loop`. rig_off: what the last `palm/rig` says to be off, None without
-    one. shape: the last outline or surface of a system whose outlines are not among `outlines`; empty for none.
+    `invalid_reasons` counts the estimates that had each code, the most frequent first. `faults` are in the order in
+    which they came, `log` the entries of `palm/log`, `improvements` the times of the smoother's answers, `counts` the
+    last `palm/loop`. rig_off: what the last `palm/rig` says to be off, None without one. shape: the last outline or
+    surface of a system whose outlines are not among `outlines`; empty for none.
     """
 
     run: AnyRun
@@ -98,6 +103,7 @@ class Series:
     observer: str
     duration: float
     estimate: TopicSeries
+    invalid_reasons: Mapping[str, int]
     contact: TopicSeries
     motion: TopicSeries
     loop: TopicSeries
@@ -212,6 +218,7 @@ class _RunReader:
         self._shape: Fields = {}
         self._begin_ns: int | None = None
         self._end = 0.0
+        self._reasons: Counter[str] = Counter()
         self._observer = ""
         self._number, self._valid = 0, False
         self._outlines: list[OutlineAt] = []
@@ -244,6 +251,7 @@ class _RunReader:
             observer=self._observer,
             duration=end,
             estimate=tracks[self._topics.estimate.name],
+            invalid_reasons=dict(self._reasons.most_common()),
             contact=tracks[self._topics.contact.name],
             motion=tracks[self._topics.motion.name],
             loop=loop,
@@ -269,6 +277,7 @@ class _RunReader:
         values = [(name, float(fields[name])) for name in self._estimated]
         values += [(SD + name, float(sd)) for name, sd in fields["sd"].items()]
         self._columns[self._topics.estimate.name].add(t, values)
+        self._reasons.update(fields.get("invalid_reasons", ()))
         self._observer, self._number, self._valid = fields["observer"], int(fields["object"]), bool(fields["valid"])
 
     def _take_shape(self, t: float, fields: Fields) -> None:
@@ -283,7 +292,8 @@ class _RunReader:
         self._shape = fields
 
     def _take_motion(self, t: float, fields: Fields) -> None:
-        self._columns[self._topics.motion.name].add(t, [(name, float(fields[name])) for name in self._moved])
+        values = [(name, float(fields[name])) for name in self._moved]
+        self._columns[self._topics.motion.name].add(t, [*values, *_following(fields)])
         self._arm_states.say(t, fields["arm_state"])
         segment = int(fields["segment"])
         self._segments.say(t, "" if segment < 0 else f"{fields['plan']} {segment}")
@@ -311,6 +321,18 @@ class _RunReader:
     def _take_body(self, t: float, fields: Fields) -> None:
         h = np.array(fields["h_m"], dtype=np.float64)
         self._bodies.append(TrueBody(t, h, {name: float(fields[name]) for name in CONSTANTS}))
+
+
+def _following(fields: Fields) -> Iterator[tuple[str, float]]:
+    """The largest ratio of a joint's following error to its limit, where both are published."""
+    errors, limits = (
+        [fields[name] for name in fields if name.startswith(f"following_{each}_")] for each in ("error", "limit")
+    )
+    if errors and limits and errors[0]:
+        each = errors[0]
+        most = limits[0] if isinstance(limits[0], list) else [limits[0]] * len(each)
+        ratios = [abs(error) / limit for error, limit in zip(each, most, strict=False) if limit > 0.0]
+        yield FOLLOWING_RATIO, max((ratio for ratio in ratios if math.isfinite(ratio)), default=math.nan)
 
 
 def _names(topic: Topic) -> tuple[str, ...]:

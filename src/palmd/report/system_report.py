@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from functools import partial
 
 from palmd.report import words
+from palmd.report.findings import verdict_of
 from palmd.report.loop_figure import draw_loop
 from palmd.report.motion_figure import bar_rows
-from palmd.report.sections import Listing, Plate, Report, Section
+from palmd.report.sections import Listing, Plate, Report, Section, verdict_sections
 from palmd.report.series import Series
 from palmd.report.system_figure import draw_estimate, draw_moved, estimated, moved
 
@@ -33,7 +34,9 @@ def system_report(series: Series, own: Sequence[Section]) -> Report:
         Section("Messages", (words.topics(series),)),
         Section("Configuration", (Listing(words.configuration(series)),)),
     ]
-    return Report(series.run.path.stem, words.facts(series), tuple(section for section in sections if section.parts))
+    verdict = verdict_of(series)
+    told = tuple(section for section in (*verdict_sections(verdict), *sections) if section.parts)
+    return Report(series.run.path.stem, words.facts(series), told, verdict)
 
 
 def _motion(series: Series) -> tuple[Plate | words.Table, ...]:

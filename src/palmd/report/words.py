@@ -16,6 +16,7 @@ from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.damage import described
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
+from palmd.report.findings import NOTE, RunVerdict
 from palmd.report.series import SD, OutlineAt, Series, Spell
 from palmd.system.mechanism import ENDS, JOINTS
 
@@ -268,6 +269,29 @@ def faults(series: Series) -> Table:
         for fault in series.faults
     )
     return Table(("at (s)", "for (s)", "severity", "fault", "what to do"), rows)
+
+
+def verdict(verdict: RunVerdict) -> str:
+    """The verdict in a sentence: the word, and the gravest finding."""
+    first = verdict.findings[0] if verdict.findings and verdict.findings[0].level != NOTE else None
+    return f"{verdict.word}: {first.what}" if first else f"{verdict.word}: nothing failed"
+
+
+def findings(verdict: RunVerdict) -> Table:
+    """In order of weight."""
+    rows = tuple(
+        (each.level, f"{each.what}. Next: {each.action}" if each.action else each.what) for each in verdict.findings
+    )
+    return Table(("weight", "what was found, and what to do next"), rows)
+
+
+def ratios(verdict: RunVerdict) -> Table:
+    """Measured values against their limits; above 1 a test fails."""
+    rows = []
+    for each in verdict.ratios:
+        value, limit = (f"{number:.3g} {each.unit}".rstrip() for number in (each.value, each.limit))
+        rows.append((each.name, value, limit, f"{each.ratio:.2f}", "failed" if each.ratio > 1.0 else "passed"))
+    return Table(("test", "value", "limit", "ratio", "result"), tuple(rows))
 
 
 def log(series: Series) -> Table:

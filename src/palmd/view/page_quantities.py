@@ -65,8 +65,8 @@ def page_quantities() -> dict[str, Any]:
         "stale_ms": {topic.name: topic.stale_s * 1e3 for topic in rated},
         "shown": {
             ESTIMATE.name: _shown(PALM3) | _shown(ESTIMATE) | _listed(),
-            CONTACT.name: _shown(PALM3_CONTACT) | _shown(CONTACT),
-            **{topic.name: _shown(topic) for topic in (MOTION, LOOP)},
+            CONTACT.name: _formats(PALM3_CONTACT) | _formats(CONTACT),
+            **{topic.name: _formats(topic) for topic in (MOTION, LOOP)},
         },
         "strips": [strip for i, strip in enumerate(strips) if strip["names"] and strip not in strips[:i]]
         + [_following()],
@@ -88,19 +88,21 @@ def page_quantities() -> dict[str, Any]:
     }
 
 
+def _formats(topic: Topic) -> dict[str, dict[str, Any]]:
+    """How its numbers are written."""
+    return {quantity.name: asdict(quantity.shown) for quantity in topic.quantities if quantity.kind == "number"}
+
+
 def _shown(topic: Topic) -> dict[str, Any]:
+    """How its numbers are written, what they are called and mean, and what they are compared with."""
+    formats = _formats(topic)
     return {
-        quantity.name: {
-            "symbol": quantity.symbol,
-            "meaning": quantity.meaning,
-            "unit": quantity.shown.unit,
-            "factor": quantity.shown.factor,
-            "digits": quantity.shown.digits,
-            "uncertain": quantity.uncertain,
-            "truth": None if (truth := truth_of(quantity)) is None else _AS[truth.name],
-        }
+        quantity.name: {"symbol": quantity.symbol, "meaning": quantity.meaning}
+        | formats[quantity.name]
+        | ({"uncertain": True} if quantity.uncertain else {})
+        | ({} if (truth := truth_of(quantity)) is None else {"truth": _AS[truth.name]})
         for quantity in topic.quantities
-        if quantity.kind == "number"
+        if quantity.name in formats
     }
 
 
@@ -131,7 +133,6 @@ def _listed() -> dict[str, Any]:
     return {
         name: {"symbol": f"e{chr(ord('₀') + joint)}", "meaning": f"following error of joint {joint}"}
         | asdict(_FOLLOWING_SHOWN)
-        | {"uncertain": False, "truth": None}
         for joint, name in enumerate(_following()["names"], start=1)
     }
 

@@ -1,4 +1,4 @@
-"""`palmd doctor bundle`: what is in the zip, and what is not."""
+"""`palmd bundle`: what is in the zip, and what is not."""
 
 import zipfile
 
@@ -16,7 +16,7 @@ def test_a_bundle_has_run_configuration_versions_and_findings_without_secrets(tm
     run, config, output = tmp_path / "run.jsonl", tmp_path / "palmd.yaml", tmp_path / "out.zip"
     run.write_text('{"palmd_log":1,"rig":{}}\n', encoding="utf-8")
     config.write_text(f"# token: sesame\n# {KEY}\nbus: {{keys: /home/ann/keys}}\n", encoding="utf-8")
-    assert main(["doctor", "bundle", str(run), "--config", str(config), "-o", str(output)]) == 0
+    assert main(["bundle", str(run), "--config", str(config), "-o", str(output)]) == 0
     with zipfile.ZipFile(output) as bundle:
         texts = {name: bundle.read(name).decode() for name in bundle.namelist()}
     assert set(texts) == {"run.jsonl", "palmd.yaml", "versions.txt", "doctor.txt"}
@@ -33,7 +33,7 @@ def test_a_bundle_has_run_configuration_versions_and_findings_without_secrets(tm
 @pytest.mark.parametrize("what", ["absent.mcap", "."])
 def test_what_is_no_run_is_one_clear_line(tmp_path, monkeypatch, capsys, what):
     monkeypatch.chdir(tmp_path)
-    assert main(["doctor", "bundle", what]) == 1
+    assert main(["bundle", what]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

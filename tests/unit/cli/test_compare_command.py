@@ -1,7 +1,9 @@
-"""`palmd report compare`: what it prints and writes, what it refuses."""
+"""`palmd compare`: what it prints and writes, what it refuses."""
+
+from __future__ import annotations
 
 import json
-import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,102 +13,67 @@ from palmd.rig.simulate import simulate_log
 from tools.camera import Camera, as_csv, filmed
 
 CAMERA = Camera()
-SECONDS = 6.0
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A run's log, its truth, its reconstruction, and a camera's track of it."""
+def folder(tmp_path_factory) -> Path:
+    """A reconstruction, a camera's track of the run as CSV and, of another camera, in the TUM format."""
     path = tmp_path_factory.mktemp("run")
-    lines, truth = simulate_log("rig", 3, SECONDS)
+    lines, truth = simulate_log("rig", 3, 6.0)
     (path / "run.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    (path / "truth.json").write_text(json.dumps(truth))
-    length = lines[0]["rig"]["hinge"]["palm1_length_m"]
-    table = filmed(truth, length, CAMERA, np.random.default_rng(0))
+    table = filmed(truth, lines[0]["rig"]["hinge"]["palm1_length_m"], CAMERA, np.random.default_rng(0))
     (path / "track.csv").write_text(as_csv(table))
+    half = np.radians(table["object_angle_deg"]) / 2
+    columns = [table["t_s"] + 5.0, table["object_x_mm"] / 1e3, table["object_y_mm"] / 1e3, 0 * half, 0 * half,
+               0 * half, np.sin(half), np.cos(half)]  # fmt: skip
+    rows = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in np.stack(columns, axis=1))
+    (path / "track.tum").write_text(f"# time x y z qx qy qz qw\n{rows}\n")
     assert main(["reconstruct", str(path / "run.jsonl"), "-o", str(path / "result.json")]) == 0
     return path
 
 
-def files(folder, *names):
-    return [str(folder / name) for name in names]
-
-
-def test_everything_is_told_and_written(folder, tmp_path, capsys):
-    report, figure = tmp_path / "report.json", tmp_path / "camera.svg"
-    result, track, log, truth = files(folder, "result.json", "track.csv", "run.jsonl", "truth.json")
-    more = ["--log", log, "--outline", truth, "-o", str(report), "--figure", str(figure)]
-    assert main(["report", "compare", result, track, *more]) == 0
-    out = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in out] == ["clock", "frame", "orientation", "place", "outline"]
-    assert "(paper: 0.27 rad, 8%)" in out[2]
-    assert "(paper: 1.9 mm, 2.9 mm, 54%)" in out[4]
-    line = json.loads(report.read_text())
-    assert abs(line["clock"]["offset_s"] - CAMERA.offset_s) < 5e-3
-    assert line["clock"]["drift_ppm"] is None
-    assert line["frame"]["angle_rad"] == pytest.approx(CAMERA.angle_rad, abs=2e-3)
-    assert line["frame"]["mark_x_m"] == pytest.approx(CAMERA.mark_m[0], abs=5e-4)
-    assert line["psi"]["rms_rad"] == pytest.approx(CAMERA.angle_sd_rad, rel=0.3)
-    assert line["mark"]["rms_m"] == pytest.approx(CAMERA.place_sd_m * math.sqrt(2), rel=0.3)
-    assert line["outline"]["e_h_m"] < 1e-4
-    assert line["paper"]["touched"] == 0.54
+def test_a_result_is_compared_with_tracks_of_two_formats(folder, tmp_path, capsys) -> None:
+    figure, output = tmp_path / "errors.svg", tmp_path / "errors.json"
+    result, csv, tum = (str(folder / name) for name in ("result.json", "track.csv", "track.tum"))
+    assert main(["compare", csv, tum, "--reference", result, "-o", str(output), "--figure", str(figure)]) == 0
+    rows = json.loads(output.read_text())
+    assert [row["file"] for row in rows] == ["track.csv", "track.tum"]
+    for row, offset_s in zip(rows, (CAMERA.offset_s, CAMERA.offset_s - 5.0), strict=True):
+        assert abs(row["clock_offset_s"] - offset_s) < 5e-3
+        assert row["rotation_rms_rad"] == pytest.approx(CAMERA.angle_sd_rad, rel=0.3)
+        assert row["position_rms_m"] is None  # a result has no position
+    assert "track.tum" in capsys.readouterr().out
     assert figure.read_text().startswith("<?xml")
-    assert figure.stat().st_size < 400_000
-    first = figure.read_bytes()
-    assert main(["report", "compare", result, track, *more]) == 0
-    assert figure.read_bytes() == first
 
 
-def test_without_a_log_only_orientation_is_compared(folder, capsys):
-    assert main(["report", "compare", *files(folder, "result.json", "track.csv"), "-o", "-"]) == 0
-    out, err = capsys.readouterr()
-    line = json.loads(out)
-    assert (line["frame"], line["mark"], line["outline"]) == (None, None, None)
-    assert abs(line["clock"]["offset_s"] - CAMERA.offset_s) < 1e-2
-    assert [told.split(":")[0] for told in err.splitlines()] == ["clock", "orientation"]
+def test_two_tracks_are_compared_in_their_places_too(folder, capsys) -> None:
+    csv, tum = (str(folder / name) for name in ("track.csv", "track.tum"))
+    assert main(["compare", csv, tum, "-o", "-"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["position_rms_m"] < 1e-6
 
 
-def test_bad_input_is_one_clear_line_and_loses_nothing(folder, tmp_path, capsys):
-    result, track, log = files(folder, "result.json", "track.csv", "run.jsonl")
-    told = json.loads((folder / "result.json").read_text())
-    bare = {"trajectory": None, "reason": "too little", "converged": False}
-    made = {
-        "none.json": json.dumps(told | bare),
-        "list.json": "[]",
-        "cut.json": '{"trajectory":',
-        "ragged.json": json.dumps(told | {"h_m": told["h_m"][:-1]}),
-        "null.json": json.dumps(told | {"h_m": [None, *told["h_m"][1:]]}),
-        "back.json": json.dumps(told | {"trajectory": told["trajectory"] | {"t": told["trajectory"]["t"][::-1]}}),
-        "still.jsonl": "\n".join(
-            line for line in (folder / "run.jsonl").read_text().splitlines() if "phi1" not in line
-        ),
-        "short.csv": "\n".join((folder / "track.csv").read_text().splitlines()[:20]),
-    }
-    for name, text in made.items():
-        (tmp_path / name).write_text(text)
-    out = tmp_path / "out.json"
-    bad = {name: str(tmp_path / name) for name in made}
-    before = (folder / "result.json").read_bytes()
-    for arguments, what in (
-        ([str(tmp_path / "no.json"), track], "No such file"),
-        ([bad["none.json"], track], "has no trajectory: too little"),
-        ([bad["list.json"], track], "is no result of a reconstruction"),
-        ([bad["cut.json"], track], "cut.json:1:15: not JSON"),
-        ([bad["ragged.json"], track], "lists of one length"),
-        ([bad["null.json"], track], "h_m[0] is null, not a number"),
-        ([bad["back.json"], track], "trajectory.t must increase"),
-        ([result, str(tmp_path / "no.csv")], "No such file"),
-        ([result, bad["short.csv"]], "short.csv: 19 rows show the object"),
-        ([result, track, "--log", bad["still.jsonl"]], "tells no palm angles"),
-        ([result, track, "--outline", log], "a .json or a .csv file"),
-        ([result, track, "--figure", str(tmp_path / "no" / "a.svg")], "cannot be written"),
-        ([result, track, "-o", result], "result.json: is read here"),
-        ([result, track, "--figure", track], "track.csv: is read here"),
-        ([result, track, "--figure", str(tmp_path / "a.txt")], "name it .svg"),
-    ):
-        assert main(["report", "compare", *(["-o", str(out)] if "-o" not in arguments else []), *arguments]) == 1, what
-        captured = capsys.readouterr()
-        assert what in captured.err
-        assert captured.err.count("\n") == 1
-    assert not out.exists()
-    assert (folder / "result.json").read_bytes() == before
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("a.tum", "1 2 3\n", "a.tum:1: 3 columns; a line is time x y z qx qy qz qw"),
+        ("a.tum", "0 0 0 0 0 0 0 one\n", "a.tum:1: a column is not a number"),
+        ("a.tum", "0 0 0 0 0 0 0 0\n", "a.tum:1: a column is not finite, or the quaternion is zero"),
+        ("a.tum", "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", "a.tum:2: time is 0 after 1: it must increase"),
+        ("a.tum", "1 0 0 0 0 0 0 1\n", "a.tum: 1 poses; 30 are needed"),
+        ("a.xyz", "1\n", "a.xyz: is no recording; the name of a track ends in .csv or .tum, of a result in .json"),
+        ("a.json", "{", "a.json:1:2: not JSON: Expecting property name enclosed in double quotes"),
+        ("a.json", "{}", "a.json: is no result of a reconstruction: it has no trajectory"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(name, text, told, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert main(["compare", name, name]) == 1
+    assert capsys.readouterr().err == f"{told}\n"
+
+
+def test_one_file_without_truth_needs_another(folder, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(folder)
+    assert main(["compare", "track.tum"]) == 1
+    assert "name a second run or --reference" in capsys.readouterr().err

@@ -22,7 +22,7 @@ from palmd.cli.view import allowed
 from palmd.daemon.commands import COMMANDS
 from palmd.view import command_client, http_guard, naming, wire
 from palmd.view.client import PageClient
-from palmd.view.files import STATIC, page_files
+from palmd.view.files import STATIC, page_files, without_comments
 from palmd.view.server import Settings, serve_page
 
 PATIENCE_S = 10.0
@@ -184,10 +184,36 @@ def test_the_page_and_all_that_it_names_come_from_here(served):
         assert served.get(f"/{name}")[0] == 200
     for path in STATIC.glob("*.js"):
         status, headers, body = served.get(f"/{path.name}")
-        assert (status, headers["Content-Type"], body) == (200, "text/javascript; charset=utf-8", path.read_bytes())
+        assert (status, headers["Content-Type"], body) == (
+            200,
+            "text/javascript; charset=utf-8",
+            without_comments(path.read_text(), ".js").encode(),
+        )
         for name in re.findall(r'from "\./([^"]+)"', body.decode()):
             assert (STATIC / name).is_file()
         assert "https://" not in body.decode()
+
+
+def test_the_first_view_is_small_even_unpacked():
+    """What is loaded when the page opens: all but what a view or a system brings when it is first shown."""
+    files = page_files()
+    first = {"/", "/quantities.json", "/icon.svg"}
+    waiting = set(re.findall(r'(?:src|href)="([^"#]+)"', files["/"].body.decode()))
+    while waiting:
+        path = f"/{waiting.pop()}"
+        if path not in first:
+            first.add(path)
+            waiting |= set(re.findall(r'from "\./([^"]+)"', files[path].body.decode()))
+    assert {"/app.js", "/strips.js", "/vendor/uPlot.iife.min.js"} <= first
+    assert not {"/runs.js", "/space.js"} & first
+    assert sum(len(files[path].body) for path in first) < 200_000
+    assert sum(len(files[path].packed) for path in first) < 80_000
+
+
+def test_sources_lose_comments_and_indentation_and_no_line():
+    source = 'a("//x");\n  /** Says\n   * more. */\n  // why\n\tb(`/** */`); // here\n'
+    assert without_comments(source, ".js") == 'a("//x");\n\n\n\nb(`/** */`); // here\n'
+    assert without_comments("/* a\nb */\np { color: red; /* c */ }\n", ".css") == "\n\np { color: red;  }\n"
 
 
 @pytest.mark.parametrize(

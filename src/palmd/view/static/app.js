@@ -2,13 +2,11 @@
 
 import { ByHand } from "./byhand.js";
 import { Commands } from "./commands.js";
-import { Configuration } from "./configuration.js";
 import { Connection } from "./connection.js";
 import { Console } from "./console.js";
 import { showEvents } from "./events.js";
 import { showHero, summary } from "./hero.js";
 import { describe, layOut, showReadouts } from "./readouts.js";
-import { Runs } from "./runs.js";
 import { Scene } from "./scene.js";
 import { seconds, Store } from "./store.js";
 import { Strips } from "./strips.js";
@@ -38,7 +36,6 @@ const connection = new Connection({
   hello(said) {
     [connected, ended, hello] = [true, false, said];
     commands.greet(said);
-    runs.greet(said);
     opened(view);
   },
   messages(came) {
@@ -64,17 +61,25 @@ const connection = new Connection({
 const commands = new Commands(document.getElementById("commands"), connection);
 const byHand = new ByHand(document.getElementById("by-hand"), commands);
 const library = (command, args, told, ms) => commands.give(command, args, told, ms);
-const [runs, configuration, log] = [new Runs(library), new Configuration(library), new Console()];
+const log = new Console();
+const runs = opening(() => import("./runs.js"), ({ Runs }) => new Runs(library));
+const configuration = opening(() => import("./configuration.js"), ({ Configuration: View }) => new View(library));
 let view = "live";
 const tabs = new Tabs(document.getElementById("tabs"), opened);
 
+/** A view that is loaded when it is first opened. */
+function opening(load, make) {
+  let made = null;
+  return () => (made ??= load().then(make));
+}
+
 /** A view has been opened: it shows what is so now. */
-function opened(name) {
+async function opened(name) {
   view = name;
   log.look(name === "log");
-  if (name === "runs") runs.list();
-  if (name === "configuration") configuration.show();
   scene.outdated = true;
+  if (name === "runs") (await runs()).list(hello);
+  if (name === "configuration") (await configuration()).show();
 }
 
 function draw(now) {

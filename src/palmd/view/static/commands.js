@@ -101,8 +101,9 @@ export class Commands {
   #showControl(control, unattended) {
     const ours = Boolean(control) && control === this.#hello?.client;
     this.#othersControl = Boolean(control) && !ours;
-    const who = ours ? "This page has control." : control ? `${control} has control.` : "";
-    set("control", unattended ? `${who} The motion is unattended.`.trim() : who);
+    const who = ours ? "Control: this page" : control ? `Control: ${control}` : unattended ? "Control: nobody" : "";
+    set("control", unattended ? `${who} (unattended)` : who);
+    document.getElementById("control").title = unattended ? "No client with a lease watches over the motion." : "";
     const take = document.getElementById("take");
     take.hidden = !(this.operator && this.#commandable && (this.#othersControl || (unattended && !ours)));
   }

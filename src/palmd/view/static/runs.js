@@ -24,13 +24,9 @@ export class Runs {
     document.getElementById("runs-again").addEventListener("click", () => this.list());
   }
 
-  /** By which key files may be fetched. */
-  greet(hello) {
+  /** Reads the list anew; the server's first words have the key by which files may be fetched. */
+  list(hello = { library: this.#key }) {
     this.#key = hello?.library ?? "";
-  }
-
-  /** Reads the list anew. */
-  list() {
     set("runs-say", "reading the runs…");
     this.#library("runs", {}, (error, result) => {
       set("runs-say", error ?? `${result.runs.length} in ${result.folder}`);

@@ -2,10 +2,8 @@
 
 import { centreFromRadii, chords, MM, onPalm, outline, posture, SOME_PAD_MM, THICK_MM } from "./geometry.js";
 import { CLASSES_M, classOf } from "./knowledge.js";
-import { Lens } from "./lens.js";
 import { dash, line, place, ring, write } from "./paths.js";
 import { palmsOf } from "./quantities.js";
-import { SpaceView } from "./space.js";
 import { inSpace } from "./surface.js";
 import { SYSTEMS } from "./systems.js";
 import { colours, ofPalm } from "./theme.js";
@@ -21,11 +19,27 @@ const WIDTHS = [3.4, 2.8, 2.2, 1.6, 1]; // of the outline, for each class of its
 const A_PIXEL = 0.01; // by which a picture of space is turned (rad), and by a key:
 const KEYS = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
 
+/** What is loaded when it is first asked for: null until it is there, of which `came` hears. */
+function later(load, make, came) {
+  let [asked, made] = [false, null];
+  return () => {
+    if (!asked) {
+      asked = true;
+      load().then((module) => {
+        made = make(module);
+        came();
+      });
+    }
+    return made;
+  };
+}
+
 export class Scene {
   outdated = true; // whether to draw again even if nothing new is known
-  #space = new SpaceView();
-  #lens = new Lens();
+  #space = later(() => import("./space.js"), ({ SpaceView }) => new SpaceView(), () => this.#renew());
+  #lens = later(() => import("./lens.js"), ({ Lens }) => new Lens(), () => this.#renew());
   #lensOn = false;
+  #factor = 0; // of the lens; 0 while it shows nothing
   #pointer = null; // CSS pixels in the canvas; null while there is none
   #scale = 1; // pixels per mm
   #below = 0; // mm that are seen below the hinge
@@ -51,8 +65,8 @@ export class Scene {
       if (buttons & 1) this.#turn(-movementX * A_PIXEL, movementY * A_PIXEL);
     });
     canvas.addEventListener("dblclick", () => {
-      this.#space.reset();
-      this.outdated = true;
+      this.#space()?.reset();
+      this.#renew();
     });
     canvas.addEventListener("keydown", (event) => {
       if (!this.#turns || !(event.key in KEYS)) return;
@@ -68,12 +82,16 @@ export class Scene {
 
   /** By how much the lens magnifies at the moment; 0 while it shows nothing. */
   get factor() {
-    return this.#lensOn ? this.#lens.factor : 0;
+    return this.#lensOn ? this.#factor : 0;
   }
 
   /** Whether the lens is looked through. */
   setLens(on) {
     this.#lensOn = on;
+    this.#renew();
+  }
+
+  #renew() {
     this.outdated = true;
   }
 
@@ -88,7 +106,7 @@ export class Scene {
     const own = SYSTEMS.find(({ tells }) => tells(estimate));
     if (own) {
       this.outdated = false;
-      this.#lens.factor = 0;
+      this.#factor = 0;
       own.draw(this, this.#context, store, now);
       return;
     }
@@ -100,7 +118,7 @@ export class Scene {
     const palms = palmsOf(store.get("palm/info"));
     const joints = jointsOf(palms, estimate, store.get("palm/motion"));
     this.outdated = false;
-    this.#lens.factor = 0;
+    this.#factor = 0;
     this.begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
     if (!joints) return;
     const stance = posture(palms, joints);
@@ -131,10 +149,10 @@ export class Scene {
 
   #drawSpace(store, now) {
     this.outdated = false;
-    this.#lens.factor = 0;
+    this.#factor = 0;
     this.#context.setTransform(1, 0, 0, 1, 0, 0);
     this.#context.clearRect(0, 0, this.#pixels.width, this.#pixels.height);
-    this.#space.draw(this.#context, this.#pixels, store, now);
+    this.#space()?.draw(this.#context, this.#pixels, store, now);
   }
 
   /** A picture of space can be turned, by the pointer or, once it is reached by Tab, by the arrow keys. */
@@ -147,8 +165,8 @@ export class Scene {
 
   #turn(around, above) {
     if (!this.#turns) return;
-    this.#space.turn(around, above);
-    this.outdated = true;
+    this.#space()?.turn(around, above);
+    this.#renew();
   }
 
   // -- outlines ---------------------------------------------------------------------------------------------------
@@ -203,10 +221,12 @@ export class Scene {
       (this.#pointer[0] * ratio - width / 2) / this.#scale,
       (height - this.#pointer[1] * ratio) / this.#scale - this.#below,
     ];
-    this.#lens.draw(this.#context, {
+    const lens = this.#lens();
+    lens?.draw(this.#context, {
       points: this.#points, sds: this.#shape.h_sd_m, off, centre, psi: estimate.psi_rad, target: pointed ?? contact,
       screen: { ratio, width, height, scale: this.#scale, below: this.#below },
     });
+    this.#factor = lens?.factor ?? 0;
   }
 
   #drawCentre([x, y], psi) {

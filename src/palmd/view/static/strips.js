@@ -46,7 +46,11 @@ export class Strips {
 
   /** Shows the strips of the system whose estimate is at hand. */
   #choose(estimate, store) {
-    for (const strip of this.#strips) strip.choose(estimate, store);
+    for (const alike of Map.groupBy(this.#strips, ({ title }) => title).values()) {
+      const fits = alike.map((strip) => strip.fit(estimate, store));
+      const best = Math.max(...fits);
+      alike.forEach((strip, i) => strip.choose(best > 0 && i === fits.indexOf(best), estimate));
+    }
     for (const group of this.#groups) {
       const count = group.querySelectorAll(".strip:not([hidden])").length;
       group.hidden = count === 0;
@@ -110,9 +114,21 @@ class Strip {
     return this.#figure.hidden;
   }
 
-  choose(estimate, store) {
+  get title() {
+    return this.#spec.title;
+  }
+
+  /** How many of its quantities there are. */
+  fit(estimate, store) {
     const { names, limit } = this.#spec;
-    const hidden = limit?.listed ? !store.get(limit.topic)[limit.listed]?.length : !told(names, estimate);
+    return limit?.listed ? store.get(limit.topic)[limit.listed]?.length ?? 0 : names.filter((name) => told([name], estimate)).length;
+  }
+
+  /** Shows it or not, and the names of those quantities that there are. */
+  choose(shown, estimate) {
+    const { names, limit } = this.#spec;
+    if (shown && !limit?.listed) names.forEach((name, i) => (this.#values[i].parentElement.hidden = !told([name], estimate)));
+    const hidden = !shown;
     if (hidden === this.hidden) return;
     this.#figure.hidden = hidden;
     if (!hidden) this.resize();
@@ -221,7 +237,7 @@ class Strip {
   }
 
   #compared(name) {
-    return this.#truthful && ESTIMATE[name].truth !== null;
+    return this.#truthful && Boolean(ESTIMATE[name].truth);
   }
 
   /** The axis: all there is to see with some air, no less than the least span, and where the good zone begins. */

@@ -1,0 +1,81 @@
+"""The verdict of a run: findings in order of weight, each with what to do next, and test ratios."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reported
+
+from palmd.record.run import read_run
+from palmd.report import words
+from palmd.report.findings import LEVELS, verdict_of
+from palmd.report.series import FOLLOWING_RATIO, FaultSpell, Series, TopicSeries, series_of
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory) -> Series:
+    run = read_run(reported.write(tmp_path_factory.mktemp("run"), reported.told(2.0)))
+    return series_of(run, run.survey())
+
+
+def changed(series: Series, topic: str, **columns: np.ndarray) -> Series:
+    track: TopicSeries = getattr(series, topic)
+    return replace(series, **{topic: TopicSeries(track.t, {**track.columns, **columns})})
+
+
+def good(series: Series) -> Series:
+    """Without what the made-up run has of faults, and valid all along."""
+    ones = np.ones(len(series.estimate.t))
+    calm = replace(series, faults=(), rig_off=None, counts={**series.counts, "overruns": 0.0})
+    return changed(calm, "estimate", valid=ones, nis=ones)
+
+
+def test_a_run_in_which_nothing_failed_is_good(series) -> None:
+    verdict = verdict_of(good(series))
+    assert verdict.word == "good"
+    assert words.verdict(verdict) == "good: nothing failed"
+
+
+def test_no_valid_estimate_is_a_failed_run_with_its_reasons(series) -> None:
+    run = changed(good(series), "estimate", valid=np.zeros(len(series.estimate.t)))
+    run = replace(run, invalid_reasons={"rig-unknown": 7, "the-readings-tell-too-little-of-it": 3, "third": 1})
+    verdict = verdict_of(run)
+    assert verdict.word == "failed"
+    assert "rig-unknown and the readings tell too little of it" in verdict.findings[0].what
+    assert "palmd reconstruct" in verdict.findings[0].action
+
+
+def test_an_object_lost_at_the_end_outweighs_a_hold(series) -> None:
+    valid = np.ones(len(series.estimate.t))
+    valid[-50:] = 0.0
+    hold = FaultSpell("pad1-lifted", "hold", "put the object back", 0.5, 0.7)
+    verdict = verdict_of(replace(changed(good(series), "estimate", valid=valid), faults=(hold, hold)))
+    first, *others = verdict.findings
+    assert "lost at the end" in first.what
+    assert [LEVELS.index(each.level) for each in verdict.findings] == sorted(
+        LEVELS.index(each.level) for each in verdict.findings
+    )
+    (held,) = [each for each in others if each.what.startswith("pad1-lifted")]
+    assert "2 times, 0.4 s in all" in held.what
+    assert held.action == "put the object back"
+
+
+@pytest.mark.parametrize(
+    ("topic", "column", "value", "ratio"),
+    [
+        ("estimate", "nis", 3.0, 1.5),
+        ("motion", FOLLOWING_RATIO, 1.25, 1.25),
+        ("loop", "lateness_p99_ms", 6.0, 3.0),
+        ("loop", "work_p99_ms", 10.0, 2.0),
+    ],
+)
+def test_what_exceeds_its_limit_is_a_finding_with_an_action(series, topic, column, value, ratio) -> None:
+    run = good(series)
+    verdict = verdict_of(changed(run, topic, **{column: np.full(len(getattr(run, topic).t), value)}))
+    assert verdict.word == "impaired"
+    assert verdict.ratios[0].ratio == pytest.approx(ratio)
+    (found,) = [each for each in verdict.findings if each.what.startswith(verdict.ratios[0].name)]
+    assert found.action
+    assert words.ratios(verdict).rows[0][-1] == "failed"
