@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from palmd.devices.arrival import FirstByteClock
+from palmd.devices.framing import Frame, FrameScanner, Head
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -218,21 +218,25 @@ def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
 
 
-@dataclass(slots=True)
-class PacketCounters:
-    """What a bus has brought; `bytes` are those of packets, discarded ones and those pending.
+def _size(head: Head) -> int | None:
+    """Of the packet that begins with these bytes; see `FrameScanner`."""
+    if not HEADER.startswith(head[: len(HEADER)]):
+        return 0
+    if len(head) < _HEAD_BYTES:
+        return None
+    length = int.from_bytes(head[5:_HEAD_BYTES], "little")
+    return _HEAD_BYTES + length if 3 <= length <= LONGEST else 0
 
-    `crc_errors` counts packets whose checksum is wrong, `discarded` bytes that became part of no packet.
-    """
 
-    bytes: int = 0
-    packets: int = 0
-    crc_errors: int = 0
-    discarded: int = 0
+def _is_sound(raw: bytes) -> bool:
+    return crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
 
-    def as_dict(self) -> dict[str, int]:
-        """Every count by name."""
-        return asdict(self)
+
+def _packet(frame: Frame) -> Packet:
+    t_first, raw = frame
+    servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
+    answers = instruction == Instruction.STATUS and len(body) > 1
+    return Packet(t_first, servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
 
 
 class PacketReader:
@@ -240,92 +244,25 @@ class PacketReader:
 
     def __init__(self, baud: int) -> None:
         """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
-        self.counters = PacketCounters()
-        self._clock = FirstByteClock(baud)
-        self._bytes = bytearray()
-        self._t_read: list[tuple[int, float]] = []  # of each read in hand: where in `_bytes` it ends, and when
+        self._scanner = FrameScanner(baud, _size, _is_sound, begins=HEADER[0])
+        self.counters = self._scanner.counters
 
     @property
     def pending(self) -> int:
         """How many bytes are in hand."""
-        return len(self._bytes)
+        return self._scanner.pending
 
     def feed(self, data: bytes, t_recv: float) -> list[Packet]:
         """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
-        if not data:
-            return []
-        self.counters.bytes += len(data)
-        self._bytes += data
-        self._t_read.append((len(self._bytes), t_recv))
-        return self._found()
+        return list(map(_packet, self._scanner.feed(data, t_recv)))
 
     def give_up(self) -> list[Packet]:
         """No more comes of the packet in hand: the packets that it hid."""
-        if not self._bytes:
-            return []
-        self._drop(1)
-        found = self._found()
-        while self._bytes:
-            self._drop(1)
-            found += self._found()
-        return found
+        return list(map(_packet, self._scanner.give_up()))
 
     def reset(self) -> None:
         """Discard what is in hand, for the line has been interrupted."""
-        self._drop(len(self._bytes))
-
-    def _found(self) -> list[Packet]:
-        found: list[Packet] = []
-        while (size := self._at_packet()) is not None:
-            raw = bytes(self._bytes[:size])
-            if crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
-                self.counters.crc_errors += 1
-                self._drop(1)
-                continue
-            found.append(self._packet(raw))
-            self.counters.packets += 1
-            self._take(size)
-        return found
-
-    def _at_packet(self) -> int | None:
-        """The size of the packet at the front, all of it there; None while it is not. Drops what cannot be one."""
-        while True:
-            start = self._bytes.find(HEADER[:1])
-            self._drop(len(self._bytes) if start < 0 else start)
-            head = bytes(self._bytes[: len(HEADER)])
-            if not HEADER.startswith(head):
-                self._drop(1)
-                continue
-            if len(self._bytes) < _HEAD_BYTES:
-                return None
-            length = int.from_bytes(self._bytes[5:_HEAD_BYTES], "little")
-            if not 3 <= length <= LONGEST:
-                self._drop(1)
-                continue
-            size = _HEAD_BYTES + length
-            return size if len(self._bytes) >= size else None
-
-    def _packet(self, raw: bytes) -> Packet:
-        servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
-        answers = instruction == Instruction.STATUS and len(body) > 1
-        return Packet(self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
-
-    def _t_first(self) -> float:
-        """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""
-        (end, t_recv), *later = self._t_read
-        self._clock.begin(t_recv, end - 1)
-        for end, t_recv in later:
-            self._clock.more(t_recv, end - 1)
-        return self._clock.end()
-
-    def _drop(self, count: int) -> None:
-        self.counters.discarded += count
-        self._take(count)
-
-    def _take(self, count: int) -> None:
-        if count:
-            del self._bytes[:count]
-            self._t_read = [(end - count, t) for end, t in self._t_read if end > count]
+        self._scanner.reset()
 
 
 class Registers:

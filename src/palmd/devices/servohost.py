@@ -25,7 +25,8 @@ from palmd.config.arms import ServoConfig
 from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
 from palmd.devices.arrival import byte_time
-from palmd.devices.dynamixel import HardwareError, Packet, PacketCounters, PacketReader, Registers
+from palmd.devices.dynamixel import HardwareError, Packet, PacketReader, Registers
+from palmd.devices.framing import FrameCounters
 from palmd.devices.servoaxis import Axis
 from palmd.devices.servoscripts import (
     ANSWER_S,
@@ -105,7 +106,7 @@ class ServoCounters:
     a servo's range, `unmatched` answers that nothing waits for, `losses` silences of 250 ms.
     """
 
-    bus: PacketCounters = field(default_factory=PacketCounters)
+    bus: FrameCounters = field(default_factory=FrameCounters)
     goals: int = 0
     readings: int = 0
     missed: int = 0

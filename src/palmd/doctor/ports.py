@@ -158,7 +158,7 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
         data = port.read()
         t = time.monotonic()
         reports += len(driver.reports(data, t))
-        driver.tend(port)
+        driver.tend(port, t)
     port.close()
     if reports:
         return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")

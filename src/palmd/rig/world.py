@@ -23,13 +23,13 @@ from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
-from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
+from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.friction import law_of, plant_on, shaken
 from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
 from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
 from palmd.rig.servos import ServoArm
@@ -95,7 +95,7 @@ class World(EmulatedRig[EmulatedActuator]):
         self._palms = arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
         pads = {
-            name: EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, rng, t)
+            name: make_emulator(pad, pad_options, off.reading_error_m, rng, t)
             for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
         super().__init__(pads, arm, rng, t)

@@ -96,10 +96,10 @@ class Pad:
     def tick(self, data=b""):
         if data:
             os.write(self._end, data)
-        self.driver.tend(self.port)
+        self.driver.tend(self.port, 0.0)
         self.t += 0.01
         events = self.driver.feed(self.port.read(), self.t)
-        self.driver.tend(self.port)
+        self.driver.tend(self.port, 0.0)
         return [*events, *self.driver.poll(self.t)]
 
 
@@ -157,7 +157,7 @@ def test_what_waits_to_be_read_is_older_than_the_state(device):
 def test_what_touches_a_device_when_it_is_opened_is_a_report_for_whoever_listens(device):
     _, path, end = device(axes=SINGLE | {kt.X: (400, 0, 3000, 20)}, keys={kt.TOUCH}, pressed={kt.TOUCH})
     pad = Pad(path, end)
-    pad.driver.tend(pad.port)
+    pad.driver.tend(pad.port, 0.0)
     (report,) = pad.driver.reports(b"", 100.0)
     assert report.x_counts == 400
 
@@ -268,9 +268,9 @@ def test_the_kernels_own_touch_device_reads_right_through_an_overflow(made):
     def tick():
         nonlocal t
         t += 0.01
-        driver.tend(port)
+        driver.tend(port, 0.0)
         events = driver.feed(port.read(), t)
-        driver.tend(port)
+        driver.tend(port, 0.0)
         return in_mm([*events, *driver.poll(t)])
 
     assert tick() == [65.0], "touched before it was opened"
@@ -293,7 +293,7 @@ def test_the_kernels_own_device_of_protocol_a_is_read_and_released(made):
     port = driver.port()
     assert port.poll_open(0.0), port.error
     driver.opened(0.0)
-    driver.tend(port)
+    driver.tend(port, 0.0)
     there.send(a(kt.MT_X, 600), a(kt.MT_Y, 30), (0, 2, 0))
     assert in_mm(driver.feed(port.read(), 1.0)) == [30.0]
     there.send((0, 2, 0))

@@ -108,7 +108,7 @@ def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer(mon
     driver.opened(0.0)
     for i in range(200):
         driver.reports(b"", 0.01 * i)
-        driver.tend(port)
+        driver.tend(port, 0.0)
     assert port.breaks == [True, False]
     assert not driver.starting
     assert "no identity" in driver.complaint
