@@ -12,11 +12,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 from palmd.devices.framing import Frame, FrameScanner, Head
+from palmd.devices.servobus import Packet, Register, Settings, Unfit
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -48,23 +47,6 @@ class Instruction(IntEnum):
     FAST_BULK_READ = 0x9A
 
 
-class Register(NamedTuple):
-    """An entry of a servo's control table: where it begins, how many bytes it has, whether they have a sign."""
-
-    address: int
-    size: int
-    signed: bool = False
-
-    @property
-    def end(self) -> int:
-        """The address after it."""
-        return self.address + self.size
-
-    def encode(self, value: int) -> bytes:
-        """Its bytes. Raises OverflowError for what it cannot hold."""
-        return value.to_bytes(self.size, "little", signed=self.signed)
-
-
 MODEL = Register(0, 2)
 FIRMWARE = Register(6, 1)
 ID = Register(7, 1)
@@ -91,7 +73,6 @@ POSITION = Register(132, 4, True)  # counts
 VOLTAGE = Register(144, 2)  # 0.1 V
 TEMPERATURE = Register(146, 1)  # °C
 
-COUNTS_PER_TURN = 4096
 TABLE_BYTES = 147
 VELOCITY_UNIT_RPM = 0.229
 EEPROM_END = 64
@@ -197,22 +178,6 @@ def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
     return encode(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(servos))
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """One packet without stuffing; `t_first` is when its first byte arrived (s). `parameters` have no error in them."""
-
-    t_first: float
-    servo: int
-    instruction: int
-    error: int
-    parameters: bytes
-
-    @property
-    def is_status(self) -> bool:
-        """Whether it is an answer."""
-        return self.instruction == Instruction.STATUS
-
-
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """A servo's answer."""
     return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
@@ -235,8 +200,9 @@ def _is_sound(raw: bytes) -> bool:
 def _packet(frame: Frame) -> Packet:
     t_first, raw = frame
     servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
-    answers = instruction == Instruction.STATUS and len(body) > 1
-    return Packet(t_first, servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
+    answers = instruction == Instruction.STATUS
+    told = answers and len(body) > 1
+    return Packet(t_first, servo, instruction, body[1] if told else 0, body[2:] if told else body[1:], answers)
 
 
 class PacketReader:
@@ -265,22 +231,72 @@ class PacketReader:
         self._scanner.reset()
 
 
-class Registers:
-    """A stretch of one servo's table as read: `registers[POSITION]` is a number."""
+_SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
+_UNFIT_MEND = "use a servo of the 430 size"
+_UNFIT_WHY = "whose watchdog trips without stopping it"
 
-    def __init__(self, address: int, data: bytes) -> None:
-        self._address, self._data = address, data
 
-    def __contains__(self, register: Register) -> bool:
-        return self._address <= register.address and register.end <= self._address + len(self._data)
+class Make:
+    """The X series as a `ServoMake`: profiles by time, and a watchdog."""
 
-    def __getitem__(self, register: Register) -> int:
-        """Raises KeyError for a register that was not read."""
-        if register not in self:
-            raise KeyError(register)
-        start = register.address - self._address
-        return int.from_bytes(self._data[start : start + register.size], "little", signed=register.signed)
+    name = "DYNAMIXEL"
+    model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
+    hardware_error, goal, position, voltage, temperature = HARDWARE_ERROR, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    watchdog: Register | None = WATCHDOG
+    unlock: Register | None = None
+    settings_end = EEPROM_END
+    table_bytes = TABLE_BYTES
+    look = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
+    cycle = (WATCHDOG.address, POSITION.end - WATCHDOG.address)
+    all_answered, ping_bytes = 2, 3
+    alert, refusals = ALERT, 0x7F
+    supply_v = (9.0, 14.0)
+    troubles: Mapping[int, tuple[str, str]] = {
+        HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
+        HardwareError.HOT: ("hot", "it is too hot"),
+        HardwareError.ENCODER: ("encoder", "its encoder fails"),
+        HardwareError.SHOCK: ("shock", "its circuit has had a shock"),
+        HardwareError.OVERLOAD: ("overload", "it was overloaded"),
+    }
+    models: Mapping[int, str] = {
+        1020: "XM430-W350",
+        1030: "XM430-W210",
+        1060: "XL430-W250",
+        1070: "XC430-W150",
+        1080: "XC430-W240",
+    }
+    """Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
+    unfit: Mapping[int, Unfit] = {
+        1190: Unfit("XL330-M077", _UNFIT_WHY, _UNFIT_MEND),
+        1200: Unfit("XL330-M288", _UNFIT_WHY, _UNFIT_MEND),
+        1220: Unfit("XC330-T181", _UNFIT_WHY, _UNFIT_MEND),
+        1230: Unfit("XC330-T288", _UNFIT_WHY, _UNFIT_MEND),
+    }
+    reader = staticmethod(PacketReader)
+    ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
+    sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
+    status, restart = staticmethod(encode_status), staticmethod(reboot)
 
-    def get(self, register: Register) -> int | None:
-        """None for a register that was not read."""
-        return self[register] if register in self else None  # noqa: SIM401
+    def settings(self, low: int, high: int) -> Settings:
+        """Position mode, profiles by time, no delay, no offset, limits, shutdown, all answers."""
+        return (
+            (RETURN_DELAY, 0),
+            (OPERATING_MODE, 3),
+            (DRIVE_MODE, 4),
+            (HOMING_OFFSET, 0),
+            (SHUTDOWN, _SHUTDOWN),
+            (MIN_POSITION, low),
+            (MAX_POSITION, high),
+            (STATUS_LEVEL, self.all_answered),
+        )
+
+    def profile(self, span_ms: int) -> Settings:
+        """By time, without an acceleration phase."""
+        return (PROFILE_ACCELERATION, 0), (PROFILE_VELOCITY, span_ms)
+
+    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:  # noqa: ARG002
+        """The profile does the rest."""
+        return sync_write(GOAL, counts)
+
+
+MAKE = Make()

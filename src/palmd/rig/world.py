@@ -32,7 +32,7 @@ from palmd.rig.marble import Marble
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
 from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
-from palmd.rig.servos import ServoArm
+from palmd.rig.servos import make_servo_arm
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
@@ -90,7 +90,7 @@ class World(EmulatedRig[EmulatedActuator]):
         arm: EmulatedActuator = (
             AdeptArm(config, config.arm, self._home, rng, step_s=STEP_S, lag_s=options.lag_s)
             if isinstance(config.arm, AdeptConfig)
-            else ServoArm(config, config.arm, self._home, rng, t)
+            else make_servo_arm(config, config.arm, self._home, rng, t)
         )
         self._palms = arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
