@@ -236,7 +236,7 @@ _UNFIT_MEND = "use a servo of the 430 size"
 _UNFIT_WHY = "whose watchdog trips without stopping it"
 
 
-class Make:
+class DynamixelMake:
     """The X series as a `ServoMake`: profiles by time, and a watchdog."""
 
     name = "DYNAMIXEL"
@@ -299,4 +299,4 @@ class Make:
         return sync_write(GOAL, counts)
 
 
-MAKE = Make()
+MAKE = DynamixelMake()

@@ -28,7 +28,7 @@ _HEAD_BYTES = 4  # up to and with the length
 _FILLER = HEADER[0]
 
 
-class Instruction(IntEnum):
+class FeetechInstruction(IntEnum):
     """What a packet asks."""
 
     PING = 0x01
@@ -40,7 +40,7 @@ class Instruction(IntEnum):
     SYNC_WRITE = 0x83
 
 
-class HardwareError(IntEnum):
+class FeetechError(IntEnum):
     """Bits of the status register, and of the error in every answer."""
 
     VOLTAGE = 0x01
@@ -78,7 +78,7 @@ CURRENT = Register(69, 2)  # 6.5 mA
 TABLE_BYTES = 71
 EEPROM_END = 40
 SPEED_MOST = (1 << 15) - 1
-_UNLOADING = HardwareError.HOT | HardwareError.CURRENT | HardwareError.OVERLOAD
+_UNLOADING = FeetechError.HOT | FeetechError.CURRENT | FeetechError.OVERLOAD
 
 
 def checksum(body: bytes) -> int:
@@ -98,17 +98,17 @@ def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 def ping(servo: int) -> bytes:
     """Asks whether it is there."""
-    return encode(servo, Instruction.PING)
+    return encode(servo, FeetechInstruction.PING)
 
 
 def read(servo: int, address: int, size: int) -> bytes:
     """Asks one servo for `size` bytes of its table."""
-    return encode(servo, Instruction.READ, bytes((address, size)))
+    return encode(servo, FeetechInstruction.READ, bytes((address, size)))
 
 
 def write(servo: int, register: Register, value: int) -> bytes:
     """Sets one register of one servo."""
-    return encode(servo, Instruction.WRITE, bytes((register.address,)) + register.encode(value))
+    return encode(servo, FeetechInstruction.WRITE, bytes((register.address,)) + register.encode(value))
 
 
 def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
@@ -120,12 +120,12 @@ def sync_write_bytes(address: int, data: Mapping[int, bytes]) -> bytes:
     """Sets a stretch of the table, equally long for each."""
     size = len(next(iter(data.values()), b""))
     parts = b"".join(bytes((servo,)) + each for servo, each in data.items())
-    return encode(BROADCAST, Instruction.SYNC_WRITE, bytes((address, size)) + parts)
+    return encode(BROADCAST, FeetechInstruction.SYNC_WRITE, bytes((address, size)) + parts)
 
 
 def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
     """Asks several servos for `size` bytes of their tables; they answer in this order."""
-    return encode(BROADCAST, Instruction.SYNC_READ, bytes((address, size)) + bytes(servos))
+    return encode(BROADCAST, FeetechInstruction.SYNC_READ, bytes((address, size)) + bytes(servos))
 
 
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
@@ -148,7 +148,7 @@ def _is_sound(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
-class PacketReader:
+class FeetechReader:
     """Turns a bus's bytes into packets, all answers or all questions; garbage is counted and nothing else."""
 
     def __init__(self, baud: int, *, answers: bool = True) -> None:
@@ -180,7 +180,7 @@ class PacketReader:
         return Packet(t_first, raw[2], instruction, error, raw[5:-1], self._answers)
 
 
-class Make:
+class FeetechMake:
     """The STS3215 as a `ServoMake`: a speed with each goal, and no watchdog."""
 
     name = "Feetech"
@@ -193,25 +193,25 @@ class Make:
     look = (TORQUE.address, STATUS.end - TORQUE.address)
     cycle = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
     all_answered, ping_bytes = 1, 0
-    alert = HardwareError.VOLTAGE | HardwareError.ENCODER | _UNLOADING
+    alert = FeetechError.VOLTAGE | FeetechError.ENCODER | _UNLOADING
     refusals = 0
     supply_v = (6.0, 14.0)
     troubles: Mapping[int, tuple[str, str]] = {
-        HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
-        HardwareError.ENCODER: ("encoder", "its encoder fails"),
-        HardwareError.HOT: ("hot", "it is too hot"),
-        HardwareError.CURRENT: ("overload", "its current is too high"),
-        HardwareError.OVERLOAD: ("overload", "it was overloaded"),
+        FeetechError.VOLTAGE: ("voltage", "its supply is out of range"),
+        FeetechError.ENCODER: ("encoder", "its encoder fails"),
+        FeetechError.HOT: ("hot", "it is too hot"),
+        FeetechError.CURRENT: ("overload", "its current is too high"),
+        FeetechError.OVERLOAD: ("overload", "it was overloaded"),
     }
     models: Mapping[int, str] = {777: "STS3215", 2825: "STS3250"}
     unfit: Mapping[int, Unfit] = {}
-    reader = staticmethod(PacketReader)
+    reader = staticmethod(FeetechReader)
     ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
     sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
     status = staticmethod(encode_status)
 
     def restart(self, servo: int) -> bytes:
-        """Turns its torque off, which ends its protection."""
+        """Turns its torque off, which ends its protection mode."""
         return write(servo, TORQUE, 0)
 
     def settings(self, low: int, high: int) -> Settings:
@@ -239,4 +239,4 @@ class Make:
         return sync_write_bytes(GOAL.address, data)
 
 
-MAKE = Make()
+MAKE = FeetechMake()

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from palmd.devices.arrival import FirstByteClock
 
 Head = bytes | bytearray
-"""The bytes in hand, from which a codec tells how long a frame is."""
+"""The bytes in hand, from which a codec determines how long a frame is."""
 
 Frame = tuple[float, bytes]
 """When the first byte of a frame arrived (s), and its bytes."""
@@ -50,7 +50,7 @@ class FrameScanner:
     ) -> None:
         """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive.
 
-        size: of the frame that begins with these bytes, None where more are needed to tell, 0 where none begins there.
+        size: of the frame that begins with these bytes, None where more are needed, 0 where none begins there.
         is_sound: of a whole frame. begins: the byte that every frame begins with, None where any may. whole: an unsound
         frame is discarded as a whole; otherwise only its first byte is, for a frame may lie inside.
         """

@@ -15,7 +15,7 @@ from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
 
-class PadCounters(Protocol):
+class SerialCounters(Protocol):
     """What a decoder of such a pad counts at least."""
 
     bytes: int
@@ -30,7 +30,7 @@ class PadCounters(Protocol):
 
 Report = TypeVar("Report", bound=PadReport)
 Report_co = TypeVar("Report_co", bound=PadReport, covariant=True)
-Counters = TypeVar("Counters", bound=PadCounters)
+Counters = TypeVar("Counters", bound=SerialCounters)
 
 
 class PadDecoder(Protocol[Report_co]):
@@ -74,11 +74,11 @@ class SerialPad(ABC, Generic[Report, Counters]):
 
     @abstractmethod
     def _is_place(self, report: Report) -> bool:
-        """Whether a report of a touch tells where it is."""
+        """Whether a report of a touch has a place."""
 
     @abstractmethod
     def _is_bounded(self, report: Report) -> bool:
-        """Whether the force is no more than what a report tells at least."""
+        """Whether a report saturates: its force is a lower bound."""
 
     def port(self) -> Port:
         """The serial line."""
@@ -112,7 +112,7 @@ class SerialPad(ABC, Generic[Report, Counters]):
         return events
 
     def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadSample | PadLift]:  # noqa: ARG002
-        """The loss of touch that silence tells of at `t` (s). Once a tick."""
+        """The end of the touch if the pad has been silent for too long at `t` (s). Once a tick."""
         lift = self._touch.poll(t)
         return [] if lift is None else [self._part(lift, "silent")]
 
@@ -124,7 +124,7 @@ class SerialPad(ABC, Generic[Report, Counters]):
         return reports
 
     def view(self, t: float) -> PadView:
-        """What is to be told of the pad at `t` (s)."""
+        """What is published of the pad at `t` (s)."""
         latest = self._latest
         if latest is None:
             return PadView()
@@ -167,8 +167,8 @@ class SerialPad(ABC, Generic[Report, Counters]):
         if not (self._is_place(report) and 0.0 < s_mm <= config.length_mm + MARGIN_MM):
             self._counters.out_of_range += 1
             return None
-        told = report.pressure * config.newtons_per_count
-        force, at_least = (None, told) if self._is_bounded(report) else (told, None)
+        newtons = report.pressure * config.newtons_per_count
+        force, at_least = (None, newtons) if self._is_bounded(report) else (newtons, None)
         return PadSample(report.t_first, self._number, s_mm * 1e-3, force, at_least=at_least)
 
     def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:

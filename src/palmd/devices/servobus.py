@@ -1,4 +1,4 @@
-"""What servos of every make have in common on their bus: packets, registers, and what a host must know of their make.
+"""What servos of every make have in common on their bus: packets, registers, and what a host must know about a make.
 
 Everything here is pure and safe inside the 100 Hz loop.
 """
@@ -124,7 +124,7 @@ class ServoMake(Protocol):
 
     look, cycle: what is read at leisure, and in every cycle. all_answered: status return level at which every
     instruction is answered. ping_bytes: parameters of the answer to a ping, which begin with the model where there are
-    any. alert: bits of an answer's error that tell of a hardware error; refusals: those that tell that the instruction
+    any. alert: bits of an answer's error that report a hardware error; refusals: those that say that the instruction
     was not carried out. settings_end: registers below keep their values without power. unlock: 0 while they are to.
     watchdog: stops the servo when nobody speaks any more; None where a make has none.
     troubles: by bit of the hardware error register, the code of the fault table without the arm's name, and words.

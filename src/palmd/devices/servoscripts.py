@@ -27,7 +27,7 @@ WATCHDOG_S = WATCHDOG_UNITS * 0.020
 class Ask:
     """A question that each of these servos answers, with so many bytes.
 
-    refusals: bits of an answer's error that tell that it was not carried out.
+    refusals: bits of an answer's error that say that it was not carried out.
     """
 
     packet: bytes

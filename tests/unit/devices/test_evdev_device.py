@@ -10,7 +10,7 @@ from kernel_touch import FakeKernel
 from palmd.config.pads import EvdevConfig
 from palmd.devices import evdevport
 from palmd.devices.evdevport import EvdevPort, asked
-from palmd.devices.pad import make_pad
+from palmd.devices.pad import inspect_pad, make_pad
 from palmd.devices.touchunits import contradictions, with_reported_units
 from palmd.events import PadLift, PadSample
 
@@ -205,6 +205,37 @@ def test_a_place_whose_unit_nobody_knows_is_not_reported_but_said(device):
     pad = Pad(path, end)
     assert pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), (1, kt.TOUCH, 1))) == []
     assert "set counts_per_mm" in pad.driver.complaint
+
+
+TRACKPAD = {
+    kt.X: (0, -3678, 3934, 47), kt.Y: (0, -2479, 2586, 44), kt.SLOT: (0, 0, 15, 0), kt.ID: (0, 0, 65535, 0),
+    kt.MT_X: (0, -3678, 3934, 47), kt.MT_Y: (0, -2479, 2586, 44), kt.MT_PRESSURE: (0, 0, 2000, 4),
+}  # fmt: skip
+"""Of 160 x 114.9 mm, as the driver of such a trackpad describes it; force in units each gram, as of Linux 6.18."""
+
+
+def test_a_large_pressure_trackpad_is_read_to_a_fiftieth_of_a_millimetre_with_the_force_of_each_touch(device):
+    slots = {kt.ID: [-1] * 16, kt.MT_X: [0] * 16, kt.MT_Y: [0] * 16, kt.MT_PRESSURE: [0] * 16}
+    _, path, end = device(axes=TRACKPAD, keys={kt.TOUCH}, slots=slots, properties={kt.PRESSUREPAD})
+    pad = Pad(path, end, zero_mm=80.0, counts_per_mm=47.575)
+    assert pad.tick() == []
+    first = [a(kt.ID, 1), a(kt.MT_X, 100), a(kt.MT_Y, 0), a(kt.MT_PRESSURE, 408)]
+    (one,) = pad.tick(kt.events(*first, (1, kt.TOUCH, 1)))
+    assert one.force == pytest.approx(408 / 4 * 9.80665e-3), "102 g"
+    (two,) = pad.tick(kt.events(a(kt.MT_X, 101), a(kt.SLOT, 1), a(kt.ID, 2), a(kt.MT_X, -900), a(kt.MT_PRESSURE, 1800)))
+    assert (two.s - one.s) * 1e3 == pytest.approx(0.021, abs=0.001)
+    assert two.force == one.force, "the first contact counts, with its own force"
+    assert in_mm(pad.tick(kt.events(a(kt.ID, -1), a(kt.SLOT, 0), a(kt.ID, -1), (1, kt.TOUCH, 0)))) == ["lift"]
+
+
+def test_a_reported_scale_is_known_to_a_part_of_a_whole_unit(device):
+    """47 for 47.575: the driver divides whole numbers, and all that is read would be 1.2 % too long."""
+    _, path, _ = device(axes=TRACKPAD, keys={kt.TOUCH}, properties={kt.PRESSUREPAD})
+    found = inspect_pad(EvdevConfig(kind="evdev", port=path)).config
+    assert found.counts_per_mm == 47.0
+    assert 47.575 / 47.0 - 1.0 < 1.1 * found.scale_sd < 0.02
+    for given in ({"counts_per_mm": 47.575}, {"scale_sd": 0.001}):
+        assert inspect_pad(EvdevConfig(kind="evdev", port=path, **given)).config.scale_sd <= 0.003
 
 
 def test_a_device_is_asked_without_being_grabbed(device):

@@ -10,7 +10,7 @@ from palmd.devices.serialpad import SerialPad
 from palmd.devices.taxels import ANSWER_S, TaxelCounters, TaxelDecoder, TaxelReport
 
 OPENING_S = 1.0
-"""An array from which no frame has come for so long is told again how to speak: it may have been restarted."""
+"""An array that has sent no frame for so long is configured again: it may have been restarted."""
 
 
 class Taxels(SerialPad[TaxelReport, TaxelCounters]):
@@ -41,12 +41,12 @@ class Taxels(SerialPad[TaxelReport, TaxelCounters]):
         return None
 
     def opened(self, t: float) -> None:
-        """The port has been opened at `t` (s): it is told how to speak next."""
+        """The port has been opened at `t` (s): the array is configured next."""
         super().opened(t)
         self._t_opening = self._t_asked = self._t_frame = -math.inf
 
     def tend(self, port: HostLine, t: float) -> None:
-        """Tell the array how to speak, and ask it for the next frame once the last answer has come."""
+        """Configure the array, and ask it for the next frame once the last answer has come."""
         if not self.is_open:
             return
         counters, protocol = self._counters, self._taxels.protocol

@@ -92,7 +92,7 @@ def _parabola(x: FloatArray) -> FloatArray:
 
 
 class _Tsf85:
-    """Speaks by itself from the moment it is told to."""
+    """Sends by itself once it has been commanded to."""
 
     def __init__(self, config: TaxelsConfig) -> None:
         self._modules = config.rows // taxels.TSF85_ROWS
@@ -125,7 +125,7 @@ def _command_size(head: Head) -> int | None:
 
 
 class _St0001:
-    """Answers; its values are millinewtons once it has been told so, and converter counts of a fifth before."""
+    """Answers; its values are millinewtons once they are selected, and converter counts of a fifth before."""
 
     def __init__(self, config: TaxelsConfig) -> None:
         self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)

@@ -2,7 +2,7 @@
 
 A servo goes to its goal at the speed that came with it, which it has at once where its acceleration is 0. Friction
 holds it until its goal is half of `friction_deg` away, and it stays that far behind. It gives by `COMPLIANCE_RAD_N_M`
-under load, which its encoder tells; the play of its gears lies between encoder and palm, where nothing tells it.
+under load, which its encoder reports; the play of its gears lies between encoder and palm, where nothing reports it.
 Settings that are written while LOCK is 1 are lost with the power. Hardware errors let go, and end when the torque is
 written.
 Sources: docs/reference/devices.md.
@@ -18,7 +18,7 @@ import numpy as np
 from palmd.config.arms import FeetechConfig, ServoConfig
 from palmd.config.two_palms import Config
 from palmd.devices import feetech as sts
-from palmd.devices.feetech import BROADCAST, HardwareError, Instruction, PacketReader
+from palmd.devices.feetech import BROADCAST, FeetechError, FeetechInstruction, FeetechReader
 from palmd.devices.servobus import Packet, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Utterance
@@ -30,9 +30,9 @@ COMPLIANCE_RAD_N_M = math.radians(2.2) / 1.04
 FASTEST = 3000  # counts/s without a speed: 45 to 46 turns a minute
 BAUD_CODES: Mapping[int, int] = {1000000: 0, 115200: 4}
 _TROUBLES = {
-    "overload": HardwareError.OVERLOAD,
-    "overheat": HardwareError.HOT,
-    "undervoltage": HardwareError.VOLTAGE,
+    "overload": FeetechError.OVERLOAD,
+    "overheat": FeetechError.HOT,
+    "undervoltage": FeetechError.VOLTAGE,
 }
 _FACTORY: Mapping[Register, int] = {
     sts.FIRMWARE: 3,
@@ -186,20 +186,20 @@ class FeetechArm(ServoArm[FeetechServo]):
         self._code = code = BAUD_CODES[arm.baud]
         friction = math.radians(arm.friction_deg)
         servos = [FeetechServo(servo, direction, friction, code, rng, t) for servo, direction in palms_of(arm, home)]
-        super().__init__(config, arm, servos, PacketReader(arm.baud, answers=False), rng, t)
+        super().__init__(config, arm, servos, FeetechReader(arm.baud, answers=False), rng, t)
 
-    def listener(self) -> PacketReader:
+    def listener(self) -> FeetechReader:
         """Of its answers."""
-        return PacketReader(self.baud)
+        return FeetechReader(self.baud)
 
     def _obey(self, packet: Packet, t: float) -> list[Utterance]:
         hearing = {servo.id: servo for servo in self._servos if servo.hears(self._code, t)}
         data = packet.parameters
         match packet.instruction:
-            case Instruction.SYNC_WRITE if len(data) >= 2:
+            case FeetechInstruction.SYNC_WRITE if len(data) >= 2:
                 self._write_each(hearing, data, t)
                 return []
-            case Instruction.SYNC_READ if len(data) >= 2:
+            case FeetechInstruction.SYNC_READ if len(data) >= 2:
                 return self._read_each(hearing, data[0], data[1], data[2:], t)
         said = []
         for servo in [each for each in hearing.values() if packet.servo in (each.id, BROADCAST)]:
@@ -212,11 +212,11 @@ class FeetechArm(ServoArm[FeetechServo]):
         """Carries an instruction out; the answer, None where there is none to it."""
         data, out, always = packet.parameters, b"", False
         match packet.instruction:
-            case Instruction.PING:
+            case FeetechInstruction.PING:
                 always = True
-            case Instruction.READ if len(data) == 2:
+            case FeetechInstruction.READ if len(data) == 2:
                 out, always = servo.read(data[0], data[1], t), True
-            case Instruction.WRITE if len(data) > 1:
+            case FeetechInstruction.WRITE if len(data) > 1:
                 servo.write(data[0], data[1:], t)
             case _:
                 return None
