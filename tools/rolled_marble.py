@@ -8,7 +8,8 @@ from palmd.config.pads import VersaPadConfig
 from palmd.devices.arrival import byte_time
 from palmd.devices.versapad import PACKET_BYTES, PadCounters, PadPacket, PressureFormat, VersaPadDecoder
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadOptions, VersaPadEmulator
+from palmd.rig.padkinds.versapad import VersaPadEmulator
+from palmd.rig.pads import GOOD_PADS, PadOptions
 
 
 def rolled(

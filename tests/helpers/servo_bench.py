@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 
 from palmd.config.two_palms import Config
-from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, JointPose, make_actuator
 from palmd.rig.fault_injection import FaultOrder
 from palmd.rig.line import Wire
-from palmd.rig.servos import ServoArm
+from palmd.rig.servos import make_servo_arm
 
 STEP_S = 5e-4
 HOME = (math.radians(45.0), math.radians(90.0))
+MAKES = ("dynamixel", "feetech")
 
 
 def tabletop(**arm) -> Config:
@@ -41,7 +41,7 @@ class ServoBench:
         config = config or tabletop(**arm)
         self.t = 0.0
         self.host = make_actuator(config.arm)
-        self.rig = ServoArm(config, config.arm, HOME, np.random.default_rng(1), 0.0)
+        self.rig = make_servo_arm(config, config.arm, HOME, np.random.default_rng(1), 0.0)
         self.reports: list[ArmReport] = []
         self.sent = 0
         self.target: Callable[[float], tuple[float, float]] | None = None
@@ -94,7 +94,7 @@ class BenchTalk:
         self._out = Wire(self.baud)
 
     def ask(self, packet, patience_s=0.04, answers=1):
-        bench, reader, found = self.bench, dxl.PacketReader(self.baud), []
+        bench, reader, found = self.bench, self.axes[0].make.reader(self.baud), []
         t_sent = bench.t
         bench.rig.receive(packet, packet, bench.t)
         while len(found) < answers and bench.t < t_sent + patience_s:

@@ -16,7 +16,8 @@ from palmd.events import Event, PalmSample
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import compile_plan
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press, VersaPadEmulator
+from palmd.rig.padkinds.versapad import VersaPadEmulator
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.plant import PAD_LENGTH, Hinge, Plant, random_surface
 from palmd.rig.shapes import cylinder
 

@@ -213,7 +213,7 @@ def test_a_hinge_that_the_actuator_does_not_drive_is_refused_in_one_sentence() -
 def test_kinds_are_told_when_one_is_not_known() -> None:
     pads = {"palm1": {"port": "/dev/a", "kind": "pad"}, "palm2": {"port": "/dev/b"}}
     ((name, text),) = faults(pads=pads)
-    assert (name, text) == ("pads.palm1", "kind must be one of versapad, strip, evdev")
+    assert (name, text) == ("pads.palm1", "kind must be one of versapad, strip, evdev, taxels")
 
 
 def test_play_makes_an_angle_less_sure() -> None:

@@ -155,7 +155,7 @@ def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> lis
                 data = port.read()
                 t = time.monotonic()
                 packets += pad.reports(data, t)
-                pad.tend(port)
+                pad.tend(port, t)
                 if not port.is_open:
                     raise CliError(RIG_FAILED, str(port.error))
                 if math.isinf(t_begin) and any(packet.in_use for packet in packets):

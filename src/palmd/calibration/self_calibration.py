@@ -19,7 +19,7 @@ import numpy as np
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import arm_base, lines, palm_base_in_arm
 from palmd.calibration.self_fit import RigFit, combined
-from palmd.config.arms import DynamixelConfig
+from palmd.config.arms import ServosConfig
 from palmd.config.two_palms import Config, rig_description
 from palmd.console.arguments import seed
 from palmd.console.configured import configured
@@ -133,7 +133,7 @@ def called_for(fit: RigFit, config: Config) -> Sections:
     if fit.told[R.TILT]:
         gravity_sd_deg = min(_rounded_up(math.degrees(sds[R.TILT])), config.rig.gravity_sd_deg)
         sections["rig"] = {"gravity_sd_deg": gravity_sd_deg}
-        if isinstance(config.arm, DynamixelConfig):
+        if isinstance(config.arm, ServosConfig):
             for palm, servo in zip(PALMS, config.arm.servos, strict=True):
                 centre_deg = round(servo.centre_deg + math.degrees(off[R.TILT]), 4)
                 sections[f"arm.servo{palm}"] = {"centre_deg": centre_deg}

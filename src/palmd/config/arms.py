@@ -62,15 +62,13 @@ class ServoConfig(Strict):
     """The palm's directions that the servo itself allows."""
 
 
-class DynamixelConfig(Strict):
-    """Two DYNAMIXEL servos of the X series on one bus, palm 1's and palm 2's, about a fixed hinge."""
+class ServosConfig(Strict):
+    """Two servos on one bus, palm 1's and palm 2's, about a fixed hinge."""
 
-    kind: Literal["dynamixel"]
-    """What kind of actuator it is."""
     port: PortPath
     """The serial port to the bus."""
     baud: ServoBaud = 1000000
-    """Of the bus; servos leave the factory with 57600, too slow for a hundred cycles a second."""
+    """Of the bus."""
     servo1: ServoConfig = ServoConfig(id=1)
     """The servo of palm 1."""
     servo2: ServoConfig = ServoConfig(id=2, sign=-1)
@@ -114,10 +112,41 @@ class DynamixelConfig(Strict):
         return 0.5 * self.backlash_deg
 
 
+class DynamixelConfig(ServosConfig):
+    """Two DYNAMIXEL servos of the X series on one bus, palm 1's and palm 2's, about a fixed hinge."""
+
+    kind: Literal["dynamixel"]
+    """What kind of actuator it is."""
+    baud: ServoBaud = 1000000
+    """Of the bus; servos leave the factory with 57600, too slow for a hundred cycles a second."""
+
+
+class FeetechConfig(ServosConfig):
+    """Two Feetech STS3215 servos on one bus, palm 1's and palm 2's, about a fixed hinge."""
+
+    kind: Literal["feetech"]
+    """What kind of actuator it is."""
+    baud: Annotated[int, one_of(115200, 1000000)] = 1000000
+    """Of the bus; servos leave the factory with 1000000."""
+    backlash_deg: Annotated[NotNegative, Field(le=5)] = 1.0
+    """Play of the gears between servo and palm, from end to end."""
+    friction_deg: Annotated[NotNegative, Field(le=5)] = 0.4
+    """By how much a goal must move before the servo does, from one direction to the other."""
+
+    @property
+    def goal_rounding_rad(self) -> float:
+        """To what steps of a palm's angle set-points are rounded: friction holds the servo against smaller ones."""
+        return max(math.radians(self.friction_deg), super().goal_rounding_rad)
+
+
 ArmConfig = Annotated[
-    Annotated[AdeptConfig, Tag("<adept>")] | Annotated[DynamixelConfig, Tag("<dynamixel>")],
+    Annotated[AdeptConfig, Tag("<adept>")]
+    | Annotated[DynamixelConfig, Tag("<dynamixel>")]
+    | Annotated[FeetechConfig, Tag("<feetech>")],
     Discriminator(
-        by_kind("adept"), custom_error_type="kind", custom_error_message="kind must be one of adept, dynamixel"
+        by_kind("adept"),
+        custom_error_type="kind",
+        custom_error_message="kind must be one of adept, dynamixel, feetech",
     ),
 ]
 """The kinds of actuators."""

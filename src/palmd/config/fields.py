@@ -98,6 +98,7 @@ Positive = Annotated[FiniteFloat, Field(gt=0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Baud = Annotated[int, one_of(*BAUDS)]
 ServoBaud = Annotated[int, one_of(*SERVO_BAUDS)]
+AnyBaud = Annotated[int, one_of(*sorted({*BAUDS, *SERVO_BAUDS}))]
 PortPath = Annotated[str, Field(min_length=1)]
 Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML list is not a tuple
 OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]

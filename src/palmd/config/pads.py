@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -17,7 +18,7 @@ from pydantic import (
     model_serializer,
 )
 
-from palmd.config.fields import Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
+from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
 from palmd.system.description import PadSensor
 
 
@@ -74,6 +75,11 @@ class PadBase(Strict):
     """How well the time of a reading is known, one sigma."""
     force_sd_mm_per_n: Annotated[NotNegative, Field(le=10), Plausible(0.0005, 2, or_zero=True)] = 0.05
     """By how much a reading may move with the contact's force, one sigma."""
+
+    @property
+    def reading_noise_mm(self) -> float:
+        """One sigma of a position as an observer weighs it, with what the kind knows of errors that are no noise."""
+        return self.noise_mm
 
     @field_validator("curve_mm")
     @classmethod
@@ -176,14 +182,131 @@ class EvdevConfig(PadBase):
         return 0.01
 
 
+TaxelProtocolName = Literal["tsf85", "st0001", "text"]
+
+_TAXEL_BAUD: Mapping[TaxelProtocolName, int] = {"tsf85": 115200, "st0001": 4000000, "text": 115200}
+_TAXEL_FULL_SCALE: Mapping[TaxelProtocolName, int] = {"tsf85": 65535, "st0001": 65535, "text": 4095}
+_TAXEL_FRAME_BYTES: Mapping[TaxelProtocolName, Callable[[int], int]] = {
+    "tsf85": lambda taxels: 4 + 86 * (taxels // 28),  # a module's pressures and its other fields
+    "st0001": lambda taxels: 6 + 2 * taxels,
+    "text": lambda taxels: 5 * taxels + 1,  # four digits each
+}
+_LINE_SHARE = 0.96  # of its time that a line may be busy
+_TSF85_COLUMNS, _TSF85_ROWS, _ST0001_TAXELS = 4, (7, 14), 60
+_READINGS_PER_MM = 50.0
+"""Readings that one error of place spoils alike, for each mm of its correlation length (docs/reference/devices.md)."""
+
+
+class TaxelsConfig(PadBase):
+    """An array of pressure sensors, rows along the palm by columns across it, on a serial line."""
+
+    kind: Literal["taxels"]
+    """What kind of pad it is."""
+    axis: Literal["x"] = "x"
+    """Rows always lie along the palm."""
+    protocol: TaxelProtocolName
+    """What it speaks: `tsf85` serial frames of modules of 7 x 4, `st0001` Modbus RTU of 60 taxels, `text` lines."""
+    rows: Annotated[int, Field(ge=3, le=64)]
+    """How many taxels lie along the palm."""
+    columns: Annotated[int, Field(ge=1, le=64)]
+    """How many lie across it."""
+    pitch_mm: Annotated[FiniteFloat, Field(gt=0, le=20), Plausible(0.5, 10)]
+    """Distance between the centres of neighbouring taxels."""
+    contact_width_mm: Annotated[FiniteFloat, Field(gt=0, le=20), Plausible(0.3, 8)] = 2.0
+    """How far the skin spreads the pressure of a contact along the palm, one sigma of the profile."""
+    taxel_gain_sd: Annotated[NotNegative, Field(le=0.5)] = 0.05
+    """How unlike the taxels' sensitivities are, one sigma of each as a share of it."""
+    rest_counts: Annotated[FiniteFloat, Field(ge=0, le=65535)] = 0.0
+    """What each taxel counts without a touch."""
+    taxel_full_scale: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """The count at which a taxel saturates; left out: 65535, of text 4095."""
+    touch_n: Annotated[Positive, Field(le=5), Plausible(0.01, 1)] = 0.05
+    """The force of the whole array that is a touch; below half of it the touch is over."""
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = 0.0
+    """Distance from the hinge of the first row's middle."""
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(900, 1100)] = 1000.0
+    """Places are counted in micrometres by the pitch; a calibration corrects the pitch here."""
+    newtons_per_count: Annotated[Positive, Plausible(0.00001, 0.1)] = 0.001
+    """What one count of a taxel is worth; `st0001` counts millinewtons."""
+    baud: AnyBaud | None = None
+    """Of the serial line; left out: 115200, of `st0001` 4000000."""
+
+    @field_validator("columns")
+    @classmethod
+    def _as_the_protocol_has_it(cls, columns: int, info: ValidationInfo) -> int:
+        protocol, rows = info.data.get("protocol"), info.data.get("rows", 0)
+        if protocol == "tsf85" and (columns != _TSF85_COLUMNS or rows not in _TSF85_ROWS):
+            raise ValueError(
+                f"tsf85 has {_TSF85_COLUMNS} columns, and 7 rows for each of one or two modules; got {rows} x {columns}"
+            )
+        if protocol == "st0001" and rows * columns != _ST0001_TAXELS:
+            raise ValueError(f"st0001 has {_ST0001_TAXELS} taxels; got {rows} x {columns}")
+        return columns
+
+    @property
+    def line_baud(self) -> int:
+        """Of the serial line."""
+        return _TAXEL_BAUD[self.protocol] if self.baud is None else self.baud
+
+    @property
+    def full_scale_counts(self) -> int:
+        """The count at which a taxel saturates."""
+        return _TAXEL_FULL_SCALE[self.protocol] if self.taxel_full_scale is None else self.taxel_full_scale
+
+    @property
+    def full_scale_n(self) -> float:
+        """The force of a contact between whose rows the strongest taxel saturates."""
+        share = min(self.pitch_mm / (4.0 * self.profile_scale_mm), 1.0) / self.columns
+        return (self.full_scale_counts - self.rest_counts) * self.newtons_per_count / share
+
+    @property
+    def profile_scale_mm(self) -> float:
+        """Scale of the logistic profile of that width: its density falls by e over so much, far out."""
+        return self.contact_width_mm * math.sqrt(3.0) / math.pi
+
+    @property
+    def grid_sd_mm(self) -> float:
+        """One sigma of the error that the grid makes, which repeats with the pitch.
+
+        A centroid of cells errs by (pitch/π)·φ·sin(2π s/pitch), φ the profile's characteristic function at 2π/pitch: of
+        a logistic profile x/sinh x with x = 2π²·scale/pitch; of a parabola, which ends sharply, at most
+        3/(2π·reach/pitch)² with reach = √5·width. The skin's true profile is not known: the larger of both.
+        """
+        x = 2.0 * math.pi**2 * self.profile_scale_mm / self.pitch_mm
+        sharp = 3.0 / (2.0 * math.pi * math.sqrt(5.0) * self.contact_width_mm / self.pitch_mm) ** 2
+        phi = min(max(x / math.sinh(min(x, 700.0)), sharp), 1.0)
+        return self.pitch_mm / (math.sqrt(2.0) * math.pi) * phi
+
+    @property
+    def gain_sd_mm(self) -> float:
+        """One sigma of the error that unlike taxels make: g·√(pitch·width/(4√π·columns))."""
+        return self.taxel_gain_sd * math.sqrt(
+            self.pitch_mm * self.contact_width_mm / (4.0 * math.sqrt(math.pi) * self.columns)
+        )
+
+    @property
+    def reading_noise_mm(self) -> float:
+        """With both errors, each by as many readings as it spoils alike: its correlation length times 50 a mm."""
+        grid = self.grid_sd_mm**2 * self.pitch_mm / 6.0
+        gains = self.gain_sd_mm**2 * math.sqrt(2.0 / 3.0) * self.contact_width_mm
+        return math.sqrt(self.noise_mm**2 + _READINGS_PER_MM * (grid + gains))
+
+    @property
+    def report_s(self) -> float:
+        """How far apart reports are (s): 10 ms, or as many whole ones as the line needs for a frame."""
+        line_s = _TAXEL_FRAME_BYTES[self.protocol](self.rows * self.columns) * 10.0 / self.line_baud
+        return max(10, math.ceil(line_s / _LINE_SHARE * 1e3)) * 1e-3
+
+
 PadConfig = Annotated[
     Annotated[VersaPadConfig, Tag("<versapad>")]
     | Annotated[StripConfig, Tag("<strip>")]
-    | Annotated[EvdevConfig, Tag("<evdev>")],
+    | Annotated[EvdevConfig, Tag("<evdev>")]
+    | Annotated[TaxelsConfig, Tag("<taxels>")],
     Discriminator(
         by_kind("versapad"),
         custom_error_type="kind",
-        custom_error_message="kind must be one of versapad, strip, evdev",
+        custom_error_message="kind must be one of versapad, strip, evdev, taxels",
     ),
 ]
 """The kinds of touchpads."""
@@ -214,7 +337,7 @@ def pad_sensor(pad: PadConfig, curvature: float) -> PadSensor:
     return PadSensor(
         curvature=curvature,
         length=pad.length_mm * 1e-3,
-        noise=pad.noise_mm * 1e-3,
+        noise=pad.reading_noise_mm * 1e-3,
         resolution=1e-3 / pad.counts_per_mm,
         force_resolution=pad.newtons_per_count,
         force_gain_std=PRESSURE_GAIN_STD,

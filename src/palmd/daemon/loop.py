@@ -311,7 +311,7 @@ class Loop:
                 self._told_errors[end] = port.error
                 log.warning("%s", port.error) if port.error else log.info("%s: %s is open", end, port.path)
         for end, pad in self._core.pads.items():
-            pad.tend(self._ports[end])
+            pad.tend(self._ports[end], t)
 
     def _lost(self, end: EndName, t: float) -> None:
         self._known_open.discard(end)

@@ -12,11 +12,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
-from palmd.devices.arrival import FirstByteClock
+from palmd.devices.framing import Frame, FrameScanner, Head
+from palmd.devices.servobus import Packet, Register, Settings, Unfit
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -48,23 +47,6 @@ class Instruction(IntEnum):
     FAST_BULK_READ = 0x9A
 
 
-class Register(NamedTuple):
-    """An entry of a servo's control table: where it begins, how many bytes it has, whether they have a sign."""
-
-    address: int
-    size: int
-    signed: bool = False
-
-    @property
-    def end(self) -> int:
-        """The address after it."""
-        return self.address + self.size
-
-    def encode(self, value: int) -> bytes:
-        """Its bytes. Raises OverflowError for what it cannot hold."""
-        return value.to_bytes(self.size, "little", signed=self.signed)
-
-
 MODEL = Register(0, 2)
 FIRMWARE = Register(6, 1)
 ID = Register(7, 1)
@@ -91,7 +73,6 @@ POSITION = Register(132, 4, True)  # counts
 VOLTAGE = Register(144, 2)  # 0.1 V
 TEMPERATURE = Register(146, 1)  # °C
 
-COUNTS_PER_TURN = 4096
 TABLE_BYTES = 147
 VELOCITY_UNIT_RPM = 0.229
 EEPROM_END = 64
@@ -197,42 +178,31 @@ def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
     return encode(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(servos))
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """One packet without stuffing; `t_first` is when its first byte arrived (s). `parameters` have no error in them."""
-
-    t_first: float
-    servo: int
-    instruction: int
-    error: int
-    parameters: bytes
-
-    @property
-    def is_status(self) -> bool:
-        """Whether it is an answer."""
-        return self.instruction == Instruction.STATUS
-
-
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """A servo's answer."""
     return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
 
 
-@dataclass(slots=True)
-class PacketCounters:
-    """What a bus has brought; `bytes` are those of packets, discarded ones and those pending.
+def _size(head: Head) -> int | None:
+    """Of the packet that begins with these bytes; see `FrameScanner`."""
+    if not HEADER.startswith(head[: len(HEADER)]):
+        return 0
+    if len(head) < _HEAD_BYTES:
+        return None
+    length = int.from_bytes(head[5:_HEAD_BYTES], "little")
+    return _HEAD_BYTES + length if 3 <= length <= LONGEST else 0
 
-    `crc_errors` counts packets whose checksum is wrong, `discarded` bytes that became part of no packet.
-    """
 
-    bytes: int = 0
-    packets: int = 0
-    crc_errors: int = 0
-    discarded: int = 0
+def _is_sound(raw: bytes) -> bool:
+    return crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
 
-    def as_dict(self) -> dict[str, int]:
-        """Every count by name."""
-        return asdict(self)
+
+def _packet(frame: Frame) -> Packet:
+    t_first, raw = frame
+    servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
+    answers = instruction == Instruction.STATUS
+    told = answers and len(body) > 1
+    return Packet(t_first, servo, instruction, body[1] if told else 0, body[2:] if told else body[1:], answers)
 
 
 class PacketReader:
@@ -240,110 +210,93 @@ class PacketReader:
 
     def __init__(self, baud: int) -> None:
         """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
-        self.counters = PacketCounters()
-        self._clock = FirstByteClock(baud)
-        self._bytes = bytearray()
-        self._t_read: list[tuple[int, float]] = []  # of each read in hand: where in `_bytes` it ends, and when
+        self._scanner = FrameScanner(baud, _size, _is_sound, begins=HEADER[0])
+        self.counters = self._scanner.counters
 
     @property
     def pending(self) -> int:
         """How many bytes are in hand."""
-        return len(self._bytes)
+        return self._scanner.pending
 
     def feed(self, data: bytes, t_recv: float) -> list[Packet]:
         """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
-        if not data:
-            return []
-        self.counters.bytes += len(data)
-        self._bytes += data
-        self._t_read.append((len(self._bytes), t_recv))
-        return self._found()
+        return list(map(_packet, self._scanner.feed(data, t_recv)))
 
     def give_up(self) -> list[Packet]:
         """No more comes of the packet in hand: the packets that it hid."""
-        if not self._bytes:
-            return []
-        self._drop(1)
-        found = self._found()
-        while self._bytes:
-            self._drop(1)
-            found += self._found()
-        return found
+        return list(map(_packet, self._scanner.give_up()))
 
     def reset(self) -> None:
         """Discard what is in hand, for the line has been interrupted."""
-        self._drop(len(self._bytes))
-
-    def _found(self) -> list[Packet]:
-        found: list[Packet] = []
-        while (size := self._at_packet()) is not None:
-            raw = bytes(self._bytes[:size])
-            if crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
-                self.counters.crc_errors += 1
-                self._drop(1)
-                continue
-            found.append(self._packet(raw))
-            self.counters.packets += 1
-            self._take(size)
-        return found
-
-    def _at_packet(self) -> int | None:
-        """The size of the packet at the front, all of it there; None while it is not. Drops what cannot be one."""
-        while True:
-            start = self._bytes.find(HEADER[:1])
-            self._drop(len(self._bytes) if start < 0 else start)
-            head = bytes(self._bytes[: len(HEADER)])
-            if not HEADER.startswith(head):
-                self._drop(1)
-                continue
-            if len(self._bytes) < _HEAD_BYTES:
-                return None
-            length = int.from_bytes(self._bytes[5:_HEAD_BYTES], "little")
-            if not 3 <= length <= LONGEST:
-                self._drop(1)
-                continue
-            size = _HEAD_BYTES + length
-            return size if len(self._bytes) >= size else None
-
-    def _packet(self, raw: bytes) -> Packet:
-        servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
-        answers = instruction == Instruction.STATUS and len(body) > 1
-        return Packet(self._t_first(), servo, instruction, body[1] if answers else 0, body[2:] if answers else body[1:])
-
-    def _t_first(self) -> float:
-        """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""
-        (end, t_recv), *later = self._t_read
-        self._clock.begin(t_recv, end - 1)
-        for end, t_recv in later:
-            self._clock.more(t_recv, end - 1)
-        return self._clock.end()
-
-    def _drop(self, count: int) -> None:
-        self.counters.discarded += count
-        self._take(count)
-
-    def _take(self, count: int) -> None:
-        if count:
-            del self._bytes[:count]
-            self._t_read = [(end - count, t) for end, t in self._t_read if end > count]
+        self._scanner.reset()
 
 
-class Registers:
-    """A stretch of one servo's table as read: `registers[POSITION]` is a number."""
+_SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
+_UNFIT_MEND = "use a servo of the 430 size"
+_UNFIT_WHY = "whose watchdog trips without stopping it"
 
-    def __init__(self, address: int, data: bytes) -> None:
-        self._address, self._data = address, data
 
-    def __contains__(self, register: Register) -> bool:
-        return self._address <= register.address and register.end <= self._address + len(self._data)
+class DynamixelMake:
+    """The X series as a `ServoMake`: profiles by time, and a watchdog."""
 
-    def __getitem__(self, register: Register) -> int:
-        """Raises KeyError for a register that was not read."""
-        if register not in self:
-            raise KeyError(register)
-        start = register.address - self._address
-        return int.from_bytes(self._data[start : start + register.size], "little", signed=register.signed)
+    name = "DYNAMIXEL"
+    model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
+    hardware_error, goal, position, voltage, temperature = HARDWARE_ERROR, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    watchdog: Register | None = WATCHDOG
+    unlock: Register | None = None
+    settings_end = EEPROM_END
+    table_bytes = TABLE_BYTES
+    look = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
+    cycle = (WATCHDOG.address, POSITION.end - WATCHDOG.address)
+    all_answered, ping_bytes = 2, 3
+    alert, refusals = ALERT, 0x7F
+    supply_v = (9.0, 14.0)
+    troubles: Mapping[int, tuple[str, str]] = {
+        HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
+        HardwareError.HOT: ("hot", "it is too hot"),
+        HardwareError.ENCODER: ("encoder", "its encoder fails"),
+        HardwareError.SHOCK: ("shock", "its circuit has had a shock"),
+        HardwareError.OVERLOAD: ("overload", "it was overloaded"),
+    }
+    models: Mapping[int, str] = {
+        1020: "XM430-W350",
+        1030: "XM430-W210",
+        1060: "XL430-W250",
+        1070: "XC430-W150",
+        1080: "XC430-W240",
+    }
+    """Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
+    unfit: Mapping[int, Unfit] = {
+        1190: Unfit("XL330-M077", _UNFIT_WHY, _UNFIT_MEND),
+        1200: Unfit("XL330-M288", _UNFIT_WHY, _UNFIT_MEND),
+        1220: Unfit("XC330-T181", _UNFIT_WHY, _UNFIT_MEND),
+        1230: Unfit("XC330-T288", _UNFIT_WHY, _UNFIT_MEND),
+    }
+    reader = staticmethod(PacketReader)
+    ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
+    sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
+    status, restart = staticmethod(encode_status), staticmethod(reboot)
 
-    def get(self, register: Register) -> int | None:
-        """None for a register that was not read."""
-        return self[register] if register in self else None  # noqa: SIM401
+    def settings(self, low: int, high: int) -> Settings:
+        """Position mode, profiles by time, no delay, no offset, limits, shutdown, all answers."""
+        return (
+            (RETURN_DELAY, 0),
+            (OPERATING_MODE, 3),
+            (DRIVE_MODE, 4),
+            (HOMING_OFFSET, 0),
+            (SHUTDOWN, _SHUTDOWN),
+            (MIN_POSITION, low),
+            (MAX_POSITION, high),
+            (STATUS_LEVEL, self.all_answered),
+        )
+
+    def profile(self, span_ms: int) -> Settings:
+        """By time, without an acceleration phase."""
+        return (PROFILE_ACCELERATION, 0), (PROFILE_VELOCITY, span_ms)
+
+    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:  # noqa: ARG002
+        """The profile does the rest."""
+        return sync_write(GOAL, counts)
+
+
+MAKE = DynamixelMake()

@@ -87,6 +87,13 @@ def straight_mm(pad: Scaled, s_mm: FloatArray) -> FloatArray:
     return np.asarray(s_mm - np.interp(s_mm, line + curve, curve))
 
 
+class HostLine(Protocol):
+    """What a pad's driver writes to."""
+
+    def write(self, data: bytes) -> None:
+        """Send `data`, or drop and count it."""
+
+
 class PadDriver(Protocol):
     """One pad: bytes in, events out, and what is known of it. Pure but for `port`, what it opens; safe in the loop."""
 
@@ -117,8 +124,8 @@ class PadDriver(Protocol):
     def lost(self, t: float) -> list[PadLift]:
         """The port has gone at `t` (s)."""
 
-    def tend(self, port: DevicePort) -> None:
-        """Do at the open port what a start-up wants; once a tick."""
+    def tend(self, port: HostLine, t: float) -> None:
+        """Do at the open port at `t` (s) what a start-up wants, and ask a pad that wants to be asked; once a tick."""
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """The events in the bytes read at `t` (s)."""
@@ -182,6 +189,14 @@ def inspect_pad(config: PadConfig) -> InspectedPad:
     inspect = getattr(importlib.import_module(f"palmd.devices.pads.{config.kind}"), "inspect", None)
     found: InspectedPad = InspectedPad(config) if inspect is None else inspect(config)
     return found
+
+
+def pad_counted(kind: str) -> tuple[str, str, str] | None:
+    """How a kind's counters call the bytes that came, the reports in them, and the bytes in none; None without any."""
+    counted: tuple[str, str, str] | None = getattr(
+        importlib.import_module(f"palmd.devices.pads.{kind}"), "COUNTED", None
+    )
+    return counted
 
 
 def pad_note(kind: str) -> str:

@@ -6,20 +6,15 @@ import math
 from dataclasses import dataclass
 
 from palmd.config.arms import ServoConfig
-from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import HardwareError, Register
+from palmd.devices.servobus import COUNTS_PER_TURN, ServoMake, Settings
 
-RADIANS_PER_COUNT = math.tau / dxl.COUNTS_PER_TURN
-CENTRE = dxl.COUNTS_PER_TURN // 2
-ALL_ANSWERED = 2
-"""Status return level at which every instruction is answered; 1: PING and reads only, 0: PING only."""
-
-_SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
+RADIANS_PER_COUNT = math.tau / COUNTS_PER_TURN
+CENTRE = COUNTS_PER_TURN // 2
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One servo: which, and how its counts are its palm's direction (rad, from the world X axis)."""
+    """One servo: which, of what make, and how its counts are its palm's direction (rad, from the world X axis)."""
 
     number: int
     id: int
@@ -27,14 +22,15 @@ class Axis:
     centre_rad: float
     low: int
     high: int
+    make: ServoMake
 
     @classmethod
-    def from_config(cls, number: int, config: ServoConfig) -> Axis:
+    def from_config(cls, number: int, config: ServoConfig, make: ServoMake) -> Axis:
         """The configured servo of the palm of that number."""
-        plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, dxl.COUNTS_PER_TURN - 1)
+        plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, COUNTS_PER_TURN - 1, make)
         ends = sorted(plain.counts(math.radians(end)) for end in config.range_deg)
-        low, high = max(ends[0], 0), min(ends[1], dxl.COUNTS_PER_TURN - 1)
-        return cls(number, config.id, config.sign, plain.centre_rad, low, high)
+        low, high = max(ends[0], 0), min(ends[1], COUNTS_PER_TURN - 1)
+        return cls(number, config.id, config.sign, plain.centre_rad, low, high, make)
 
     def counts(self, direction_rad: float) -> int:
         """Of a palm's direction, rounded."""
@@ -44,15 +40,6 @@ class Axis:
         """Of the palm (rad)."""
         return self.centre_rad + self.sign * (counts - CENTRE) * RADIANS_PER_COUNT
 
-    def settings(self) -> tuple[tuple[Register, int], ...]:
+    def settings(self) -> Settings:
         """What must be so before the torque goes on, in the order in which it can be set."""
-        return (
-            (dxl.RETURN_DELAY, 0),
-            (dxl.OPERATING_MODE, 3),
-            (dxl.DRIVE_MODE, 4),
-            (dxl.HOMING_OFFSET, 0),
-            (dxl.SHUTDOWN, _SHUTDOWN),
-            (dxl.MIN_POSITION, self.low),
-            (dxl.MAX_POSITION, self.high),
-            (dxl.STATUS_LEVEL, ALL_ANSWERED),
-        )
+        return self.make.settings(self.low, self.high)

@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import Packet, Registers
 from palmd.devices.servoaxis import CENTRE, Axis
-from palmd.devices.servohost import CYCLE_SPAN, ServoHost, cycle_period
-from palmd.devices.servoscripts import ANSWER_S, MODELS, TRIPS_WITHOUT_STOPPING
+from palmd.devices.servobus import Packet, Registers, ServoMake
+from palmd.devices.servohost import ServoHost, cycle_period
+from palmd.devices.servoscripts import ANSWER_S
 
 SOON_S = 0.008
 """An answer later than this is one that an adapter has held back."""
 
-SUPPLY_V = (9.0, 14.0)
 WARM_C = 60
 STEP_COUNTS = 46  # 4°
 
@@ -47,12 +46,21 @@ class ServoTalk(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ServoCheck:
-    """One check: its clause, whether it turns the torque on, and what does it; of each servo, or (`all`) of the bus."""
+    """One check: its clause, whether it turns the torque on, and what does it; of each servo, or (`all`) of the bus.
+
+    needs_refusals, needs_watchdog: only of makes that have these.
+    """
 
     clause: str
     examine: Callable[[ServoTalk, Axis, Sequence[Axis]], str]
     moves: bool = False
     of_bus: bool = False
+    needs_refusals: bool = False
+    needs_watchdog: bool = False
+
+    def concerns(self, make: ServoMake) -> bool:
+        """Whether servos of that make can be asked for it."""
+        return not ((self.needs_refusals and not make.refusals) or (self.needs_watchdog and make.watchdog is None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +77,11 @@ class ServoResult:
 
 def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
     answers = talk.ask(packet)
-    if not answers and talk.ask(dxl.ping(axis.id)):
+    make = axis.make
+    if not answers and talk.ask(make.ping(axis.id)):
         raise ServoDeviationError(
-            f"id {axis.id} answers PING, but not this: its status return level (register {dxl.STATUS_LEVEL.address})"
-            " is below 2",
+            f"id {axis.id} answers PING, but not this: its status return level (register {make.status_level.address})"
+            f" is below {make.all_answered}",
             "palmd run sets it when it opens the bus",
         )
     if not answers:
@@ -84,17 +93,18 @@ def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
 
 
 def _registers(talk: ServoTalk, axis: Axis) -> Registers:
-    answer = _answer(talk, dxl.read(axis.id, 0, dxl.TABLE_BYTES), axis)
-    if len(answer.parameters) != dxl.TABLE_BYTES:
+    make = axis.make
+    answer = _answer(talk, make.read(axis.id, 0, make.table_bytes), axis)
+    if len(answer.parameters) != make.table_bytes:
         raise ServoDeviationError(
-            f"{len(answer.parameters)} of {dxl.TABLE_BYTES} bytes of its table", "update its firmware"
+            f"{len(answer.parameters)} of {make.table_bytes} bytes of its table", "update its firmware"
         )
     return Registers(0, answer.parameters)
 
 
 def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
-    _answer(talk, dxl.ping(axis.id), axis)
-    spans = sorted(span for _ in range(10) for _, span in talk.ask(dxl.ping(axis.id)))
+    _answer(talk, axis.make.ping(axis.id), axis)
+    spans = sorted(span for _ in range(10) for _, span in talk.ask(axis.make.ping(axis.id)))
     if not spans or spans[len(spans) // 2] > SOON_S:
         took = f"{spans[len(spans) // 2] * 1e3:.1f} ms" if spans else "for ever"
         raise ServoDeviationError(
@@ -107,18 +117,18 @@ def _answers(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
 
 def _is_known(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     registers = _registers(talk, axis)
-    model = registers[dxl.MODEL]
-    if model in TRIPS_WITHOUT_STOPPING:
-        raise ServoDeviationError(
-            f"an {TRIPS_WITHOUT_STOPPING[model]}: its watchdog trips without stopping it", "use a servo of the 430 size"
-        )
-    if model not in MODELS:
-        raise ServoDeviationError(f"model {model}", f"use one of {', '.join(MODELS.values())}")
-    return f"{MODELS[model]}, firmware {registers[dxl.FIRMWARE]}"
+    make = axis.make
+    model = registers[make.model]
+    if model in make.unfit:
+        unfit = make.unfit[model]
+        raise ServoDeviationError(f"an {unfit.what}, {unfit.why}", unfit.mend)
+    if model not in make.models:
+        raise ServoDeviationError(f"model {model}", f"use one of {', '.join(make.models.values())}")
+    return f"{make.models[model]}, firmware {registers[make.firmware]}"
 
 
 def _is_alone(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
-    answers = talk.ask(dxl.ping(axis.id), answers=2)
+    answers = talk.ask(axis.make.ping(axis.id), answers=2)
     if len(answers) > 1:
         raise ServoDeviationError(
             f"two servos have id {axis.id}", "give one another id, with the other one off the bus"
@@ -128,15 +138,13 @@ def _is_alone(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
 
 def _is_well(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     registers = _registers(talk, axis)
-    volts, degrees = registers[dxl.VOLTAGE] * 0.1, registers[dxl.TEMPERATURE]
-    if registers[dxl.HARDWARE_ERROR]:
-        raise ServoDeviationError(
-            f"hardware error {registers[dxl.HARDWARE_ERROR]:#04x}", "palmd ctl reset starts it anew"
-        )
-    if not SUPPLY_V[0] <= volts <= SUPPLY_V[1]:
-        raise ServoDeviationError(
-            f"{volts:.1f} V", f"a supply of {SUPPLY_V[0]:g} to {SUPPLY_V[1]:g} V, with short cables"
-        )
+    make = axis.make
+    volts, degrees = registers[make.voltage] * 0.1, registers[make.temperature]
+    error, (least, most) = registers[make.hardware_error], make.supply_v
+    if error:
+        raise ServoDeviationError(f"hardware error {error:#04x}", "palmd ctl reset starts it anew")
+    if not least <= volts <= most:
+        raise ServoDeviationError(f"{volts:.1f} V", f"a supply of {least:g} to {most:g} V, with short cables")
     if degrees > WARM_C:
         raise ServoDeviationError(f"{degrees} °C", "let it cool down; lighter palms")
     return f"{volts:.1f} V, {degrees} °C, no hardware error"
@@ -152,7 +160,7 @@ def _is_set(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
 
 
 def _is_where_it_may_be(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
-    at = _registers(talk, axis)[dxl.POSITION]
+    at = _registers(talk, axis)[axis.make.position]
     if not axis.low <= at <= axis.high:
         raise ServoDeviationError(
             f"it counts {at}, outside {axis.low} to {axis.high}",
@@ -163,10 +171,11 @@ def _is_where_it_may_be(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> s
 
 def _in_turn(talk: ServoTalk, _axis: Axis, axes: Sequence[Axis]) -> str:
     ids = [axis.id for axis in axes]
-    period_s = cycle_period(talk.baud, len(axes))
+    make = axes[0].make
+    period_s = cycle_period(talk.baud, len(axes), make)
     spans = []
     for _ in range(20):
-        answers = talk.ask(dxl.sync_read(*CYCLE_SPAN, ids), answers=len(ids))
+        answers = talk.ask(make.sync_read(*make.cycle, ids), answers=len(ids))
         if [packet.servo for packet, _ in answers] != ids:
             raise ServoDeviationError(
                 f"answers of {[packet.servo for packet, _ in answers]} to a Sync Read of {ids}", "check cables and ids"
@@ -181,11 +190,11 @@ def _in_turn(talk: ServoTalk, _axis: Axis, axes: Sequence[Axis]) -> str:
 
 
 def _ignores_damage(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
-    damaged = bytearray(dxl.ping(axis.id))
+    damaged = bytearray(axis.make.ping(axis.id))
     damaged[-1] ^= 0x10
     if any(not packet.error for packet, _ in talk.ask(bytes(damaged))):
         raise ServoDeviationError("it answers a packet with a wrong checksum", "update its firmware")
-    _answer(talk, dxl.ping(axis.id), axis)
+    _answer(talk, axis.make.ping(axis.id), axis)
     return "a damaged packet is not obeyed, the next one is"
 
 
@@ -217,27 +226,28 @@ def _watches(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
 
 def _holds(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """With torque, where it stands."""
-    at = _registers(talk, axis)[dxl.POSITION]
-    _answer(talk, dxl.write(axis.id, dxl.GOAL, at), axis)
-    _answer(talk, dxl.write(axis.id, dxl.TORQUE, 1), axis)
+    make = axis.make
+    at = _registers(talk, axis)[axis.make.position]
+    _answer(talk, make.write(axis.id, make.goal, at), axis)
+    _answer(talk, make.write(axis.id, make.torque, 1), axis)
     try:
-        locked = _answer(talk, dxl.write(axis.id, dxl.RETURN_DELAY, 0), axis).error
+        locked = _answer(talk, make.write(axis.id, make.return_delay, 0), axis).error
         talk.wait(0.2)
-        now = _registers(talk, axis)[dxl.POSITION]
+        now = _registers(talk, axis)[make.position]
     finally:
-        talk.ask(dxl.write(axis.id, dxl.TORQUE, 0))
-    if not locked & ~dxl.ALERT:
+        talk.ask(make.write(axis.id, make.torque, 0))
+    if make.refusals and not locked & make.refusals:
         raise ServoDeviationError("its settings can be written while the torque is on", "update its firmware")
     if abs(now - at) > STEP_COUNTS:
         raise ServoDeviationError(
             f"it goes from {at} to {now} when the torque comes on", "take the load off; see homing offset"
         )
-    return f"stands within {abs(now - at)} counts, settings locked"
+    return f"stands within {abs(now - at)} counts" + (", settings locked" if make.refusals else "")
 
 
 def _stops_by_itself(talk: ServoTalk, axis: Axis, _axes: Sequence[Axis]) -> str:
     """With torque: sent on a way of 4° in half a second, then left alone."""
-    at = _registers(talk, axis)[dxl.POSITION]
+    at = _registers(talk, axis)[axis.make.position]
     goal = at + STEP_COUNTS if at + STEP_COUNTS <= axis.high else at - STEP_COUNTS
     for register, value in (
         (dxl.PROFILE_ACCELERATION, 0),
@@ -275,10 +285,10 @@ CHECKS: tuple[ServoCheck, ...] = (
     ServoCheck("it stands inside its range", _is_where_it_may_be),
     ServoCheck("both answer a Sync Read in turn, within a cycle", _in_turn, of_bus=True),
     ServoCheck("a damaged packet is not obeyed", _ignores_damage),
-    ServoCheck("a goal beyond its limit is refused", _refuses),
-    ServoCheck("its watchdog trips after a silence, and is cleared", _watches),
-    ServoCheck("it stands where it is when the torque comes on, its settings locked", _holds, moves=True),
-    ServoCheck("it stops by itself when nobody speaks any more", _stops_by_itself, moves=True),
+    ServoCheck("a goal beyond its limit is refused", _refuses, needs_refusals=True),
+    ServoCheck("its watchdog trips after a silence, and is cleared", _watches, needs_watchdog=True),
+    ServoCheck("it stands where it is when the torque comes on, and refuses settings then", _holds, moves=True),
+    ServoCheck("it stops by itself when nobody speaks any more", _stops_by_itself, moves=True, needs_watchdog=True),
 )
 
 
@@ -287,7 +297,7 @@ def examine(talk: ServoTalk, axes: Sequence[Axis], checks: Sequence[ServoCheck] 
     mute: set[int] = set()
     for check in checks:
         for axis in axes[:1] if check.of_bus else axes:
-            if axis.id in mute or (check.of_bus and mute):
+            if axis.id in mute or (check.of_bus and mute) or not check.concerns(axis.make):
                 continue
             result = _examined(talk, check, axis, axes)
             if check is CHECKS[0] and result.outcome == "failed" and "does not answer" in result.seen:
@@ -323,7 +333,7 @@ class PortTalk:
 
     def ask(self, packet: bytes, patience_s: float = ANSWER_S, answers: int = 1) -> list[tuple[Packet, float]]:
         """See `ServoTalk`."""
-        reader = dxl.PacketReader(self.baud)
+        reader = self.axes[0].make.reader(self.baud)
         while self._port.read():
             pass
         t_sent = time.monotonic()

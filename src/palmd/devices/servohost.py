@@ -22,14 +22,13 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum, auto
 
 from palmd.config.arms import ServoConfig
-from palmd.devices import dynamixel as dxl
 from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
 from palmd.devices.arrival import byte_time
-from palmd.devices.dynamixel import HardwareError, Packet, PacketCounters, PacketReader, Registers
+from palmd.devices.framing import FrameCounters
 from palmd.devices.servoaxis import Axis
+from palmd.devices.servobus import Packet, Registers, ServoMake
 from palmd.devices.servoscripts import (
     ANSWER_S,
-    LOOK_SPAN,
     WATCHDOG_S,
     Answers,
     Ask,
@@ -68,16 +67,7 @@ SLOW_ADAPTER_S = 0.008
 LOOK_EVERY = 10  # cycles, after which the torque and the hardware errors are read too
 MISSES_MOST = 3  # cycles in a row in which a goal may not have been taken: each may have been spoilt on the line
 
-CYCLE_SPAN = (dxl.WATCHDOG.address, dxl.POSITION.end - dxl.WATCHDOG.address)
-
 _KEPT = ("refused", "restarted", "watchdog", "set-up")  # that no reading shows to be over
-_SAID = {
-    HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
-    HardwareError.HOT: ("hot", "it is too hot"),
-    HardwareError.ENCODER: ("encoder", "its encoder fails"),
-    HardwareError.SHOCK: ("shock", "its circuit has had a shock"),
-    HardwareError.OVERLOAD: ("overload", "it was overloaded"),
-}
 
 
 Script = Generator[Ask, Answers, None]
@@ -105,7 +95,7 @@ class ServoCounters:
     a servo's range, `unmatched` answers that nothing waits for, `losses` silences of 250 ms.
     """
 
-    bus: PacketCounters = field(default_factory=PacketCounters)
+    bus: FrameCounters = field(default_factory=FrameCounters)
     goals: int = 0
     readings: int = 0
     missed: int = 0
@@ -145,14 +135,15 @@ class ServoHost:
     None.
     """
 
-    def __init__(self, baud: int, servos: Sequence[ServoConfig]) -> None:
-        """`baud` in bit/s."""
-        self.axes = tuple(Axis.from_config(number, servo) for number, servo in enumerate(servos, 1))
+    def __init__(self, baud: int, servos: Sequence[ServoConfig], make: ServoMake) -> None:
+        """`baud` in bit/s; all servos are of one make."""
+        self._make = make
+        self.axes = tuple(Axis.from_config(number, servo, make) for number, servo in enumerate(servos, 1))
         self._ids = tuple(axis.id for axis in self.axes)
-        self.period_s = cycle_period(baud, len(self.axes))
+        self.period_s = cycle_period(baud, len(self.axes), make)
         self.profile_ms = round(PROFILE_PERIODS * self.period_s * 1e3)
         self._byte_s = byte_time(baud)
-        self._reader = PacketReader(baud)
+        self._reader = make.reader(baud)
         self.counters = ServoCounters(bus=self._reader.counters)
         self.state: ArmState | None = None
         self.refusal: str | None = None
@@ -176,6 +167,7 @@ class ServoHost:
         self._goals: tuple[float, ...] = ()  # directions (rad) that were sent last
         self._rates: tuple[float, ...] = ()  # rad/s
         self._sent_counts: list[dict[int, int]] = []  # of the last cycles, the latest last
+        self._path: dict[int, float] = {}  # counts where each servo's even way to its goals has got to
         self._missed_goals: dict[int, int] = {}
         self._t_now = self._t_stood = -math.inf
         self._reset_untold = False  # a reset has been done, but no reading has come since
@@ -289,14 +281,14 @@ class ServoHost:
         latency_ms = (packet.t_first - cycle.t_sent) * 1e3
         self.counters.answer_latency_max_ms = max(self.counters.answer_latency_max_ms, latency_ms)
         registers = {servo: Registers(cycle.address, each.parameters) for servo, each in cycle.found.items()}
-        if cycle.address == LOOK_SPAN[0]:
+        if cycle.address == self._make.look[0]:
             self.looks = registers
         self._judge(registers, {servo: each.error for servo, each in cycle.found.items()}, cycle.goals)
         self._pose, self._t_pose = self._posed(registers), t_sample
         return ArmReport(t_sample, self._reported_state(), self._pose)
 
     def _posed(self, registers: Mapping[int, Registers]) -> JointPose:
-        directions = [axis.direction(registers[axis.id][dxl.POSITION]) for axis in self.axes]
+        directions = [axis.direction(registers[axis.id][self._make.position]) for axis in self.axes]
         return JointPose(tuple(here - before for here, before in zip(directions, [0.0, *directions], strict=False)))
 
     def _reported_state(self) -> ArmState:
@@ -315,31 +307,33 @@ class ServoHost:
         self, registers: Mapping[int, Registers], errors: Mapping[int, int], goals: Sequence[Mapping[int, int]]
     ) -> None:
         """Find what is wrong with servos that follow, and what hardware errors there are."""
+        make = self._make
         found: dict[str, str] = {}
         for axis in self.axes:
             at = registers[axis.id]
-            if dxl.HARDWARE_ERROR in at:
-                for bit, (code, words) in _SAID.items():
-                    if at[dxl.HARDWARE_ERROR] & bit:
+            if make.hardware_error in at:
+                for bit, (code, words) in make.troubles.items():
+                    if at[make.hardware_error] & bit:
                         found[code] = f"servo {axis.number}: {words}"
-            elif errors[axis.id] & dxl.ALERT and not self.trouble:
+            elif errors[axis.id] & make.alert and not self.trouble:
                 found["alert"] = f"servo {axis.number} raises a hardware alert"
-            if dxl.WATCHDOG in at and at[dxl.WATCHDOG] < 0:
+            if make.watchdog is not None and make.watchdog in at and at[make.watchdog] < 0:
                 found["watchdog"] = f"servo {axis.number} had no instruction for {WATCHDOG_S * 1e3:.0f} ms and stopped"
             if self._phase in (Phase.FOLLOWING, Phase.STOPPING) and not found:
                 found |= self._strayed(axis, at, goals)
         if found:
             self._fall(found)
-        elif dxl.HARDWARE_ERROR in next(iter(registers.values())):
+        elif make.hardware_error in next(iter(registers.values())):
             self.trouble = {code: text for code, text in self.trouble.items() if code in _KEPT}
 
     def _strayed(self, axis: Axis, at: Registers, goals: Sequence[Mapping[int, int]]) -> dict[str, str]:
         """What a servo that ought to follow does instead."""
-        if dxl.TORQUE in at and not at[dxl.TORQUE]:
+        make = self._make
+        if make.torque in at and not at[make.torque]:
             return {"restarted": f"servo {axis.number} has let go: its torque is off"}
-        if at[dxl.PROFILE_VELOCITY] != self.profile_ms:
+        if any(register in at and at[register] != value for register, value in make.profile(self.profile_ms)):
             return {"restarted": f"servo {axis.number} has lost its settings: it has started anew"}
-        if any(at[dxl.GOAL] == sent[axis.id] for sent in goals):
+        if any(at[make.goal] == sent[axis.id] for sent in goals):
             self._missed_goals[axis.id] = 0
             return {}
         self.counters.refused_goals += 1
@@ -347,7 +341,7 @@ class ServoHost:
         if misses < MISSES_MOST:
             return {}
         sent = goals[-1][axis.id]
-        return {"refused": f"servo {axis.number} does not take its goals: it has {at[dxl.GOAL]}, {sent} was sent"}
+        return {"refused": f"servo {axis.number} does not take its goals: it has {at[make.goal]}, {sent} was sent"}
 
     def _fall(self, found: dict[str, str]) -> None:
         """Something is wrong: no more goals."""
@@ -400,8 +394,8 @@ class ServoHost:
         self._give_up_cycle()
         self._cycles += 1
         look = not moving or self._cycles % LOOK_EVERY == 0
-        address, size = LOOK_SPAN if look else CYCLE_SPAN
-        out += dxl.sync_read(address, size, self._ids)
+        address, size = self._make.look if look else self._make.cycle
+        out += self._make.sync_read(address, size, self._ids)
         self._cycle = _Cycle(t, t + len(out) * self._byte_s, address, size, tuple(self._sent_counts))
         return Sent(out, setpoint)
 
@@ -436,14 +430,16 @@ class ServoHost:
     def _send_goals(self, goals: tuple[float, ...]) -> bytes:
         self._rates = tuple((new - old) / self.period_s for new, old in zip(goals, self._goals, strict=True))
         self._goals = goals
-        counts = {}
+        counts, ways = {}, {}
         for axis, goal in zip(self.axes, goals, strict=True):
             wanted = axis.counts(goal)
             counts[axis.id] = min(max(wanted, axis.low), axis.high)
             self.counters.bad_targets += counts[axis.id] != wanted
+            ways[axis.id] = counts[axis.id] - self._path[axis.id]
+            self._path[axis.id] += ways[axis.id] / PROFILE_PERIODS
         self._sent_counts = [*self._sent_counts[-3:], counts]
         self.counters.goals += 1
-        return dxl.sync_write(dxl.GOAL, counts)
+        return self._make.goals(counts, ways, self.profile_ms)
 
     # Questions
 
@@ -480,7 +476,8 @@ class ServoHost:
             silent = [axis.number for axis in self.axes if axis.id in ask.servos and axis.id not in self._answers]
             self._unlink(f"servo {', '.join(map(str, silent))} does not answer")
             self._t_slot = t + GREET_S
-            return dxl.sync_write(dxl.TORQUE, {axis.id: 0 for axis in self._turned_on}) if self._turned_on else b""
+            off = {axis.id: 0 for axis in self._turned_on}
+            return self._make.sync_write(self._make.torque, off) if off else b""
         self.counters.retries += self._tries > 0
         self._tries += 1
         self._t_asked = self._t_sent = t
@@ -503,11 +500,12 @@ class ServoHost:
 
     def _arming(self) -> Script:
         found = yield from prepare(self.axes, self.profile_ms)
-        self._turned_on = tuple(axis for axis in self.axes if not found[axis.id][dxl.TORQUE])
+        self._turned_on = tuple(axis for axis in self.axes if not found[axis.id][self._make.torque])
         goals, awake = yield from hold(self.axes, found)
         self._goals = tuple(axis.direction(goals[axis.id]) for axis in self.axes)
         self._rates = (0.0,) * len(self._goals)
         self._sent_counts, self._missed_goals, self._turned_on = [goals], {}, ()
+        self._path = {servo: float(goal) for servo, goal in goals.items()}
         self._pose, self._t_pose = self._posed(awake), self._t_answer
         self._phase, self.state = Phase.FOLLOWING, ArmState.TRACKING
         self._t_slot = self._t_now
@@ -526,9 +524,8 @@ class ServoHost:
         self._stand()
 
     def _resetting(self) -> Script:
-        yield from restart(
-            [axis for axis in self.axes if axis.id in self.looks and self.looks[axis.id][dxl.HARDWARE_ERROR]]
-        )
+        error = self._make.hardware_error
+        yield from restart([axis for axis in self.axes if axis.id in self.looks and self.looks[axis.id][error]])
         yield from self._setting_up()
 
     def _stand(self) -> None:
@@ -562,11 +559,11 @@ def adapter_hint(latency_s: float) -> str:
     )
 
 
-def cycle_period(baud: int, servos: int) -> float:
+def cycle_period(baud: int, servos: int, make: ServoMake) -> float:
     """The shortest period (s) in which a cycle leaves half of the bus free."""
-    goals = len(dxl.sync_write(dxl.GOAL, dict.fromkeys(range(servos), 0)))
-    asked = len(dxl.sync_read(*CYCLE_SPAN, range(servos)))
-    told = servos * len(dxl.encode_status(0, 0, bytes(CYCLE_SPAN[1])))
+    goals = len(make.goals(dict.fromkeys(range(servos), 0), dict.fromkeys(range(servos), 0.0), 1))
+    asked = len(make.sync_read(*make.cycle, range(servos)))
+    told = servos * len(make.status(0, 0, bytes(make.cycle[1])))
     busy = (goals + asked + told) * byte_time(baud)
     return next((period for period in PERIODS_S if busy <= MOST_SHARE * period), PERIODS_S[-1])
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass
 
-from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import Packet, Register, Registers
-from palmd.devices.servoaxis import ALL_ANSWERED, Axis
+from palmd.devices.servoaxis import Axis
+from palmd.devices.servobus import Packet, Register, Registers
 
 ANSWER_S = 0.040
 """A USB adapter may hold an answer for 16 ms; twice that is no answer."""
@@ -23,37 +22,25 @@ WATCHDOG_UNITS = 5
 WATCHDOG_S = WATCHDOG_UNITS * 0.020
 """Without an instruction for so long a servo stops by itself."""
 
-LOOK_SPAN = (dxl.TORQUE.address, dxl.TEMPERATURE.end - dxl.TORQUE.address)
-
-MODELS: Mapping[int, str] = {
-    1020: "XM430-W350",
-    1030: "XM430-W210",
-    1060: "XL430-W250",
-    1070: "XC430-W150",
-    1080: "XC430-W240",
-}
-"""Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
-
-TRIPS_WITHOUT_STOPPING: Mapping[int, str] = {
-    1190: "XL330-M077",
-    1200: "XL330-M288",
-    1220: "XC330-T181",
-    1230: "XC330-T288",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A question that each of these servos answers, with so many bytes."""
+    """A question that each of these servos answers, with so many bytes.
+
+    refusals: bits of an answer's error that say that it was not carried out.
+    """
 
     packet: bytes
     servos: tuple[int, ...]
     size: int
+    refusals: int
     tries: int = TRIES
 
     def fits(self, packet: Packet) -> bool:
         """Whether a packet may be one of the answers, a refusal included."""
-        return packet.servo in self.servos and (len(packet.parameters) == self.size or bool(packet.error & ~dxl.ALERT))
+        return packet.servo in self.servos and (
+            len(packet.parameters) == self.size or bool(packet.error & self.refusals)
+        )
 
 
 Answers = Sequence[Packet]
@@ -76,16 +63,21 @@ def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask,
     models = {}
     for axis in axes:
         (answer,) = yield _ping(axis, tries=1)
-        models[axis.id] = int.from_bytes(answer.parameters[:2], "little") if len(answer.parameters) >= 3 else 0
+        if not axis.make.ping_bytes:
+            (answer,) = yield _read(axis, axis.make.model.address, axis.make.model.size)
+        models[axis.id] = int.from_bytes(answer.parameters[:2], "little") if len(answer.parameters) >= 2 else 0
     changed = 0
     for axis in axes:
+        make = axis.make
         _check_model(axis, models[axis.id])
-        (whole,) = yield _read(axis, 0, dxl.TABLE_BYTES)
+        (whole,) = yield _read(axis, 0, make.table_bytes)
         registers = Registers(0, whole.parameters)
         wrong = [(register, value) for register, value in axis.settings() if registers.get(register) != value]
-        locked = any(register.address < dxl.EEPROM_END for register, _ in wrong)
-        if (locked or axis.id in let_go) and registers.get(dxl.TORQUE):
-            yield _write(axis, dxl.TORQUE, 0)
+        locked = any(register.address < make.settings_end for register, _ in wrong)
+        if (locked or axis.id in let_go) and registers.get(make.torque):
+            yield _write(axis, make.torque, 0)
+        if locked and make.unlock is not None:
+            yield _write(axis, make.unlock, 0)
         for register, value in wrong:
             changed += 1
             yield _write(axis, register, value)
@@ -96,29 +88,32 @@ def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask,
                     f"servo {axis.number} keeps {found} in register {register.address}, {value} is needed: switch"
                     " its power off and on, and see that no other program writes to it"
                 )
-        yield _write(axis, dxl.WATCHDOG, 0)
+        if locked and make.unlock is not None:
+            yield _write(axis, make.unlock, 1)
+        if make.watchdog is not None:
+            yield _write(axis, make.watchdog, 0)
     return changed
 
 
 def _check_model(axis: Axis, model: int) -> None:
-    if model in TRIPS_WITHOUT_STOPPING:
-        raise SetUpError(
-            f"servo {axis.number} is an {TRIPS_WITHOUT_STOPPING[model]}, whose watchdog trips without stopping it:"
-            " use a servo of the 430 size"
-        )
-    if model not in MODELS:
+    make = axis.make
+    if model in make.unfit:
+        unfit = make.unfit[model]
+        raise SetUpError(f"servo {axis.number} is an {unfit.what}, {unfit.why}: {unfit.mend}")
+    if model not in make.models:
         raise SetUpError(
             f"servo {axis.number} says it is of model {model}, which palmd does not know; it knows"
-            f" {', '.join(MODELS.values())}"
+            f" {', '.join(make.models.values())}"
         )
 
 
 def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Ask, Answers, dict[int, Registers]]:
     """Has every servo's profile set and its watchdog off; what they have. Raises ServoRefusedError."""
-    off = {axis.id: 0 for axis in axes}
-    profile = {axis.id: profile_ms for axis in axes}
+    profile = axes[0].make.profile(profile_ms)
     return (
-        yield from _set(axes, [(dxl.WATCHDOG, off), (dxl.PROFILE_ACCELERATION, off), (dxl.PROFILE_VELOCITY, profile)])
+        yield from _set(
+            axes, [*_watchdog(axes, 0), *((register, dict.fromkeys(_ids(axes), value)) for register, value in profile)]
+        )
     )
 
 
@@ -132,29 +127,31 @@ def hold(
     goals = {}
     for axis in axes:
         at = found[axis.id]
-        here = at[dxl.GOAL] if at[dxl.TORQUE] else at[dxl.POSITION]
+        here = at[axis.make.goal] if at[axis.make.torque] else at[axis.make.position]
         goals[axis.id] = min(max(here, axis.low), axis.high)
-    yield from _set(axes, [(dxl.GOAL, goals), (dxl.TORQUE, {axis.id: 1 for axis in axes})])
-    awake = yield from _set(axes, [(dxl.WATCHDOG, {axis.id: WATCHDOG_UNITS for axis in axes})])
+    make = axes[0].make
+    held = yield from _set(axes, [(make.goal, goals), (make.torque, dict.fromkeys(_ids(axes), 1))])
+    watched = _watchdog(axes, WATCHDOG_UNITS)
+    awake = (yield from _set(axes, watched)) if watched else held
     return goals, awake
 
 
 def stand_down(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
     """Has no watchdog wait for instructions any more. Raises ServoRefusedError."""
-    yield from _set(axes, [(dxl.WATCHDOG, {axis.id: 0 for axis in axes})])
+    if watched := _watchdog(axes, 0):
+        yield from _set(axes, watched)
 
 
 def let_go(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
     """Turns the torque of these servos off. Raises ServoRefusedError."""
     if axes:
-        off = {axis.id: 0 for axis in axes}
-        yield from _set(axes, [(dxl.WATCHDOG, off), (dxl.TORQUE, off)])
+        yield from _set(axes, [*_watchdog(axes, 0), (axes[0].make.torque, dict.fromkeys(_ids(axes), 0))])
 
 
 def restart(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
     """Has these servos start anew, and waits until they answer."""
     for axis in axes:
-        yield Ask(dxl.reboot(axis.id), (axis.id,), 0)
+        yield Ask(axis.make.restart(axis.id), (axis.id,), 0, axis.make.refusals)
     for axis in axes:
         yield _ping(axis, tries=round(REBOOT_S / ANSWER_S))
 
@@ -166,11 +163,11 @@ def _set(
 
     Again where one was not taken, for a Sync Write may have been damaged on the line. Raises ServoRefusedError.
     """
-    ids = tuple(axis.id for axis in axes)
-    address, size = LOOK_SPAN
-    packet = b"".join(dxl.sync_write(*each) for each in settings) + dxl.sync_read(address, size, ids)
+    ids, make = _ids(axes), axes[0].make
+    address, size = make.look
+    packet = b"".join(make.sync_write(*each) for each in settings) + make.sync_read(address, size, ids)
     for _ in range(TRIES):
-        answers = yield Ask(packet, ids, size)
+        answers = yield Ask(packet, ids, size, make.refusals)
         found = {answer.servo: Registers(address, answer.parameters) for answer in answers}
         wrong = [
             f"servo {axis.number} has {found[axis.id].get(register)} in register {register.address},"
@@ -184,14 +181,26 @@ def _set(
     raise ServoRefusedError(wrong[0])
 
 
+def _ids(axes: Sequence[Axis]) -> tuple[int, ...]:
+    return tuple(axis.id for axis in axes)
+
+
+def _watchdog(axes: Sequence[Axis], units: int) -> list[tuple[Register, Mapping[int, int]]]:
+    """Sets every watchdog, where there are any."""
+    watchdog = axes[0].make.watchdog
+    return [] if watchdog is None else [(watchdog, dict.fromkeys(_ids(axes), units))]
+
+
 def _ping(axis: Axis, tries: int) -> Ask:
     """Has it answer everything, and asks who it is: with a status return level of 0 it answers this alone."""
-    return Ask(dxl.sync_write(dxl.STATUS_LEVEL, {axis.id: ALL_ANSWERED}) + dxl.ping(axis.id), (axis.id,), 3, tries)
+    make = axis.make
+    packet = make.sync_write(make.status_level, {axis.id: make.all_answered}) + make.ping(axis.id)
+    return Ask(packet, (axis.id,), make.ping_bytes, make.refusals, tries)
 
 
 def _read(axis: Axis, address: int, size: int) -> Ask:
-    return Ask(dxl.read(axis.id, address, size), (axis.id,), size)
+    return Ask(axis.make.read(axis.id, address, size), (axis.id,), size, axis.make.refusals)
 
 
 def _write(axis: Axis, register: Register, value: int) -> Ask:
-    return Ask(dxl.write(axis.id, register, value), (axis.id,), 0)
+    return Ask(axis.make.write(axis.id, register, value), (axis.id,), 0, axis.make.refusals)

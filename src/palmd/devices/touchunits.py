@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from palmd.config.pads import PRESSURE_GAIN_STD, EvdevConfig
@@ -10,6 +11,12 @@ from palmd.devices.touchdevice import NEWTONS_PER_GRAM, TouchDevice
 
 ROUNDING = 0.5
 """A device reports whole units for each mm, and for each gram."""
+
+LARGEST_SCALE_SD = 0.2
+"""What the configuration allows."""
+
+CUT_SD = 1.0 / math.sqrt(3.0)
+"""Drivers divide whole numbers, which cuts the rest off: RMS of what is missing of a unit each mm."""
 
 
 class Units:
@@ -58,9 +65,14 @@ def unit_remarks(config: EvdevConfig, device: TouchDevice) -> Iterator[PadRemark
 
 
 def with_reported_units(config: EvdevConfig, device: TouchDevice) -> EvdevConfig:
-    """The configuration with the units that it leaves to the device, as far as the device reports them."""
+    """The configuration with the units that it leaves to the device, as far as the device reports them.
+
+    A reported scale is known no better than to a part of a whole unit each mm, unless `scale_sd` says how well.
+    """
     units = Units(config, device)
     found: dict[str, float] = {} if units.missing else {"counts_per_mm": units.counts_per_mm}
+    if found and not {"counts_per_mm", "scale_sd"} & config.model_fields_set:
+        found["scale_sd"] = min(math.hypot(config.scale_sd, CUT_SD / units.counts_per_mm), LARGEST_SCALE_SD)
     if units.newtons_per_count is not None:
         found["newtons_per_count"] = units.newtons_per_count
     update = {key: value for key, value in found.items() if value != getattr(config, key)}

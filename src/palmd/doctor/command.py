@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from palmd.config.arms import AdeptConfig, DynamixelConfig
+from palmd.config.arms import AdeptConfig, ServosConfig
 from palmd.config.fields import BAUDS, SERVO_BAUDS
 from palmd.console.configured import INSTALLED, configured, usual
 from palmd.console.errors import BAD_INPUT, CliError
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = usual(arguments.config)
     if arguments.actuator_conformance and (arguments.config or not arguments.port):
         arm = configured(path).arm
-        if isinstance(arm, DynamixelConfig):
+        if isinstance(arm, ServosConfig):
             from palmd.doctor.servos import examine_servos
 
             given = {"port": arguments.port, "baud": arguments.baud}
@@ -63,6 +63,6 @@ def _arm(arguments: argparse.Namespace, path: Path) -> tuple[str, int]:
     if arguments.port and not arguments.config:
         return arguments.port, arguments.baud or AdeptConfig(port=arguments.port).baud
     arm = configured(path).arm
-    if isinstance(arm, DynamixelConfig):
+    if isinstance(arm, ServosConfig):
         raise CliError(BAD_INPUT, f"{path}: arm.kind {arm.kind} is on no arm link: palmd doctor --actuator-conformance")
     return arguments.port or arm.port, arguments.baud or arm.baud

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from palmd.config.arms import DynamixelConfig
+from palmd.config.arms import ServosConfig
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config
 from palmd.daemon.realtime import user
@@ -50,7 +50,7 @@ def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> I
     if status is not None:
         faults = [fault for fault in status.get("faults", ()) if fault.startswith("arm")]
         yield _by_daemon("arm answers", faults, f"the daemon hears it, state {status.get('arm_state')}")
-    elif isinstance(config.arm, DynamixelConfig):
+    elif isinstance(config.arm, ServosConfig):
         from palmd.doctor import servos
 
         yield from servos.findings(config.arm)
@@ -158,7 +158,7 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
         data = port.read()
         t = time.monotonic()
         reports += len(driver.reports(data, t))
-        driver.tend(port)
+        driver.tend(port, t)
     port.close()
     if reports:
         return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-from palmd.config.arms import DynamixelConfig
+from palmd.config.arms import DynamixelConfig, FeetechConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices.actuator import make_actuator
 from palmd.devices.servoconformance import CHECKS, STEP_COUNTS, PortTalk, ServoResult, examine
@@ -22,7 +22,7 @@ _QUESTION = (
 )
 
 
-def findings(arm: DynamixelConfig) -> Iterator[Finding]:
+def findings(arm: DynamixelConfig | FeetechConfig) -> Iterator[Finding]:
     """One line for each thing that each servo must be."""
     try:
         with _talk(arm) as talk:
@@ -34,7 +34,7 @@ def findings(arm: DynamixelConfig) -> Iterator[Finding]:
         yield Finding("servos", "missing", str(error))
 
 
-def examine_servos(arm: DynamixelConfig, sure: bool) -> int:
+def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
     """Makes every check that is allowed, prints each; returns the exit status, CliError where the port cannot be had.
 
     sure: what turns the torque on needs no question.
@@ -58,7 +58,7 @@ def examine_servos(arm: DynamixelConfig, sure: bool) -> int:
     return RIG_FAILED if failed else 0 if moving else BAD_INPUT
 
 
-def _talk(arm: DynamixelConfig) -> PortTalk:
+def _talk(arm: DynamixelConfig | FeetechConfig) -> PortTalk:
     host = make_actuator(arm)
     assert isinstance(host, ServoHost)
     return PortTalk(host, arm.baud, arm.port)

@@ -60,7 +60,7 @@ class _Listener:
         if not self.port.is_open:
             raise CliError(RIG_FAILED, str(self.port.error))
         reports = self._pad.reports(data, t)
-        self._pad.tend(self.port)
+        self._pad.tend(self.port, t)
         return [report for report in reports if report.in_use]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import msgpack
 
@@ -52,6 +52,16 @@ class Instant:
     truth: dict[str, Any]
 
 
+class _ToPad(NamedTuple):
+    """What a pad's driver writes to: the far end of its line."""
+
+    world: EmulatedRig[Any]
+    end: str
+
+    def write(self, data: bytes) -> None:
+        self.world.receive(self.end, data)
+
+
 class ClosedLoop(Generic[Rig]):
     """One rig with one object, and one daemon; see the module. Times are seconds from 0.
 
@@ -74,6 +84,8 @@ class ClosedLoop(Generic[Rig]):
         """Live through one period of the loop and take stock at its end."""
         for _ in range(self._steps_per_tick):
             self._step()
+        for end, pad in self.core.pads.items():
+            pad.tend(_ToPad(self.world, end), self.t)
         published = self.core.step(self.t)
         return Instant(self.t, {topic.name: fields for topic, fields in published}, self.world.truth())
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 from statistics import fmean
 from typing import Any, Literal
 
-from palmd.devices.pad import SILENT_INTERVALS
+from palmd.devices.pad import SILENT_INTERVALS, pad_counted
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
@@ -46,7 +46,6 @@ ARM_QUIET_S = 0.1  # without an answer: six of its cycles
 LINE_BYTES = 30  # of an answer of the arm, its line end included
 ALIEN_LINES = 3.0  # of what is none of ours, a line end is so much rarer
 _LINE = ("arm_port_bytes_read", "arm_lines", "arm_crc_errors", "arm_unframed")
-_PAD_COUNTS = {"versapad": ("bytes", "packets", "bytes_discarded"), "strip": ("bytes", "packets", "discarded")}
 _BUS = ("arm_bytes", "arm_packets", "arm_crc_errors", "arm_discarded")
 DAMAGED_SHARE, FOREIGN_SHARE = 0.05, 0.5  # of a bus's bytes that are in no packet
 SPOKE_BYTES, SPOKE_LINE_BYTES = 8, 31  # fewer may be the rest of a packet, or of a line
@@ -402,7 +401,7 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     evidence = [*_ages(case, int(end[-1]), t)]
     said = _said(case, code, t)
     kind = getattr(case.config.pads, f"palm{end[-1]}").kind
-    names = tuple(f"{end}_{name}" for name in _PAD_COUNTS.get(kind, ()))
+    names = tuple(f"{end}_{name}" for name in pad_counted(kind) or ())
     lost = 0.0
     if any("not even a damaged one's" in each.what for each in said):  # the daemon has judged byte by byte
         sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"

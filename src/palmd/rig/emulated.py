@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from palmd.config.pads import EvdevConfig, StripConfig, VersaPadConfig
 from palmd.quantities import Topic
 from palmd.rig.actuators import LineDevice
-from palmd.rig.evdevs import EvdevEmulator
 from palmd.rig.fault_injection import FaultOrder, PortName, Switchboard
 from palmd.rig.line import Wire
-from palmd.rig.pads import PadEmulator, Press, VersaPadEmulator
+from palmd.rig.pads import PadEmulator, Press
 from palmd.rig.shapes import Kind
-from palmd.rig.strips import StripEmulator
 from palmd.rig.tally import Decoder, DeviceTally
 
 STEP_S = 5e-4
 ARM: PortName = "arm"
-EMULATORS: dict[type, Callable[..., PadEmulator]] = {
-    VersaPadConfig: VersaPadEmulator,
-    StripConfig: StripEmulator,
-    EvdevConfig: EvdevEmulator,
-}
 _NO_LINE_BAUD = 10_000_000  # of what is no serial line and takes no time
 _FINGER_M = 0.045
 
@@ -68,9 +60,12 @@ class EmulatedRig(ABC, Generic[Arm]):
         return {port: wire.take(t, self.mischief.strength("burst", port)) for port, wire in self._out.items()}
 
     def receive(self, port: PortName, data: bytes, late_s: float = 0.0) -> None:
-        """Takes what the host has just written to a port, or up to late_s (s) later; a pad listens to nothing."""
+        """Takes what the host has just written to a port, or up to late_s (s) later."""
+        spoilt = self.mischief.spoil(port, data, self._rng)
         if port == ARM:
-            self._arm.receive(data, self.mischief.spoil(ARM, data, self._rng), self.t, late_s)
+            self._arm.receive(data, spoilt, self.t, late_s)
+        else:
+            self._pads[port].hear(spoilt, self.t)
 
     def opened(self, port: PortName) -> None:
         """The host has opened a port. For a pad that starts with a handshake this stands for its breaks.

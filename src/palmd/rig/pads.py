@@ -1,40 +1,25 @@
 """Emulated touchpads: when they report, and what they make of a contact. Pure.
 
-A VersaPad is a four-wire resistive pad with pressure: it needs a closing force, its pressure drifts and lags, several
-contacts merge into one weighted point, positions come in whole counts, and reports fall into three bands of
-one, two and three packet times (mean 10 ms, s.d. near 5 ms) on the pad's own clock.
+Every pad needs a closing force, and its pressure drifts and lags. One that counts merges several contacts into one
+weighted point and reports it in whole counts. A kind `K` is `palmd/rig/padkinds/K.py`, which says `EMULATOR`.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 from abc import ABC, abstractmethod
-from bisect import bisect
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from palmd.config.pads import PadBase, VersaPadConfig
-from palmd.devices.versapad import (
-    COUNT_MAX,
-    COUNT_MIN,
-    PACKET_BYTES,
-    PressureFormat,
-    VersaPadDecoder,
-    encode_packet,
-)
+from palmd.config.pads import PadBase, PadConfig
 from palmd.rig.tally import Decoder
 
-PACKET_S = 0.00625  # at 9600 baud; a faster line does not make the pad measure faster
-BAND_WEIGHTS = (0.64, 0.20, 0.16)  # with the jitter cut off below one packet time, mean 10.0 and s.d. 4.7 ms
-_BANDS_UP_TO: list[float] = np.cumsum(BAND_WEIGHTS).tolist()
-BAND_JITTER_S = 0.002
 WIDTH_M = 0.0395
 ACROSS_JITTER_COUNTS = 3  # noise across, evenly spread to both sides
-_IDENTITY = b"VPEMU1\r"
-_IDENTITY_S = 0.5
 LiftReport = Literal["flag", "silence"]
 
 
@@ -77,18 +62,16 @@ class PadEmulator(ABC):
         rng: np.random.Generator,
         t: float,
         *,
-        counts: tuple[int, int],
-        full_scale: int,
         shortest_s: float,
         noise_m: float,
     ) -> None:
         """`reading_error_m`: by distance (m) and force (N); the pad's clock starts soon after t (s).
 
-        counts: the least and the largest position; full_scale: the largest pressure; shortest_s: between reports.
+        shortest_s: between reports.
         """
         self.packets = 0
         self._base, self._options, self._reading_error_m, self._rng = config, options, reading_error_m, rng
-        self._range, self._full_scale, self._shortest_s, self._noise_m = counts, full_scale, shortest_s, noise_m
+        self._shortest_s, self._noise_m = shortest_s, noise_m
         self._t_last = t
         self._touched = False
         self._drift = float(rng.normal(0.0, options.force_drift))
@@ -105,12 +88,12 @@ class PadEmulator(ABC):
             said = self._untouched(t, lifted)
         else:
             self._touched = True
-            total = sum(press.force for press in felt)
-            counts = self._counts(sum(press.s * press.force for press in felt) / total, total)
-            across = self._counts_across(sum(press.across * press.force for press in felt) / total)
-            said = self._touch(t, counts, across, self._pressure(total))
+            said = self._pressed(t, felt)
         self.packets += bool(said)
         return said
+
+    def hear(self, data: bytes, t: float) -> None:  # noqa: B027
+        """The host has written this by `t` (s); most pads listen to nothing."""
 
     def greeting(self) -> list[tuple[bytes, float]]:
         """What it says when its port is opened, and how many seconds after that."""
@@ -129,8 +112,8 @@ class PadEmulator(ABC):
         """Until the next report (s)."""
 
     @abstractmethod
-    def _touch(self, t: float, counts: int, across: int, pressure: int) -> bytes:
-        """What is said of a touch, counts along and across the palm."""
+    def _pressed(self, t: float, felt: list[Press]) -> bytes:
+        """What is said of what presses on the pad hard enough."""
 
     @abstractmethod
     def _untouched(self, t: float, lifted: bool) -> bytes:
@@ -140,23 +123,16 @@ class PadEmulator(ABC):
         on_pad = 0.0 < press.s < self._base.length_mm * 1e-3 and abs(press.across) < 0.5 * WIDTH_M
         return on_pad and press.force > self._options.dead_band_n
 
-    def _counts(self, s: float, force: float) -> int:
-        config = self._base
-        seen_mm = (s + self._reading_error_m(s, force) + float(self._rng.normal(0.0, self._noise_m))) * 1e3
-        counts = round(config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm)
-        return min(max(counts, self._range[0]), self._range[1])
+    def _seen_m(self, s: float, force: float) -> float:
+        """Where a contact at `s` (m) under a force (N) appears to be, noise included (m)."""
+        return s + self._reading_error_m(s, force) + float(self._rng.normal(0.0, self._noise_m))
 
-    def _counts_across(self, across: float) -> int:
-        jitter = int(self._rng.integers(-ACROSS_JITTER_COUNTS, ACROSS_JITTER_COUNTS + 1))
-        return min(max(round(across * 1e3 * self._base.counts_per_mm) + jitter, self._range[0]), self._range[1])
-
-    def _pressure(self, force: float) -> int:
+    def _felt_n(self, force: float) -> float:
+        """What is felt of a force (N), with hysteresis, drift and noise."""
         options = self._options
         slack = options.hysteresis * force
         self._felt = min(max(self._felt, force - slack), force + slack)
-        gain = 1.0 + self._drift + float(self._rng.normal(0.0, options.force_noise))
-        counts = round(self._felt * gain / self._base.newtons_per_count)
-        return min(max(counts, 1), self._full_scale)
+        return self._felt * (1.0 + self._drift + float(self._rng.normal(0.0, options.force_noise)))
 
     def _drift_to(self, t: float) -> None:
         """An Ornstein–Uhlenbeck walk of the gain."""
@@ -167,46 +143,61 @@ class PadEmulator(ABC):
         self._t_last = t
 
 
-class VersaPadEmulator(PadEmulator):
-    """A VersaPad: reports in three bands as long as it is touched, once more when it is let go, or not."""
+class CountingPad(PadEmulator):
+    """A pad that merges its contacts into one point and reports that in counts."""
 
     def __init__(
         self,
-        config: VersaPadConfig,
+        config: PadBase,
         options: PadOptions,
         reading_error_m: Callable[[float, float], float],
         rng: np.random.Generator,
         t: float,
+        *,
+        counts: tuple[int, int],
+        full_scale: int,
+        shortest_s: float,
+        noise_m: float,
     ) -> None:
-        """See `PadEmulator`."""
-        pressure = config.pressure
-        self.baud = config.baud
-        self._config = config
-        self._format = PressureFormat(pressure.byte, pressure.mask, pressure.shift, pressure.invert)
-        self._packet_s = max(PACKET_S, PACKET_BYTES * 10.0 / config.baud)
-        super().__init__(
-            config, options, reading_error_m, rng, t, counts=(COUNT_MIN, COUNT_MAX),
-            full_scale=self._format.full_scale, shortest_s=self._packet_s, noise_m=options.noise_m,
-        )  # fmt: skip
+        """See `PadEmulator`. counts: the least and the largest position; full_scale: the largest pressure."""
+        self._range, self._full_scale = counts, full_scale
+        super().__init__(config, options, reading_error_m, rng, t, shortest_s=shortest_s, noise_m=noise_m)
 
-    def greeting(self) -> list[tuple[bytes, float]]:
-        """Its identity, once for each break that it is to be given."""
-        breaks = {"none": 0, "break": 1, "break_twice": 2}[self._config.handshake]
-        return [(_IDENTITY, (number + 1) * _IDENTITY_S) for number in range(breaks)]
+    @abstractmethod
+    def _touch(self, t: float, counts: int, across: int, pressure: int) -> bytes:
+        """What is said of a touch, counts along and across the palm."""
 
-    def listener(self) -> VersaPadDecoder:
-        """Of its packets."""
-        return VersaPadDecoder(self._config.baud)
+    def _pressed(self, t: float, felt: list[Press]) -> bytes:
+        total = sum(press.force for press in felt)
+        counts = self._counts(sum(press.s * press.force for press in felt) / total, total)
+        across = self._counts_across(sum(press.across * press.force for press in felt) / total)
+        return self._touch(t, counts, across, self._pressure(total))
 
-    def _interval(self) -> float:
-        band = 1 + bisect(_BANDS_UP_TO, self._rng.random())  # as `choice(3, p=BAND_WEIGHTS)`, and far sooner
-        return max(self._packet_s, band * self._packet_s + float(self._rng.normal(0.0, BAND_JITTER_S)))
+    def _counts(self, s: float, force: float) -> int:
+        config = self._base
+        counts = round(config.sign * (self._seen_m(s, force) * 1e3 - config.zero_mm) * config.counts_per_mm)
+        return min(max(counts, self._range[0]), self._range[1])
 
-    def _touch(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
-        x, y = (counts, across) if self._config.axis == "x" else (across, counts)
-        return encode_packet(x, y, pressure, pressure_format=self._format)
+    def _counts_across(self, across: float) -> int:
+        jitter = int(self._rng.integers(-ACROSS_JITTER_COUNTS, ACROSS_JITTER_COUNTS + 1))
+        return min(max(round(across * 1e3 * self._base.counts_per_mm) + jitter, self._range[0]), self._range[1])
 
-    def _untouched(self, t: float, lifted: bool) -> bytes:  # noqa: ARG002
-        if not (lifted and self._options.lift_report == "flag"):
-            return b""
-        return encode_packet(0, 0, 0, in_use=False, pressure_format=self._format)
+    def _pressure(self, force: float) -> int:
+        counts = round(self._felt_n(force) / self._base.newtons_per_count)
+        return min(max(counts, 1), self._full_scale)
+
+
+EmulatorFactory = Callable[..., PadEmulator]
+"""Takes its kind's configuration, options, the reading's error, random numbers and the time; see `PadEmulator`."""
+
+
+def make_emulator(
+    config: PadConfig,
+    options: PadOptions,
+    reading_error_m: Callable[[float, float], float],
+    rng: np.random.Generator,
+    t: float,
+) -> PadEmulator:
+    """The emulated far side of a configured pad."""
+    emulator: EmulatorFactory = importlib.import_module(f"palmd.rig.padkinds.{config.kind}").EMULATOR
+    return emulator(config, options, reading_error_m, rng, t)

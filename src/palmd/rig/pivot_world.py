@@ -19,10 +19,10 @@ import numpy as np
 
 from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
-from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
+from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.imperfections import Imperfections, PadImperfection, drawn
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
 from palmd.rig.pivot import Axis, Grasp
 from palmd.rig.pivot_arm import PivotArm
 from palmd.rig.pivot_slide import Slide
@@ -70,7 +70,7 @@ class PivotWorld(EmulatedRig[PivotArm]):
         self._off = self.imperfections.pads[0]
         rng, pad = np.random.default_rng(seed), config.pads.palm1
         arm = PivotArm(config, rng, step_s=STEP_S)
-        super().__init__({PAD: EMULATORS[type(pad)](pad, pad_options, self._off.reading_error_m, rng, t)}, arm, rng, t)
+        super().__init__({PAD: make_emulator(pad, pad_options, self._off.reading_error_m, rng, t)}, arm, rng, t)
         self._pad_length = pad.length_mm * 1e-3
         self._side, self._left_at = 1.0, -math.inf
         self._psi = self._force = 0.0

@@ -9,7 +9,7 @@ import struct
 from pathlib import Path
 
 from palmd.devices import evdev
-from palmd.rig.evdevs import FARTHEST, PRESSURE_MAX
+from palmd.rig.padkinds.evdev import FARTHEST, PRESSURE_MAX
 
 UINPUT = Path("/dev/uinput")
 SYSFS, DEVICES = Path("/sys/devices/virtual/input"), Path("/dev/input")

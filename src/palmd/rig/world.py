@@ -23,16 +23,16 @@ from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
-from palmd.rig.emulated import EMULATORS, STEP_S, EmulatedRig
+from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.friction import law_of, plant_on, shaken
 from palmd.rig.hand import Hand
 from palmd.rig.imperfections import configured, perfect
 from palmd.rig.marble import Marble
-from palmd.rig.pads import GOOD_PADS, PadOptions, Press
+from palmd.rig.pads import GOOD_PADS, PadOptions, Press, make_emulator
 from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions, random_surface, stable_poses
 from palmd.rig.roller import Roller, RollerKind
-from palmd.rig.servos import ServoArm
+from palmd.rig.servos import make_servo_arm
 from palmd.rig.shapes import Body, Kind, random_body
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
@@ -90,12 +90,12 @@ class World(EmulatedRig[EmulatedActuator]):
         arm: EmulatedActuator = (
             AdeptArm(config, config.arm, self._home, rng, step_s=STEP_S, lag_s=options.lag_s)
             if isinstance(config.arm, AdeptConfig)
-            else ServoArm(config, config.arm, self._home, rng, t)
+            else make_servo_arm(config, config.arm, self._home, rng, t)
         )
         self._palms = arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
         pads = {
-            name: EMULATORS[type(pad)](pad, pad_options, off.reading_error_m, rng, t)
+            name: make_emulator(pad, pad_options, off.reading_error_m, rng, t)
             for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
         super().__init__(pads, arm, rng, t)

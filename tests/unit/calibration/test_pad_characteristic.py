@@ -8,7 +8,8 @@ import pytest
 from palmd.calibration.pad_characteristic import TooFewReportsError, characterise
 from palmd.config.pads import VersaPadConfig
 from palmd.devices.versapad import PadPacket, VersaPadDecoder, encode_packet
-from palmd.rig.pads import ACROSS_JITTER_COUNTS, PACKET_S, PadOptions, Press, VersaPadEmulator
+from palmd.rig.padkinds.versapad import PACKET_S, VersaPadEmulator
+from palmd.rig.pads import ACROSS_JITTER_COUNTS, PadOptions, Press
 from tools.rolled_marble import rolled
 
 CONFIG = VersaPadConfig(port="p")

@@ -16,7 +16,6 @@ from palmd.devices.dynamixel import (
     WATCHDOG,
     Instruction,
     PacketReader,
-    Registers,
     crc16,
     encode,
     encode_status,
@@ -29,6 +28,7 @@ from palmd.devices.dynamixel import (
     unstuffed,
     write,
 )
+from palmd.devices.servobus import Registers
 
 BAUD = 1_000_000
 NASTY = st.lists(st.sampled_from([0xFF, 0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x55, 0x82]), max_size=40).map(bytes)

@@ -131,7 +131,7 @@ class Device(EvdevPort):
 def test_what_touches_already_when_it_is_opened_is_asked_for_once():
     driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
     for i in range(5):
-        driver.tend(device)
+        driver.tend(device, 0.0)
         driver.poll(1.0 + 0.01 * i)
     assert device.asked == 1
     assert driver.touching
@@ -139,11 +139,11 @@ def test_what_touches_already_when_it_is_opened_is_asked_for_once():
 
 def test_after_an_overflow_the_state_is_asked_for_again():
     driver, device = pad(), Device(encode([DOWN, x(200), y(7), SYN], 1.0))
-    driver.tend(device)
+    driver.tend(device, 0.0)
     driver.poll(1.0)
     driver.feed(encode([DROPPED, SYN], 1.1), 1.1)
     device.state = encode([UP, x(200), SYN], 1.1)
-    driver.tend(device)
+    driver.tend(device, 0.0)
     driver.poll(1.1)
     assert device.asked == 2
     assert not driver.touching

@@ -10,7 +10,7 @@ from kernel_touch import FakeKernel
 from palmd.config.pads import EvdevConfig
 from palmd.devices import evdevport
 from palmd.devices.evdevport import EvdevPort, asked
-from palmd.devices.pad import make_pad
+from palmd.devices.pad import inspect_pad, make_pad
 from palmd.devices.touchunits import contradictions, with_reported_units
 from palmd.events import PadLift, PadSample
 
@@ -96,10 +96,10 @@ class Pad:
     def tick(self, data=b""):
         if data:
             os.write(self._end, data)
-        self.driver.tend(self.port)
+        self.driver.tend(self.port, 0.0)
         self.t += 0.01
         events = self.driver.feed(self.port.read(), self.t)
-        self.driver.tend(self.port)
+        self.driver.tend(self.port, 0.0)
         return [*events, *self.driver.poll(self.t)]
 
 
@@ -157,7 +157,7 @@ def test_what_waits_to_be_read_is_older_than_the_state(device):
 def test_what_touches_a_device_when_it_is_opened_is_a_report_for_whoever_listens(device):
     _, path, end = device(axes=SINGLE | {kt.X: (400, 0, 3000, 20)}, keys={kt.TOUCH}, pressed={kt.TOUCH})
     pad = Pad(path, end)
-    pad.driver.tend(pad.port)
+    pad.driver.tend(pad.port, 0.0)
     (report,) = pad.driver.reports(b"", 100.0)
     assert report.x_counts == 400
 
@@ -205,6 +205,37 @@ def test_a_place_whose_unit_nobody_knows_is_not_reported_but_said(device):
     pad = Pad(path, end)
     assert pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), (1, kt.TOUCH, 1))) == []
     assert "set counts_per_mm" in pad.driver.complaint
+
+
+TRACKPAD = {
+    kt.X: (0, -3678, 3934, 47), kt.Y: (0, -2479, 2586, 44), kt.SLOT: (0, 0, 15, 0), kt.ID: (0, 0, 65535, 0),
+    kt.MT_X: (0, -3678, 3934, 47), kt.MT_Y: (0, -2479, 2586, 44), kt.MT_PRESSURE: (0, 0, 2000, 4),
+}  # fmt: skip
+"""Of 160 x 114.9 mm, as the driver of such a trackpad describes it; force in units each gram, as of Linux 6.18."""
+
+
+def test_a_large_pressure_trackpad_is_read_to_a_fiftieth_of_a_millimetre_with_the_force_of_each_touch(device):
+    slots = {kt.ID: [-1] * 16, kt.MT_X: [0] * 16, kt.MT_Y: [0] * 16, kt.MT_PRESSURE: [0] * 16}
+    _, path, end = device(axes=TRACKPAD, keys={kt.TOUCH}, slots=slots, properties={kt.PRESSUREPAD})
+    pad = Pad(path, end, zero_mm=80.0, counts_per_mm=47.575)
+    assert pad.tick() == []
+    first = [a(kt.ID, 1), a(kt.MT_X, 100), a(kt.MT_Y, 0), a(kt.MT_PRESSURE, 408)]
+    (one,) = pad.tick(kt.events(*first, (1, kt.TOUCH, 1)))
+    assert one.force == pytest.approx(408 / 4 * 9.80665e-3), "102 g"
+    (two,) = pad.tick(kt.events(a(kt.MT_X, 101), a(kt.SLOT, 1), a(kt.ID, 2), a(kt.MT_X, -900), a(kt.MT_PRESSURE, 1800)))
+    assert (two.s - one.s) * 1e3 == pytest.approx(0.021, abs=0.001)
+    assert two.force == one.force, "the first contact counts, with its own force"
+    assert in_mm(pad.tick(kt.events(a(kt.ID, -1), a(kt.SLOT, 0), a(kt.ID, -1), (1, kt.TOUCH, 0)))) == ["lift"]
+
+
+def test_a_reported_scale_is_known_to_a_part_of_a_whole_unit(device):
+    """47 for 47.575: the driver divides whole numbers, and all that is read would be 1.2 % too long."""
+    _, path, _ = device(axes=TRACKPAD, keys={kt.TOUCH}, properties={kt.PRESSUREPAD})
+    found = inspect_pad(EvdevConfig(kind="evdev", port=path)).config
+    assert found.counts_per_mm == 47.0
+    assert 47.575 / 47.0 - 1.0 < 1.1 * found.scale_sd < 0.02
+    for given in ({"counts_per_mm": 47.575}, {"scale_sd": 0.001}):
+        assert inspect_pad(EvdevConfig(kind="evdev", port=path, **given)).config.scale_sd <= 0.003
 
 
 def test_a_device_is_asked_without_being_grabbed(device):
@@ -268,9 +299,9 @@ def test_the_kernels_own_touch_device_reads_right_through_an_overflow(made):
     def tick():
         nonlocal t
         t += 0.01
-        driver.tend(port)
+        driver.tend(port, 0.0)
         events = driver.feed(port.read(), t)
-        driver.tend(port)
+        driver.tend(port, 0.0)
         return in_mm([*events, *driver.poll(t)])
 
     assert tick() == [65.0], "touched before it was opened"
@@ -293,7 +324,7 @@ def test_the_kernels_own_device_of_protocol_a_is_read_and_released(made):
     port = driver.port()
     assert port.poll_open(0.0), port.error
     driver.opened(0.0)
-    driver.tend(port)
+    driver.tend(port, 0.0)
     there.send(a(kt.MT_X, 600), a(kt.MT_Y, 30), (0, 2, 0))
     assert in_mm(driver.feed(port.read(), 1.0)) == [30.0]
     there.send((0, 2, 0))

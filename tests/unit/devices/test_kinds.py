@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from pad_bench import KINDS as PADS
 from pydantic import Discriminator, Tag
 
 from palmd import devices
-from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig
-from palmd.config.pads import EvdevConfig, PadConfig, StripConfig, VersaPadConfig
+from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig, FeetechConfig
+from palmd.config.pads import PadConfig, VersaPadConfig
 from palmd.devices.actuator import Actuator, ArmState, Pose, Sent, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
 from palmd.devices.pad import PadDriver, make_pad
@@ -41,14 +42,18 @@ def test_every_file_has_its_configuration_model_and_the_other_way_round():
     assert kinds("actuators") == kinds_in(ArmConfig)
 
 
+def test_every_kind_has_its_emulated_far_side():
+    assert kinds("../rig/padkinds") == kinds_in(PadConfig)
+    assert kinds("../rig/servokinds") - {"dynamixel_table"} == kinds_in(ArmConfig) - {"adept"}
+
+
 @pytest.mark.parametrize(
     ("protocol", "driver"),
     [
-        (PadDriver, make_pad(2, VersaPadConfig(port="a"))),
-        (PadDriver, make_pad(2, StripConfig(kind="strip", port="a"))),
-        (PadDriver, make_pad(2, EvdevConfig(kind="evdev", port="a"))),
+        *((PadDriver, make_pad(2, config)) for config in PADS.values()),
         (Actuator, make_actuator(AdeptConfig(port="b"))),
         (Actuator, make_actuator(DynamixelConfig(kind="dynamixel", port="b"))),
+        (Actuator, make_actuator(FeetechConfig(kind="feetech", port="b"))),
     ],
 )
 def test_a_driver_has_all_that_its_protocol_asks_for(protocol, driver):
@@ -108,7 +113,7 @@ def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer(mon
     driver.opened(0.0)
     for i in range(200):
         driver.reports(b"", 0.01 * i)
-        driver.tend(port)
+        driver.tend(port, 0.0)
     assert port.breaks == [True, False]
     assert not driver.starting
     assert "no identity" in driver.complaint

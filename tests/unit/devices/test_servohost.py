@@ -192,7 +192,7 @@ def test_goals_beyond_a_servos_range_are_kept_inside_and_counted():
 
 @pytest.mark.parametrize(("baud", "period_s"), [(115200, 0.040), (1_000_000, 0.010), (4_000_000, 0.010)])
 def test_a_cycle_leaves_half_of_the_bus_free(baud, period_s):
-    assert cycle_period(baud, 2) == period_s
+    assert cycle_period(baud, 2, dxl.MAKE) == period_s
 
 
 def test_at_a_slow_bus_it_still_follows():

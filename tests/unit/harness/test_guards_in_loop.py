@@ -21,14 +21,14 @@ ADEPT = default_config()
 PALM_M = 0.12
 
 
-def servos():
+def servos(kind):
     told = ADEPT.model_dump(mode="json")
-    told["arm"] = {"kind": "dynamixel", "port": "arm"}
+    told["arm"] = {"kind": kind, "port": "arm"}
     told["rig"]["hinge"] = "fixed"
     return Config.model_validate(told)
 
 
-RIGS = {"adept": lambda: ADEPT, "servos": servos}
+RIGS = {"adept": lambda: ADEPT, "dynamixel": lambda: servos("dynamixel"), "feetech": lambda: servos("feetech")}
 
 
 def started(config, seed=7, after_s=4.0):
@@ -83,6 +83,15 @@ def test_a_blocked_arm_is_stopped_and_does_not_spring_when_it_is_released(rig, a
         loop.tick()
     assert travel(loop, 1.0) <= 0.015
     assert "following-error" in {fault.code for fault in loop.core.faults.active}
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_servos_with_a_degree_of_play_and_friction_raise_no_alarm(seed):
+    loop = started(servos("feetech"), seed=seed, after_s=0.0)
+    for _ in loop.run(20.0):
+        assert not {fault.code for fault in loop.core.faults.active if fault.severity in ("hold", "stop")}
+    errors = loop.core.arm.guards.following.errors
+    assert all(map(math.isfinite, errors))
 
 
 @pytest.mark.parametrize("rig", RIGS)

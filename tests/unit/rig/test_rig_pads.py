@@ -5,7 +5,8 @@ import pytest
 
 from palmd.config.pads import PressureConfig, VersaPadConfig
 from palmd.devices.versapad import VersaPadDecoder
-from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
+from palmd.rig.padkinds.versapad import VersaPadEmulator
+from palmd.rig.pads import PadOptions, Press
 
 QUIET = PadOptions(noise_m=0.0, force_noise=0.0, force_drift=0.0, hysteresis=0.0)
 

@@ -12,7 +12,7 @@ import terminals
 from servo_bench import HOME, tabletop
 
 from palmd.rig.line import Wire
-from palmd.rig.servos import ServoArm
+from palmd.rig.servokinds.dynamixel import DynamixelArm
 
 sdk = pytest.importorskip("dynamixel_sdk", reason="the maker's library (dynamixel-sdk) is not installed")
 
@@ -27,7 +27,7 @@ class VirtualPort:
 
     def __init__(self):
         config = tabletop()
-        self.arm = ServoArm(config, config.arm, HOME, np.random.default_rng(1), 0.0)
+        self.arm = DynamixelArm(config, config.arm, HOME, np.random.default_rng(1), 0.0)
         self.is_using, self.t = False, 0.0
         self._out, self._in, self._t_end = Wire(config.arm.baud), b"", 0.0
 
@@ -246,7 +246,7 @@ def test_a_factory_reset_keeps_what_its_option_says(bus, port, option, where):
 
 
 def sdk_register(address):
-    from palmd.devices.dynamixel import Register
+    from palmd.devices.servobus import Register
 
     return Register(address, 1)
 
@@ -301,7 +301,7 @@ def test_over_a_pseudo_terminal():
     config, over = tabletop(), threading.Event()
     with terminals.line() as (master, path):
         t0 = time.monotonic()
-        arm = ServoArm(config, config.arm, HOME, np.random.default_rng(1), t0)
+        arm = DynamixelArm(config, config.arm, HOME, np.random.default_rng(1), t0)
 
         def serve():
             while not over.is_set():

@@ -19,7 +19,8 @@ from palmd.rig.adept_arm import AdeptArm
 from palmd.rig.emulated import EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.imperfections import configured
-from palmd.rig.pads import BAND_JITTER_S, BAND_WEIGHTS, GOOD_PADS, PadEmulator, Press, VersaPadEmulator
+from palmd.rig.padkinds.versapad import BAND_JITTER_S, BAND_WEIGHTS, VersaPadEmulator
+from palmd.rig.pads import GOOD_PADS, PadEmulator, Press
 from palmd.system.mechanism import directions
 
 STEP_S, COARSE_STEP_S = 1e-3, 4e-3

@@ -10,8 +10,7 @@ from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import LOOK, EvdevPort, asked
 from palmd.devices.health import Limits, Shares, last_report
-from palmd.devices.pad import MARGIN_MM, InspectedPad, PadFactory, PadRemark, PadReport, place_mm
-from palmd.devices.port import DevicePort
+from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, place_mm
 from palmd.devices.touchdevice import unsupported
 from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
 from palmd.events import PadLift, PadSample
@@ -86,7 +85,7 @@ class Evdev:
         self._reader.reset()
         return self._part(t, "silent")
 
-    def tend(self, port: DevicePort) -> None:
+    def tend(self, port: HostLine, t: float) -> None:  # noqa: ARG002
         """Read the device's state where it is not known: when it has been opened, and after each overflow."""
         if not (self._reader.wants_state and isinstance(port, EvdevPort)):
             return

@@ -10,8 +10,8 @@ from typing import Literal, cast
 from palmd.config.pads import VersaPadConfig
 from palmd.devices.handshake import Handshake
 from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
-from palmd.devices.pad import SILENT_INTERVALS, PadFactory
-from palmd.devices.port import DevicePort, Port
+from palmd.devices.pad import SILENT_INTERVALS, HostLine, PadFactory
+from palmd.devices.port import Port
 from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
@@ -89,7 +89,7 @@ class VersaPad:
         lift = self._receiver.poll(math.inf)
         return [] if lift is None else [self._part(PadLift(t, self._number), "silent")]
 
-    def tend(self, port: DevicePort) -> None:
+    def tend(self, port: HostLine, t: float) -> None:  # noqa: ARG002
         """Hold the line in break, or end that."""
         if self.in_break is not self._held and isinstance(port, Port):
             port.set_break(self.in_break)
@@ -192,3 +192,4 @@ class VersaPad:
 
 
 DRIVER: PadFactory = VersaPad
+COUNTED = ("bytes", "packets", "bytes_discarded")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from palmd.config.three_palms import PlanePadConfig
-from palmd.rig.pads import PadOptions, Press, VersaPadEmulator
+from palmd.rig.padkinds.versapad import VersaPadEmulator
+from palmd.rig.pads import PadOptions, Press
 
 
 class PlanePadEmulator(VersaPadEmulator):

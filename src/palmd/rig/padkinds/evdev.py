@@ -9,7 +9,7 @@ import numpy as np
 from palmd.config.pads import EvdevConfig
 from palmd.devices import evdev
 from palmd.devices.evdev import EvdevReader, Record
-from palmd.rig.pads import PadEmulator, PadOptions
+from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
 
 REPORT_S, JITTER_S = 0.010, 0.001
 PRESSURE_MAX = 255
@@ -19,7 +19,7 @@ TOLD_ANEW = 50
 and what it said first may have come before whoever opened it emptied it."""
 
 
-class EvdevEmulator(PadEmulator):
+class EvdevEmulator(CountingPad):
     """Tells what has changed and nothing else; as noisy as configured, without pressure where that is configured."""
 
     def __init__(
@@ -81,3 +81,6 @@ class EvdevEmulator(PadEmulator):
         if not changed:
             return b""
         return evdev.encode([*changed, (evdev.EV_SYN, evdev.SYN_REPORT, 0)], t)
+
+
+EMULATOR: EmulatorFactory = EvdevEmulator

@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import Register
+from palmd.devices.servobus import Register
 
 TABLE_BYTES = 148
 POSITION_MODE, EXTENDED_MODE = 3, 4

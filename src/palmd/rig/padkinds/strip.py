@@ -8,12 +8,12 @@ import numpy as np
 
 from palmd.config.pads import StripConfig
 from palmd.devices.strip import FORCE_MAX, POSITION_MAX, TOUCHED_S, UNTOUCHED_S, StripDecoder, encode
-from palmd.rig.pads import PadEmulator, PadOptions
+from palmd.rig.pads import CountingPad, EmulatorFactory, PadOptions
 
 JITTER_S = 1e-4
 
 
-class StripEmulator(PadEmulator):
+class StripEmulator(CountingPad):
     """A strip: reports at an even rate, slower ones while it is not touched; as noisy as configured."""
 
     def __init__(
@@ -57,3 +57,6 @@ class StripEmulator(PadEmulator):
     def _said(self, position: int, force: int, *, touched: bool) -> bytes:
         self._sequence = (self._sequence + 1) % 256
         return encode(position, force, self._sequence, touched=touched, saturated=force >= FORCE_MAX)
+
+
+EMULATOR: EmulatorFactory = StripEmulator

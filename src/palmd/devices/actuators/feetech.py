@@ -1,0 +1,11 @@
+"""`kind: feetech`: two Feetech STS3215 servos on one bus, which turn the palms about a fixed hinge."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from palmd.devices.actuator import ActuatorFactory
+from palmd.devices.feetech import MAKE
+from palmd.devices.servoactuator import ServoActuator
+
+DRIVER: ActuatorFactory = partial(ServoActuator, make=MAKE)

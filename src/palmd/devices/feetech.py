@@ -1,0 +1,242 @@
+"""The bus protocol of Feetech's STS servos, both directions, and the registers of the STS3215.
+
+    FF FF | id | length | instruction | parameters | checksum         of a question
+    FF FF | id | length | hardware errors | parameters | checksum     of an answer
+
+`length` counts what follows it, the checksum is the complement of the sum of all from the id on. Numbers are
+little-endian, signed ones a size and a sign bit. Question and answer look alike: a reader must know which it hears, and
+an adapter that echoes questions cannot be used. An answer refuses nothing: whether a servo has taken a value is seen by
+reading it. There is no watchdog.
+Everything here is pure and safe inside the 100 Hz loop. Sources: docs/reference/devices.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import IntEnum
+
+from palmd.devices.framing import Frame, FrameScanner, Head
+from palmd.devices.servobus import Packet, Register, Settings, Unfit
+
+HEADER = b"\xff\xff"
+BROADCAST = 0xFE
+ID_MAX = 253
+LONGEST = 0x80
+"""What `length` may say: more than any packet of a few servos, far less than garbage may make of it."""
+
+_HEAD_BYTES = 4  # up to and with the length
+_FILLER = HEADER[0]
+
+
+class FeetechInstruction(IntEnum):
+    """What a packet asks."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class FeetechError(IntEnum):
+    """Bits of the status register, and of the error in every answer."""
+
+    VOLTAGE = 0x01
+    ENCODER = 0x02
+    HOT = 0x04
+    CURRENT = 0x08
+    OVERLOAD = 0x20
+
+
+FIRMWARE = Register(0, 1)
+MODEL = Register(3, 2)
+ID = Register(5, 1)
+BAUD = Register(6, 1)  # 0: 1 Mbit/s, 4: 115200
+RETURN_DELAY = Register(7, 1)  # 2 µs
+STATUS_LEVEL = Register(8, 1)  # 1: every instruction is answered, 0: PING and reads only
+MIN_POSITION = Register(9, 2)
+MAX_POSITION = Register(11, 2)
+UNLOADING = Register(19, 1)  # hardware errors at which it lets go
+HOMING_OFFSET = Register(31, 2, sign_bit=11)
+OPERATING_MODE = Register(33, 1)  # 0 position
+TORQUE = Register(40, 1)
+ACCELERATION = Register(41, 1)  # 100 counts/s², 0: as fast as it can
+GOAL = Register(42, 2, sign_bit=15)
+GOAL_SPEED = Register(46, 2, sign_bit=15)  # counts/s, 0: as fast as it can
+LOCK = Register(55, 1)  # 0: settings are kept without power
+POSITION = Register(56, 2, sign_bit=15)
+SPEED = Register(58, 2, sign_bit=15)
+LOAD = Register(60, 2, sign_bit=10)
+VOLTAGE = Register(62, 1)  # 0.1 V
+TEMPERATURE = Register(63, 1)  # °C
+STATUS = Register(65, 1)
+MOVING = Register(66, 1)
+CURRENT = Register(69, 2)  # 6.5 mA
+
+TABLE_BYTES = 71
+EEPROM_END = 40
+SPEED_MOST = (1 << 15) - 1
+_UNLOADING = FeetechError.HOT | FeetechError.CURRENT | FeetechError.OVERLOAD
+
+
+def checksum(body: bytes) -> int:
+    """Of all from the id to the last parameter."""
+    return ~sum(body) & 0xFF
+
+
+def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """A question, or with the errors in place of the instruction an answer. Raises ValueError where it cannot be."""
+    if not (0 <= servo <= ID_MAX or servo == BROADCAST):
+        raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
+    if len(parameters) + 2 > LONGEST:
+        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(parameters) + 2}")
+    body = bytes((servo, len(parameters) + 2, instruction)) + parameters
+    return HEADER + body + bytes((checksum(body),))
+
+
+def ping(servo: int) -> bytes:
+    """Asks whether it is there."""
+    return encode(servo, FeetechInstruction.PING)
+
+
+def read(servo: int, address: int, size: int) -> bytes:
+    """Asks one servo for `size` bytes of its table."""
+    return encode(servo, FeetechInstruction.READ, bytes((address, size)))
+
+
+def write(servo: int, register: Register, value: int) -> bytes:
+    """Sets one register of one servo."""
+    return encode(servo, FeetechInstruction.WRITE, bytes((register.address,)) + register.encode(value))
+
+
+def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
+    """Sets one register of several servos, by id; never answered."""
+    return sync_write_bytes(register.address, {servo: register.encode(value) for servo, value in values.items()})
+
+
+def sync_write_bytes(address: int, data: Mapping[int, bytes]) -> bytes:
+    """Sets a stretch of the table, equally long for each."""
+    size = len(next(iter(data.values()), b""))
+    parts = b"".join(bytes((servo,)) + each for servo, each in data.items())
+    return encode(BROADCAST, FeetechInstruction.SYNC_WRITE, bytes((address, size)) + parts)
+
+
+def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
+    """Asks several servos for `size` bytes of their tables; they answer in this order."""
+    return encode(BROADCAST, FeetechInstruction.SYNC_READ, bytes((address, size)) + bytes(servos))
+
+
+def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
+    """A servo's answer."""
+    return encode(servo, error, parameters)
+
+
+def _size(head: Head) -> int | None:
+    """Of the packet that begins with these bytes; see `FrameScanner`."""
+    if not HEADER.startswith(head[: len(HEADER)]):
+        return 0
+    if len(head) < _HEAD_BYTES:
+        return 0 if len(head) == _HEAD_BYTES - 1 and head[2] == _FILLER else None
+    servo, length = head[2], head[3]
+    sound = (servo <= ID_MAX or servo == BROADCAST) and 2 <= length <= LONGEST
+    return _HEAD_BYTES + length if sound else 0
+
+
+def _is_sound(raw: bytes) -> bool:
+    return checksum(raw[2:-1]) == raw[-1]
+
+
+class FeetechReader:
+    """Turns a bus's bytes into packets, all answers or all questions; garbage is counted and nothing else."""
+
+    def __init__(self, baud: int, *, answers: bool = True) -> None:
+        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        self._scanner = FrameScanner(baud, _size, _is_sound, begins=_FILLER)
+        self.counters = self._scanner.counters
+        self._answers = answers
+
+    @property
+    def pending(self) -> int:
+        """How many bytes are in hand."""
+        return self._scanner.pending
+
+    def feed(self, data: bytes, t_recv: float) -> list[Packet]:
+        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        return list(map(self._packet, self._scanner.feed(data, t_recv)))
+
+    def give_up(self) -> list[Packet]:
+        """No more comes of the packet in hand: the packets that it hid."""
+        return list(map(self._packet, self._scanner.give_up()))
+
+    def reset(self) -> None:
+        """Discard what is in hand, for the line has been interrupted."""
+        self._scanner.reset()
+
+    def _packet(self, frame: Frame) -> Packet:
+        t_first, raw = frame
+        instruction, error = (0, raw[4]) if self._answers else (raw[4], 0)
+        return Packet(t_first, raw[2], instruction, error, raw[5:-1], self._answers)
+
+
+class FeetechMake:
+    """The STS3215 as a `ServoMake`: a speed with each goal, and no watchdog."""
+
+    name = "Feetech"
+    model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
+    hardware_error, goal, position, voltage, temperature = STATUS, GOAL, POSITION, VOLTAGE, TEMPERATURE
+    watchdog: Register | None = None
+    unlock: Register | None = LOCK
+    settings_end = EEPROM_END
+    table_bytes = TABLE_BYTES
+    look = (TORQUE.address, STATUS.end - TORQUE.address)
+    cycle = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
+    all_answered, ping_bytes = 1, 0
+    alert = FeetechError.VOLTAGE | FeetechError.ENCODER | _UNLOADING
+    refusals = 0
+    supply_v = (6.0, 14.0)
+    troubles: Mapping[int, tuple[str, str]] = {
+        FeetechError.VOLTAGE: ("voltage", "its supply is out of range"),
+        FeetechError.ENCODER: ("encoder", "its encoder fails"),
+        FeetechError.HOT: ("hot", "it is too hot"),
+        FeetechError.CURRENT: ("overload", "its current is too high"),
+        FeetechError.OVERLOAD: ("overload", "it was overloaded"),
+    }
+    models: Mapping[int, str] = {777: "STS3215", 2825: "STS3250"}
+    unfit: Mapping[int, Unfit] = {}
+    reader = staticmethod(FeetechReader)
+    ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
+    sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
+    status = staticmethod(encode_status)
+
+    def restart(self, servo: int) -> bytes:
+        """Turns its torque off, which ends its protection mode."""
+        return write(servo, TORQUE, 0)
+
+    def settings(self, low: int, high: int) -> Settings:
+        """Position mode, no delay, no offset, limits, protection, all answers."""
+        return (
+            (RETURN_DELAY, 0),
+            (OPERATING_MODE, 0),
+            (HOMING_OFFSET, 0),
+            (UNLOADING, _UNLOADING),
+            (MIN_POSITION, low),
+            (MAX_POSITION, high),
+            (STATUS_LEVEL, self.all_answered),
+        )
+
+    def profile(self, span_ms: int) -> Settings:  # noqa: ARG002
+        """Speeds are reached at once; each goal comes with its own."""
+        return ((ACCELERATION, 0),)
+
+    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:
+        """Each with no time, and with the speed at which its way takes that long: at least 1, for 0 is no limit."""
+        data = {}
+        for servo, goal in counts.items():
+            speed = min(max(round(abs(ways[servo]) / (span_ms * 1e-3)), 1), SPEED_MOST)
+            data[servo] = GOAL.encode(goal) + bytes(2) + GOAL_SPEED.encode(speed)
+        return sync_write_bytes(GOAL.address, data)
+
+
+MAKE = FeetechMake()

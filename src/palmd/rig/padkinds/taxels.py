@@ -1,0 +1,186 @@
+"""An emulated array of pressure sensors: what each taxel counts of a contact, in the bytes of its protocol. Pure.
+
+A contact presses as a parabola does (Hertz), across the whole palm, and the wider the harder it presses. Its width, and
+the sensitivity of each taxel, are not what the configuration says but drawn about it; the host assumes another profile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from palmd.config.pads import TaxelsConfig
+from palmd.devices import taxels
+from palmd.devices.framing import FrameScanner, Head
+from palmd.devices.taxels import TaxelDecoder, modbus_crc, modbus_frame, tsf85_field, tsf85_frame
+from palmd.events import FloatArray
+from palmd.rig.pads import EmulatorFactory, PadEmulator, PadOptions, Press
+
+JITTER_S = 2e-4
+ANSWER_S = 2e-4  # after the question, on top of its way
+WIDTH_SD = 0.15  # of the width's logarithm, from one skin to another
+WIDENS = 1.0 / 6.0  # power of the force by which a contact becomes wider
+COUNT_SD = 0.3  # noise of a taxel, in counts
+
+
+class TaxelEmulator(PadEmulator):
+    """An array as noisy as configured, which says what its protocol lets it say."""
+
+    def __init__(
+        self,
+        config: TaxelsConfig,
+        options: PadOptions,
+        reading_error_m: Callable[[float, float], float],
+        rng: np.random.Generator,
+        t: float,
+    ) -> None:
+        """See `PadEmulator`."""
+        self.baud = config.line_baud
+        self._config = config
+        self._speech = _SPEECH[config.protocol](config)
+        super().__init__(config, options, reading_error_m, rng, t, shortest_s=0.0, noise_m=config.noise_mm * 1e-3)
+        self._width_mm = config.contact_width_mm * math.exp(WIDTH_SD * float(rng.standard_normal()))
+        self._gains = 1.0 + config.taxel_gain_sd * rng.standard_normal((config.rows, config.columns))
+        self.due = self._speech.due(self.due, 0.0)
+
+    def listener(self) -> TaxelDecoder:
+        """Of its frames."""
+        return TaxelDecoder(self._config)
+
+    def hear(self, data: bytes, t: float) -> None:
+        """A command or a question."""
+        if self._speech.hear(data, t):
+            self.due = t + ANSWER_S
+
+    def _interval(self) -> float:
+        wait_s = self._config.report_s + float(self._rng.normal(0.0, JITTER_S))
+        return self._speech.due(self.due, wait_s) - self.due
+
+    def _pressed(self, t: float, felt: list[Press]) -> bytes:
+        array = np.zeros_like(self._gains)
+        for press in felt:
+            array += self._felt_by_each(press)
+        return self._say(t, array)
+
+    def _untouched(self, t: float, lifted: bool) -> bytes:  # noqa: ARG002
+        return self._say(t, np.zeros_like(self._gains))
+
+    def _felt_by_each(self, press: Press) -> FloatArray:
+        """Newtons by taxel."""
+        config = self._config
+        seen_mm = self._seen_m(press.s, press.force) * 1e3
+        force = self._felt_n(press.force)
+        place = config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm / taxels.UM_PER_MM
+        reach = math.sqrt(5.0) * self._width_mm * press.force**WIDENS  # of a parabola of that standard deviation
+        edges = (np.arange(config.rows + 1) - 0.5) * config.pitch_mm
+        shares = np.diff(_parabola((edges - place) / reach))
+        return np.asarray(force * shares[:, None] / config.columns * self._gains)
+
+    def _say(self, t: float, newtons: FloatArray) -> bytes:
+        config = self._config
+        noise = self._rng.normal(0.0, COUNT_SD, newtons.shape)
+        counts = np.rint(newtons / config.newtons_per_count + config.rest_counts + noise)
+        return self._speech.say(np.clip(counts, 0, config.full_scale_counts).astype(int), t)
+
+
+def _parabola(x: FloatArray) -> FloatArray:
+    """Share of a parabolic pressure over -1 to 1 that lies before x."""
+    inside = np.clip(x, -1.0, 1.0)
+    return np.asarray(0.5 + 0.25 * inside * (3.0 - inside**2))
+
+
+class _Tsf85:
+    """Sends by itself once it has been commanded to."""
+
+    def __init__(self, config: TaxelsConfig) -> None:
+        self._modules = config.rows // taxels.TSF85_ROWS
+        self._period_ms = 0
+        self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, begins=taxels.TSF85_START)
+
+    def hear(self, data: bytes, t: float) -> bool:
+        for _, raw in self._commands.feed(data, t):
+            self._period_ms = raw[4]
+        return self._period_ms > 0
+
+    def due(self, t: float, wait_s: float) -> float:
+        return t + wait_s if self._period_ms else math.inf
+
+    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:
+        fields = b""
+        for module in range(self._modules):
+            mine = counts[module * taxels.TSF85_ROWS : (module + 1) * taxels.TSF85_ROWS]
+            fields += tsf85_field(taxels.PRESSURES, module, mine.astype(">u2").tobytes())
+            for kind in (taxels.VIBRATION, taxels.ACCELERATION, taxels.RATE, taxels.TEMPERATURE):
+                fields += tsf85_field(kind, module, bytes(taxels.TSF85_FIELD_BYTES[kind]))
+            fields += tsf85_field(taxels.TIME, module, int(t * 1e3).to_bytes(8, "big"))
+        return tsf85_frame(taxels.TSF85_AUTOSEND, fields)
+
+
+def _command_size(head: Head) -> int | None:
+    if len(head) < 4:
+        return None
+    return 5 if head[2] == taxels.TSF85_AUTOSEND and head[3] == 1 else 0
+
+
+class _St0001:
+    """Answers; its values are millinewtons once they are selected, and converter counts of a fifth before."""
+
+    def __init__(self, config: TaxelsConfig) -> None:
+        self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)
+        self._answers = b""
+        self._asked = self._millinewtons = False
+
+    def hear(self, data: bytes, t: float) -> bool:
+        for _, raw in self._requests.feed(data, t):
+            if raw[1] == taxels.READ_PRESSURES:
+                self._asked = True
+            else:
+                register, value = int.from_bytes(raw[2:4], "big"), int.from_bytes(raw[4:6], "big")
+                self._millinewtons |= register == taxels.VALUE_TYPE and value == taxels.MILLINEWTONS
+                self._answers += raw
+        return self._asked or bool(self._answers)
+
+    def due(self, t: float, wait_s: float) -> float:  # noqa: ARG002
+        return math.inf
+
+    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
+        said, self._answers = self._answers, b""
+        if self._asked:
+            values = counts if self._millinewtons else counts // 5
+            raw = values.astype("<u2").tobytes()
+            said += modbus_frame(taxels.READ_PRESSURES, len(raw).to_bytes(2, "little") + raw)
+        self._asked = False
+        return said
+
+
+def _request_size(head: Head) -> int | None:
+    if len(head) < 2:
+        return None
+    return {taxels.READ_PRESSURES: 4, taxels.WRITE_REGISTER: 8}.get(head[1], 0)
+
+
+def _has_crc(raw: bytes) -> bool:
+    return modbus_crc(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+
+
+class _Text:
+    """A line for each frame."""
+
+    def __init__(self, config: TaxelsConfig) -> None:
+        """Nothing of it is needed."""
+
+    def hear(self, data: bytes, t: float) -> bool:  # noqa: ARG002
+        return False
+
+    def due(self, t: float, wait_s: float) -> float:
+        return t + wait_s
+
+    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
+        return " ".join(map(str, counts.ravel())).encode() + b"\n"
+
+
+_SPEECH: dict[str, type[_Tsf85 | _St0001 | _Text]] = {"tsf85": _Tsf85, "st0001": _St0001, "text": _Text}
+
+EMULATOR: EmulatorFactory = TaxelEmulator
