@@ -171,8 +171,8 @@ def assembly(g: Tabletop) -> str:
     _half(g, views[1], 1, 0.0, {"hidden": "strip bracket pin", "servo": NEW, "horn": NEW})
     for way in (1, -1):
         _plan(g, views[2], way, 12.0, {"hidden": "strip"})
-        pin = sorted((way * g.eye_start, way * (g.eye_start - g.pin_length)))
-        views[2].box(-g.pin / 2, g.pin / 2, *pin, NEW)
+        low, high = sorted((way * g.eye_start, way * (g.eye_start - g.pin_length)))
+        views[2].box(-g.pin / 2, g.pin / 2, low, high, NEW)
         _half(g, views[3], way, 0.0, {"hidden": "bracket", "strip": NEW})
         _half(g, views[4], way, 0.0, {"bracket": NEW})
         _half(g, views[5], way, 0.0, {})
