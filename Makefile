@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build docs site setup dev lock wheelhouse clean
+.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs site setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -46,6 +46,9 @@ audit: dev  ## known holes in what is locked, as far as PyPI answers
 
 bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
 	$(BIN)/python -m pytest -q -s -m bench tests/bench
+
+kit: setup  ## everything to build the tabletop rig, checked, in build/kit; KIT="--set strip_length=73.7" for another size
+	@$(BIN)/python -m tools.tabletop $(KIT)
 
 docs: dev  ## the pages that are generated from the code's tables
 	$(BIN)/python tools/make_docs.py

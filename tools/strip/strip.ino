@@ -1,13 +1,21 @@
-/* The board's side, for anything that speaks Arduino and has 12-bit inputs: which pin does what, and nothing else.
+/* The board's side, for anything that speaks Arduino: which pin does what, and nothing else.
  *
  * The strip has two ends of its drive line and a sense line; R0 (10 kOhm) joins the sense line to PIN_LOAD.
  * Readings as in the maker's integration guide: position with both ends driven and the sense line free, force with one end
  * driven, the other read, and the sense line loaded by R0.
+ *
+ * Inputs of 12 bits are read once for 12 bits. AVR boards have 10 bits: four readings added up count as 12.
  */
 #include "strip.h"
 
 const int PIN_END1 = A0, PIN_SENSE = A1, PIN_END2 = A2, PIN_LOAD = A3;
+const int PINS[] = {PIN_END1, PIN_SENSE, PIN_END2, PIN_LOAD};
 const unsigned SETTLE_US = 20;
+#ifdef __AVR__
+const int READS = 4; /* of 10 bits */
+#else
+const int READS = 1; /* of 12 bits */
+#endif
 
 static struct strip strip;
 
@@ -19,9 +27,17 @@ static void drive(int pin, int level)
 
 static void discharge()
 {
-    for (int pin : {PIN_END1, PIN_SENSE, PIN_END2, PIN_LOAD})
+    for (int pin : PINS)
         drive(pin, LOW);
     delayMicroseconds(SETTLE_US);
+}
+
+static uint16_t read12(int pin)
+{
+    uint16_t sum = 0;
+    for (int i = 0; i < READS; i++)
+        sum += analogRead(pin);
+    return sum;
 }
 
 static uint16_t position_sum()
@@ -34,7 +50,7 @@ static uint16_t position_sum()
     delayMicroseconds(SETTLE_US);
     uint16_t sum = 0;
     for (int i = 0; i < STRIP_POSITION_READS; i++)
-        sum += analogRead(PIN_SENSE);
+        sum += read12(PIN_SENSE);
     return sum;
 }
 
@@ -46,14 +62,16 @@ static void force(struct strip_readings *readings)
     pinMode(PIN_END2, INPUT);
     pinMode(PIN_SENSE, INPUT);
     delayMicroseconds(SETTLE_US);
-    readings->drive = analogRead(PIN_END2);
-    readings->sense = analogRead(PIN_SENSE);
+    readings->drive = read12(PIN_END2);
+    readings->sense = read12(PIN_SENSE);
 }
 
 void setup()
 {
     Serial.begin(115200);
+#ifndef __AVR__
     analogReadResolution(12);
+#endif
 }
 
 void loop()

@@ -1,98 +1,100 @@
-// The rig for the table: palms, servo brackets, base plate. All lengths in mm. docs/start/tabletop.md says how it goes
-// together; tools/make_tabletop_drawing.py draws docs/figures/tabletop.svg from the same numbers.
-// One part for printing: openscad -D 'part="palm"' -o palm.stl palmd-tabletop.scad   (palm, bracket, base, all)
+// The printed parts of the tabletop rig and their assembly. Lengths in mm; every measure is in parameters.scad, which
+// tools/tabletop/parameters.py writes from src/palmd/config/tabletop.py. x lies along a palm, y along the axis, z is up.
+// One part: openscad -D 'part="palm"' -o palm.stl palmd-tabletop.scad   (palm, bracket, base, all)
+include <parameters.scad>
 
 part = "all";
-
-palm_length = 75;        // from the axis to the palm's end
-palm_width = 16;         // along the axis
-palm_thickness = 5;      // behind the strip
-strip_length = 60;       // active part of the strip
-strip_width = 11;        // with its edges
-strip_thickness = 0.5;   // its surface must go through the axis
-strip_start = 2.5;       // from the axis to where it begins to feel
-hinge_eye = 6;           // radius of the eye round the pin
-pin = 3;                 // diameter of the pin that both palms turn about
-axis_height = 70;        // of the axis above the base plate
-horn_circle = 16;        // diameter of the circle of screws on a servo's horn
-horn_screw = 2.2;        // diameter of their holes
-horn_boss = 9;           // diameter of the boss in the horn's middle
-servo_width = 28.5;      // of an X430 servo's case
-servo_height = 46.5;
-servo_depth = 34;
-servo_axis = 11.25;      // from the case's top to its shaft
-servo_screws = 24;       // between the holes in the case's back
-bracket_thickness = 4;
-gap = 1;                 // between palm and bracket
-base_length = 160;
-base_width = 140;
-base_thickness = 6;
-
+angle1 = 45;   // of palm 1 in the assembly, degrees from the x axis
+angle2 = 135;  // of palm 2
 $fn = 64;
+e = 0.01;      // by which a cut goes beyond a face
 
-assert(strip_start >= pin / 2 + 0.8, "no wall is left between the pin's hole and the palm's cut");
+assert(arm_start > eye_radius + clearance, "an arm would hit the other palm's eye");
+assert(palm_start > pin / 2, "the pins are put in from between the palms");
+assert(foot_length < servo_depth, "the foot must lie below the servo");
 
-// A palm, lying along x from the axis at the origin, its upper face strip_thickness below the hinge line. The arm beside
-// it carries the horn; `side` is 1 or -1, and the eyes of both palms share the pin.
-module palm(side = 1) {
+module along_axis(y0, y1) { translate([0, y1, 0]) rotate([90, 0, 0]) linear_extrude(y1 - y0) children(); }
+module block(x0, x1, y0, y1, z0, z1) { translate([x0, y0, z0]) cube([x1 - x0, y1 - y0, z1 - z0]); }
+
+// Palm 1: the horn's cheek at +y, the eye with the bearing at -y. Palm 2 is the same part, turned about the vertical.
+module palm() {
+    half = palm_width / 2;
+    plate_low = -surface - palm_thickness;
+    eye_end = eye_start + bearing_width;
     difference() {
         union() {
-            translate([strip_start, -palm_width / 2, -strip_thickness - palm_thickness])
-                cube([palm_length - strip_start, palm_width, palm_thickness]);
-            translate([0, side * palm_width / 4, 0]) rotate([90, 0, 0])
-                cylinder(r = hinge_eye, h = palm_width / 2 - 0.3, center = true);
-            translate([0, side * (palm_width / 2 + bracket_thickness / 2), 0]) rotate([90, 0, 0])
-                cylinder(d = horn_circle + 8, h = bracket_thickness, center = true);
-            translate([0, side * (palm_width / 2 + bracket_thickness / 2), -strip_thickness - palm_thickness / 2])
-                translate([palm_length / 4, 0, 0])
-                    cube([palm_length / 2, bracket_thickness, palm_thickness], center = true);
+            block(palm_start, palm_length, -half, half, plate_low, -surface);
+            // arm and cheek, on the side of the servo
+            block(arm_start, arm_length, half - 1, cheek_end, plate_low, -surface);
+            block(0, arm_length, cheek_start, cheek_end, -arm_depth, -surface);
+            along_axis(cheek_start, cheek_end) circle(r = cheek_radius);
+            // eye, on the other side
+            along_axis(-eye_end, -eye_start) circle(r = eye_radius);
+            block(palm_start, 2 * eye_radius, -eye_end, -half + 1, plate_low, -surface);
         }
-        rotate([90, 0, 0]) cylinder(d = pin, h = 4 * palm_width, center = true);
-        for (angle = [0 : 90 : 270])
-            rotate([0, angle, 0]) translate([horn_circle / 2, 0, 0]) rotate([90, 0, 0])
-                cylinder(d = horn_screw, h = 4 * palm_width, center = true);
-        translate([0, side * (palm_width / 2 + bracket_thickness), 0]) rotate([90, 0, 0])
-            cylinder(d = horn_boss, h = bracket_thickness, center = true);
-        // nothing of the eye may stand above the hinge line on the object's side
-        translate([strip_start, -palm_width, -strip_thickness])
-            cube([palm_length, 2 * palm_width, 2 * hinge_eye]);
+        along_axis(-eye_end - e, -half) circle(d = bearing_outer);
+        along_axis(cheek_start - e, cheek_end + e) circle(d = pin);
+        along_axis(cheek_end - horn_boss_depth, cheek_end + e) circle(d = horn_boss);
+        for (angle = [45 : 90 : 315]) rotate([0, angle, 0]) translate([horn_circle / 2, 0, 0]) {
+            along_axis(cheek_start - e, cheek_end + e) circle(d = horn_screw);
+            along_axis(cheek_start - e, cheek_start + horn_head_depth) circle(d = horn_head);
+        }
+        // the strip's leads, a cable tie and a rubber band
+        tail = strip_end + strip_edge;
+        block(tail, tail + tail_slot, -tail_width / 2, tail_width / 2, plate_low - e, -surface + e);
+        for (y = [-half / 2, half / 2]) translate([palm_length - 4, y, plate_low - e])
+            cylinder(d = end_hole, h = palm_thickness + 2 * e);
     }
 }
 
-// Holds one servo by its back, its shaft axis_height above the base plate.
+// Holds one servo by its back; z = 0 is the base plate's upper face, y = 0 the servo's back, the servo at y < 0.
 module bracket() {
     height = axis_height + servo_axis;
+    half = servo_width / 2 + bracket_side;
     difference() {
         union() {
-            translate([-servo_width / 2 - 4, 0, 0]) cube([servo_width + 8, bracket_thickness, height]);
-            translate([-servo_width / 2 - 4, 0, 0]) cube([servo_width + 8, 30, bracket_thickness]);
+            block(-half, half, 0, bracket_thickness, 0, height);
+            block(-half, half, -foot_length, e, 0, bracket_thickness);
+            for (x = [-half, half - rib_thickness]) translate([x, 0, 0]) rotate([90, 0, 90])
+                linear_extrude(rib_thickness)
+                    polygon([[e, 0], [-foot_length, 0], [-foot_length, bracket_thickness], [e, rib_height]]);
         }
         for (x = [-servo_screws / 2, servo_screws / 2], z = [0, servo_screws])
-            translate([x, -1, height - servo_height + 6 + z]) rotate([-90, 0, 0])
-                cylinder(d = 2.7, h = bracket_thickness + 2);
-        for (x = [-servo_width / 2, servo_width / 2])
-            translate([x, 20, -1]) cylinder(d = 4.3, h = bracket_thickness + 2);
+            translate([x, 0, height - servo_height + 6 + z]) along_axis(-e, bracket_thickness + e) circle(d = servo_screw);
+        for (x = [-foot_screw_x, foot_screw_x], y = foot_rows()) translate([x, y, -e])
+            cylinder(d = screw, h = bracket_thickness + 2 * e);
+        block(-cable_width / 2, cable_width / 2, -e, bracket_thickness + e, rib_height / 2, rib_height / 2 + cable_height);
     }
 }
+
+function foot_rows() = [foot_screw_inset - foot_length, foot_screw_inset + foot_screw_spacing - foot_length];
 
 module base() {
+    x = base_length / 2;
+    y = base_width / 2;
     difference() {
-        translate([-base_length / 2, -base_width / 2, -base_thickness]) cube([base_length, base_width, base_thickness]);
-        for (x = [-servo_width / 2, servo_width / 2], side = [-1, 1])
-            translate([x, side * bracket_y(20), -base_thickness - 1]) cylinder(d = 4.3, h = base_thickness + 2);
+        block(-x, x, -y, y, -base_thickness, 0);
+        for (side = [-1, 1], at = [-foot_screw_x, foot_screw_x], row = foot_rows())
+            translate([at, side * (bracket_start + row), -base_thickness - e]) {
+                cylinder(d = screw, h = base_thickness + 2 * e);
+                cylinder(d = nut, h = nut_depth + e, $fn = 6);
+            }
+        for (at = [-x + base_hole_inset, x - base_hole_inset], side = [-y + base_hole_inset, y - base_hole_inset])
+            translate([at, side, -base_thickness - e]) cylinder(d = screw, h = base_thickness + 2 * e);
     }
 }
 
-// Where a bracket's point at that depth stands, counted from the middle.
-function bracket_y(depth = 0) = palm_width / 2 + bracket_thickness + gap + servo_depth + depth;
+module servo() {
+    block(-servo_width / 2, servo_width / 2, servo_start, bracket_start, servo_axis - servo_height, servo_axis);
+}
 
 module all() {
     translate([0, 0, axis_height]) {
-        rotate([0, -45, 0]) palm(1);
-        rotate([0, -135, 0]) mirror([0, 0, 1]) palm(-1);
+        color("steelblue") rotate([0, -angle1, 0]) palm();
+        color("indianred") rotate([0, 180 - angle2, 0]) rotate([0, 0, 180]) palm();
+        for (turn = [0, 180]) rotate([0, 0, turn]) color("dimgray") servo();
     }
-    for (side = [1, -1])
-        scale([1, side, 1]) translate([0, bracket_y(), 0]) bracket();
+    for (turn = [0, 180]) rotate([0, 0, turn]) translate([0, bracket_start, 0]) bracket();
     base();
 }
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from palmd.config.tabletop import STRIP_COUNTS, TABLETOP
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
 from palmd.devices.pad import pad_note
@@ -93,11 +94,15 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
         yield "counts_per_mm", Prompt("Its units for each mm, or reported: as the device reports them", REPORTED,
                                         reported_or(number(1e-3, 1000)))  # fmt: skip
         yield "pressure", Prompt("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+    if answers["pads"] == "strip":
+        yield "strip_start", Prompt("A strip begins to sense so many mm from the axis", f"{TABLETOP.strip_start:g}",
+                                    number(0, 100))  # fmt: skip
+        yield "strip_length", Prompt("It senses over so many mm", f"{TABLETOP.strip_length:g}", number(10, 500))
     yield "arm", Prompt(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
     yield "port", Prompt("It is at", "/dev/palmd-arm")
-    if answers["arm"] == "adept":
-        for palm in PALMS:
-            yield f"palm{palm}", Prompt(f"Palm {palm} is so many mm long", "120", number(10, 2000))
+    length = "120" if answers["arm"] == "adept" else f"{TABLETOP.palm_length:g}"
+    for palm in PALMS:
+        yield f"palm{palm}", Prompt(f"Palm {palm} is so many mm long", length, number(10, 2000))
     yield "tilt", Prompt("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
 
@@ -114,15 +119,18 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     arm: dict[str, Any] = {"kind": answers["arm"], "port": answers["port"]}
     if answers["arm"] == "dynamixel":
         rig["hinge"] = "fixed"
-    else:
-        lengths = [answers[f"palm{palm}"] for palm in PALMS]
-        rig |= {f"palm{palm}_length_mm": length for palm, length in zip(PALMS, lengths, strict=True)}
+    lengths = [answers[f"palm{palm}"] for palm in PALMS]
+    rig |= {f"palm{palm}_length_mm": length for palm, length in zip(PALMS, lengths, strict=True)}
+    if answers["arm"] == "adept":
         rig["base_mm"] = [lengths[0], 0.0]
     pad: dict[str, Any] = {"kind": answers["pads"]}
     if answers["pads"] == "evdev":
         pad |= {"zero_mm": 0.0, "pressure": answers["pressure"] == "yes"}
         if answers["counts_per_mm"] != REPORTED:
             pad["counts_per_mm"] = answers["counts_per_mm"]
+    if answers["pads"] == "strip":
+        start, active = answers["strip_start"], answers["strip_length"]
+        pad |= {"zero_mm": start, "length_mm": start + active, "counts_per_mm": round(STRIP_COUNTS / active, 2)}
     pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in PALMS}
     return {"rig": rig, "pads": pads, "arm": arm, "plan": PLAN}
 

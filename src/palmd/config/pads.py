@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
+from palmd.config.tabletop import TABLETOP
 from palmd.system.description import PadSensor
 
 
@@ -137,10 +138,12 @@ class StripConfig(PadBase):
 
     kind: Literal["strip"]
     """What kind of pad it is."""
-    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = -1.5
+    zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = TABLETOP.strip_start
     """Distance from the hinge of the place where the strip counts 0."""
-    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = 273.0
+    counts_per_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(5, 1000)] = TABLETOP.counts_per_mm
     """The strip's scale: 16383 counts over 60 mm."""
+    length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = TABLETOP.strip_end
+    """How far from the hinge the strip reaches."""
     newtons_per_count: Annotated[Positive, Plausible(0.00005, 0.05)] = 0.002
     """What one count of force is worth."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.15

@@ -6,7 +6,16 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from palmd.config.any_config import AnyConfig
 from palmd.config.arms import ArmConfig
@@ -23,6 +32,7 @@ from palmd.config.plans import (
     SwingFrequency,
     one_key_of,
 )
+from palmd.config.tabletop import TABLETOP
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.events import ObserverName
 from palmd.system.description import RigDescription
@@ -84,9 +94,9 @@ class RigConfig(Strict):
     base_mm: Annotated[Pair, Plausible(5, 2000, or_zero=True)] = (120.0, 0.0)
     """B, the fixed hinge at the far end of palm 1, in the world frame; of an arc hinge only."""
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
-    """From the hinge between the palms to B."""
+    """From the hinge between the palms to B; with `hinge: fixed` to palm 1's end, by default 75."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
-    """From the hinge between the palms to where the arm holds palm 2."""
+    """From the hinge between the palms to where the arm holds palm 2; with `hinge: fixed` to its end, by default 75."""
     palm1_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
     """Of the arc that palm 1 is, from the hinge on: 1/radius, > 0 a concave cradle, < 0 a dome, 0 flat."""
     palm2_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
@@ -104,6 +114,14 @@ class RigConfig(Strict):
         Discriminator(_imperfections_kind),
     ] = Field(default="none", exclude=True)  # excluded: the daemon's rig is the same whatever the emulated one is
     """Of the emulated rig alone: `none`, drawn from all the `_sd` (`calibrated`), or a block of what is off."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_drawn(cls, values: Any) -> Any:
+        """A fixed hinge is by default that of the tabletop rig."""
+        if not (isinstance(values, dict) and values.get("hinge") == "fixed"):
+            return values
+        return {f"palm{palm}_length_mm": TABLETOP.palm_length for palm in PALMS} | values
 
     @property
     def palm_lengths_mm(self) -> tuple[float, ...]:

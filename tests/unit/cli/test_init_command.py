@@ -15,9 +15,8 @@ def init(monkeypatch, path, lines, *arguments):
 
 
 def lines(pads, arm, tilt="90"):
-    of_pads = ["20", "y"] if pads == "evdev" else []
-    of_arm = ["100", "110"] if arm == "adept" else []
-    return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", *of_arm, tilt]
+    of_pads = {"evdev": ["20", "y"], "strip": ["3", "73.5"]}.get(pads, [])
+    return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", "100", "110", tilt]
 
 
 @pytest.mark.parametrize(
@@ -30,8 +29,12 @@ def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
     assert (config.arm.kind, config.rig.hinge) == (arm, "arc" if arm == "adept" else "fixed")
     assert [pad.port for pad in config.pads.each()] == ["/dev/a", "/dev/b"]
     assert config.plan.is_file()
+    assert config.rig.palm_lengths_mm == (100.0, 110.0)
     if arm == "adept":
-        assert (config.rig.palm_lengths_mm, config.rig.base_mm) == ((100.0, 110.0), (100.0, 0.0))
+        assert config.rig.base_mm == (100.0, 0.0)
+    if pads == "strip":
+        strip = config.pads.palm1
+        assert (strip.zero_mm, strip.length_mm, strip.counts_per_mm) == (3.0, 76.5, 222.9)
     if pads == "evdev":
         assert (config.pads.palm1.counts_per_mm, config.pads.palm1.pressure) == (20.0, True)
 
@@ -49,7 +52,7 @@ def test_a_tilted_table_pulls_less(monkeypatch, tmp_path):
 
 
 def test_a_bad_answer_is_asked_again_and_says_why(monkeypatch, tmp_path, capsys):
-    answers = ["pads", "s", "/dev/a", "/dev/b", "d", "/dev/c", "steep", "200", "45"]
+    answers = ["pads", "s", "/dev/a", "/dev/b", "", "", "d", "/dev/c", "", "", "steep", "200", "45"]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     said = capsys.readouterr().err
     assert "it must be one of versapad, strip, evdev" in said
@@ -79,7 +82,7 @@ def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):
 
 
 def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch, tmp_path, capsys):
-    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "90"]
+    answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90"]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
     assert "feels no plastic" in capsys.readouterr().err

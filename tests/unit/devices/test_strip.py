@@ -142,7 +142,7 @@ def test_a_strip_goes_from_bytes_to_events():
     driver = strip()
     (sample,) = driver.feed(encode(5460, 250, 0), 1.0)
     assert isinstance(sample, PadSample)
-    assert (sample.pad, sample.s, sample.force) == (2, pytest.approx(0.0185), pytest.approx(0.5))
+    assert (sample.pad, sample.s, sample.force) == (2, pytest.approx(2.5e-3 + 5460 / 273.05e3), pytest.approx(0.5))
     assert driver.touching
     (lift,) = driver.feed(encode(0, 0, 1, touched=False), 1.01)
     assert isinstance(lift, PadLift)

@@ -1,0 +1,122 @@
+"""`make kit`: the build folder, its checks, the list of parts, weights and forces."""
+
+import csv
+import io
+import shutil
+
+import numpy as np
+import pytest
+
+from palmd.config.tabletop import TABLETOP
+from palmd.config.two_palms import LimitsConfig
+from palmd.devices.strip import POSITION_MAX
+from tools.tabletop import firmware, kit, loads
+from tools.tabletop.assembly import assembled, collisions
+from tools.tabletop.mesh import Mesh, box, fits, inside, open_edges, overlaps, read_stl, turned
+from tools.tabletop.parts import STALL_NM, Choice, as_csv, parts_list
+
+CUBE = box((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
+
+
+def test_a_box_is_closed_and_a_hole_is_found():
+    assert CUBE.volume == pytest.approx(1000.0)
+    assert open_edges(CUBE) == 0
+    assert open_edges(Mesh(CUBE.triangles[1:])) > 0
+    inverted = Mesh(np.concatenate([CUBE.triangles[:1, ::-1], CUBE.triangles[1:]]))
+    assert open_edges(inverted) > 0, "a triangle that faces inwards"
+    assert fits(CUBE, 10.0)
+    assert not fits(CUBE, 9.9)
+
+
+def test_points_within_a_turned_box():
+    turn = turned("y", 30.0) @ turned("z", 20.0)
+    moved = CUBE.moved(turn, np.array([3.0, -2.0, 5.0]))
+    points = np.random.default_rng(1).uniform(-2.0, 12.0, (2000, 3))
+    within = np.all((points > 0.0) & (points < 10.0), axis=1)
+    assert (inside(moved, points @ turn.T + [3.0, -2.0, 5.0]) == within).all()
+
+
+@pytest.mark.parametrize(("shift", "overlap"), [((10.0, 0, 0), False), ((9.8, 0, 0), True), ((3.0, 3.0, 3.0), True)])
+def test_overlap_is_more_than_touching(shift, overlap):
+    small = box((0.0, 0.0, 0.0), (4.0, 4.0, 4.0)).moved(np.eye(3), np.array(shift))
+    assert overlaps(CUBE, small) is overlap
+    assert overlaps(small, CUBE) is overlap
+
+
+def test_every_part_has_a_number_with_its_source_or_a_specification():
+    found = parts_list()
+    assert {part.name for part in found.parts} >= {
+        "servo",
+        "servo adapter",
+        "supply",
+        "strip",
+        "strip board",
+        "bearing",
+    }
+    with pytest.raises(ValueError, match="source"):
+        Choice(maker="Somebody", number="X-1")
+    with pytest.raises(ValueError, match="specification"):
+        Choice(note="nothing")
+    rows = list(csv.DictReader(io.StringIO(as_csv(found))))
+    assert len(rows) == sum(len(part.choices) for part in found.parts)
+    assert all(row["source"] for row in rows if row["number"])
+
+
+def test_servos_are_strong_and_palms_stiff_enough():
+    worst = loads.worst(TABLETOP, LimitsConfig())
+    assert 4.0 * worst.torque_nm < STALL_NM
+    give = loads.deflection_mm(TABLETOP, worst.force_n, worst.s_mm)
+    assert give / worst.s_mm < np.radians(0.125), "half the servo's play"
+    assert loads.deflection_mm(TABLETOP, 0.1 * 9.81, 30.0) < 0.05, "what standoff_sd_mm says"
+
+
+def test_forces_balance_the_weight():
+    g, weight = TABLETOP, loads.LARGEST_KG * loads.GRAVITY_M_S2
+    load = loads.worst(g, LimitsConfig(phi1_deg=(44.0, 46.0), phi2_deg=(90.0, 92.0)), 20.0)
+    assert load.force_n == pytest.approx(weight / 2**0.5, rel=0.06)
+    assert load.s_mm == pytest.approx(20.0, rel=0.04)
+    assert load.torque_nm == pytest.approx((load.force_n * load.s_mm + 0.019 * 9.81 * 26.5) * 1e-3, rel=0.05)
+
+
+def test_without_the_programs_it_says_what_is_skipped(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    lines = kit.make(tmp_path / "kit", TABLETOP)
+    assert {path.name for path in (tmp_path / "kit").iterdir()} == set(kit.TEXTS)
+    assert sum("skipped" in line and "apt-get install" in line for line in lines) == 3
+
+
+def test_another_measure_is_taken_and_a_wrong_one_is_refused(tmp_path, capsys):
+    assert kit.changed(["strip_length=73.5"]).strip_end == 76.0
+    assert kit.main(["-o", str(tmp_path), "--set", "strip=3"]) == 1
+    assert "no measure is called 'strip'" in capsys.readouterr().err
+    assert kit.main(["-o", str(tmp_path), "--set", "strip_length=long"]) == 1
+    assert "is no number" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("openscad") is None, reason="openscad is not installed")
+def test_printed_parts_are_closed_fit_the_bed_and_do_not_overlap(tmp_path):
+    for name in ("parameters.scad",):
+        (tmp_path / name).write_text(kit.TEXTS[name](TABLETOP))
+    assert len(kit.printed(tmp_path, TABLETOP)) == 4
+    parts = {name: read_stl(tmp_path / f"{name}.stl") for name in ("palm", "bracket", "base")}
+    assert parts["base"].size == pytest.approx((TABLETOP.base_length, TABLETOP.base_width, TABLETOP.base_thickness))
+    palm = parts["palm"].triangles.reshape(-1, 3)
+    assert palm[:, 0].max() == pytest.approx(TABLETOP.palm_length)
+    assert palm[:, 1].max() == pytest.approx(TABLETOP.cheek_end)
+    assert parts["palm"].volume * 1e-9 * loads.PLA_KG_M3 == pytest.approx(loads.palm_mass_kg(TABLETOP), rel=0.1)
+    thick = {**parts, "palm": parts["palm"].moved(np.eye(3), np.array([0.0, 0.3, 0.0]))}
+    assert any("palm 1 and palm 2" in line for line in collisions(TABLETOP, thick)), "each 0.3 mm out of 0.5"
+    assert set(assembled(TABLETOP, parts, 45.0, 135.0)) >= {"palm 1", "palm 2", "servo 1", "bracket 2", "base"}
+
+
+@pytest.mark.skipif(
+    shutil.which("avr-g++") is None or not firmware.ARDUINO.is_dir(), reason="no AVR compiler or Arduino core"
+)
+def test_the_strips_firmware_is_built_for_a_board(tmp_path):
+    assert firmware.build(tmp_path)["strip-atmega32u4.hex"].startswith("built")
+    assert 2000 < firmware.flash_bytes(tmp_path / "strip-atmega32u4.hex") < firmware.FLASH_BYTES
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_ten_bits_read_four_times_are_within_the_packets_range():
+    assert POSITION_MAX >= 4 * 4 * 1023

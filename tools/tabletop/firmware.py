@@ -1,0 +1,84 @@
+"""The strip's firmware, built with what Debian has: for boards with an ATmega32U4, and its core for a Cortex-M0+."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+FIRMWARE = Path(__file__).parents[1] / "strip"
+ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
+AVR_PACKAGES = "gcc-avr avr-libc arduino-core-avr"
+ARM_PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi"
+MCU = "atmega32u4"
+FLASH_BYTES = 28672
+"""What the bootloader leaves of the ATmega32U4's flash."""
+
+_AVR = (
+    f"-mmcu={MCU} -DF_CPU=16000000L -DARDUINO=10808 -DARDUINO_AVR_MICRO -DARDUINO_ARCH_AVR -DUSB_VID=0x2341"
+    ' -DUSB_PID=0x8037 -DUSB_MANUFACTURER="palmd" -DUSB_PRODUCT="strip" -DDECIMAL_DIG=17'
+    " -Os -w -ffunction-sections -fdata-sections"
+).split()
+_STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-Os", "-c")
+
+
+class FirmwareError(Exception):
+    """A compiler found fault with the firmware."""
+
+
+def build(folder: Path) -> dict[str, str]:
+    """By file, that it was built into the folder or why it was skipped; raises FirmwareError for a faulty source."""
+    return {"strip-atmega32u4.hex": _hex(folder), "strip-cortex-m0plus.o": _core(folder)}
+
+
+def _hex(folder: Path) -> str:
+    """The whole firmware for an Arduino Micro or Leonardo, as avrdude takes it."""
+    if shutil.which("avr-g++") is None or not ARDUINO.is_dir():
+        return f"skipped: no AVR compiler or Arduino core (apt-get install {AVR_PACKAGES})"
+    core, work = ARDUINO / "cores/arduino", folder / "objects"
+    work.mkdir(exist_ok=True)
+    include = [f"-I{path}" for path in (core, ARDUINO / "variants/micro", FIRMWARE)]
+    sketch = work / "strip.ino.cpp"
+    sketch.write_text("#include <Arduino.h>\n" + (FIRMWARE / "strip.ino").read_text(encoding="utf-8"), encoding="utf-8")
+    sources = [sketch, FIRMWARE / "strip.c", *sorted(each for each in core.iterdir() if each.suffix in (".c", ".cpp"))]
+    objects = []
+    for source in sources:
+        cpp = source.suffix == ".cpp"
+        options = ["-std=gnu++11", "-fno-exceptions", "-fno-threadsafe-statics"] if cpp else ["-std=gnu11"]
+        objects.append(str(work / f"{source.name}.o"))
+        _run("avr-g++" if cpp else "avr-gcc", *_AVR, *options, *include, "-c", str(source), "-o", objects[-1])
+    program = str(work / "strip.elf")
+    _run("avr-gcc", f"-mmcu={MCU}", "-Os", "-Wl,--gc-sections", *objects, "-lm", "-o", program)
+    target = folder / "strip-atmega32u4.hex"
+    _run("avr-objcopy", "-O", "ihex", "-R", ".eeprom", program, str(target))
+    used = flash_bytes(target)
+    if used > FLASH_BYTES:
+        raise FirmwareError(f"{target.name} needs {used} bytes of flash, the board has {FLASH_BYTES}")
+    shutil.rmtree(work)
+    return f"built: {used} of {FLASH_BYTES} bytes of flash"
+
+
+def _core(folder: Path) -> str:
+    """The part that knows no board, strictly, for the processor of an RP2040 or SAMD21."""
+    if shutil.which("arm-none-eabi-gcc") is None:
+        return f"skipped: no ARM compiler (apt-get install {ARM_PACKAGES})"
+    target = folder / "strip-cortex-m0plus.o"
+    _run("arm-none-eabi-gcc", "-mcpu=cortex-m0plus", "-mthumb", *_STRICT, str(FIRMWARE / "strip.c"), "-o", str(target))
+    return "built: the core alone; the board's own tools build strip.ino round it"
+
+
+def flash_bytes(path: Path) -> int:
+    """How many bytes an Intel HEX file fills; raises ValueError for a record whose checksum is wrong."""
+    total = 0
+    for line in path.read_text(encoding="ascii").splitlines():
+        record = bytes.fromhex(line.removeprefix(":"))
+        if sum(record) % 256:
+            raise ValueError(f"{path.name}: a record with a wrong checksum: {line}")
+        total += record[0] if record[3] == 0 else 0
+    return total
+
+
+def _run(*command: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise FirmwareError(f"{' '.join(command)}\n{done.stderr.strip()}")

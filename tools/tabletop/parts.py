@@ -1,0 +1,160 @@
+"""The tabletop rig's bill of materials: read from parts.yaml, written as a page and as CSV. Pure but for reading."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palmd.config.tabletop import TABLETOP, Tabletop
+from palmd.config.two_palms import LimitsConfig
+from tools.tabletop import loads
+
+SOURCE = Path(__file__).with_name("parts.yaml")
+STALL_NM = 1.4
+"""Of the weakest servo in the list, an XL430-W250 at 11.1 V."""
+COLUMNS = ("part", "quantity", "choice", "maker", "number", "specification", "price_usd", "note", "source")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One thing that may be bought: a maker's number from a source, or a specification."""
+
+    specification: str = ""
+    maker: str = ""
+    number: str = ""
+    source: str = ""
+    price_usd: float | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a number without a source, and for neither number nor specification."""
+        if bool(self.number) == bool(self.specification) or (self.number and not (self.maker and self.source)):
+            raise ValueError(f"needs a maker's number with its source, or a specification: {self}")
+
+    @property
+    def words(self) -> str:
+        """As it stands in the table."""
+        name = f"{self.maker} {self.number}" if self.number else self.specification
+        price = f", about {self.price_usd:.0f} US$" if self.price_usd is not None else ""
+        return name + price + (f" ({self.note})" if self.note else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What is needed, how many, and what may be bought for it."""
+
+    name: str
+    quantity: int
+    choices: tuple[Choice, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PartsList:
+    """All parts; `sources` by their names, read in the month `read`."""
+
+    read: str
+    sources: Mapping[str, str]
+    parts: tuple[Part, ...]
+
+
+def parts_list(path: Path = SOURCE) -> PartsList:
+    """The list; raises ValueError, KeyError or TypeError for a file that is not in order."""
+    raw: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    parts = tuple(
+        Part(
+            each["name"], each["quantity"], tuple(Choice(**choice) for choice in each["choices"]), each.get("note", "")
+        )
+        for each in raw["parts"]
+    )
+    unknown = {choice.source for part in parts for choice in part.choices if choice.source} - raw["sources"].keys()
+    if unknown:
+        raise ValueError(f"{path}: no source is called {', '.join(sorted(unknown))}")
+    return PartsList(raw["read"], raw["sources"], parts)
+
+
+def as_csv(found: PartsList) -> str:
+    """A row for each choice."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    for part in found.parts:
+        for number, choice in enumerate(part.choices, 1):
+            price = "" if choice.price_usd is None else f"{choice.price_usd:g}"
+            note = "; ".join(filter(None, (choice.note, part.note if number == 1 else "")))
+            rows.writerow((part.name, part.quantity, number, choice.maker, choice.number, choice.specification, price,
+                           note, found.sources.get(choice.source, "")))  # fmt: skip
+    return out.getvalue()
+
+
+def page() -> str:
+    """docs/start/parts.md."""
+    found = parts_list()
+    rows = [
+        (str(part.quantity or "–"), part.name, "<br>or ".join(choice.words for choice in part.choices), part.note)
+        for part in found.parts
+    ]
+    return _PAGE.format(
+        read=found.read,
+        rows="\n".join(f"| {' | '.join(row)} |" for row in rows),
+        active=TABLETOP.strip_length,
+        loads="\n".join(f"| {what} | {value} |" for what, value in _loads(TABLETOP).items()),
+        sources="\n".join(f"- {name}: {text}" for name, text in found.sources.items()),
+    )
+
+
+def _loads(g: Tabletop) -> dict[str, str]:
+    worst = loads.worst(g, LimitsConfig())
+    give = loads.deflection_mm(g, worst.force_n, worst.s_mm)
+    usual = loads.deflection_mm(g, 0.1 * loads.GRAVITY_M_S2 / 2**0.5, 20.0)
+    phi1, phi2 = worst.angles_deg
+    return {
+        "printed palm": f"{loads.palm_mass_kg(g) * 1e3:.0f} g",
+        "largest object": f"{loads.LARGEST_KG * 1e3:.0f} g, radius {loads.LARGEST_RADIUS_MM:g} mm",
+        "largest torque on a servo": f"{worst.torque_nm:.2f} N·m, at φ1 {phi1:g}°, φ2 {phi2:g}°:"
+        f" {worst.force_n:.1f} N at {worst.s_mm:.0f} mm",
+        f"stall torque of the weakest servo, {STALL_NM:g} N·m, over that": f"{STALL_NM / worst.torque_nm:.1f}",
+        "deflection of the palm there": f"{give:.2f} mm, {math.degrees(give / worst.s_mm):.2f}°",
+        "deflection under an object of 100 g, 20 mm from the axis": f"{usual * 1e3:.0f} µm",
+    }
+
+
+_PAGE = """# Parts of the tabletop rig
+
+`make kit` writes this list as `build/kit/parts.csv`. Prices are approximate, of one piece, as the makers' pages
+stood when they were read ({read}); parts without a price were not looked up. No such rig has been built yet:
+measure each part before you print.
+
+| | part | what to buy | what matters |
+| --- | --- | --- | --- |
+{rows}
+
+## The strip's length
+
+The drawing is for an active length of {active:g} mm. Interlink's strip is cut at 1, 2 or 3 inch, which leaves other
+active lengths. Cut it, measure where it begins and stops to sense, and have parts and configuration follow:
+
+```
+make kit KIT="--set strip_length=73.7 --set palm_length=88"
+palmd init my.yaml
+```
+
+## Weights and forces
+
+| | |
+| --- | --- |
+{loads}
+
+`tools/tabletop/loads.py` has the formulas; the tests hold the limits.
+
+## Sources
+
+{sources}
+"""
