@@ -57,6 +57,19 @@ def arcs_of(support: SupportFunction, count: int = _ARCS) -> ArcSupport:
     return ArcSupport(tuple(theta.tolist()), tuple(v.tolist()), tuple(centres))
 
 
+def _share(gained: pymunk.Vec2d, palm: int, touches: dict[int, tuple[float, float, float]]) -> float:
+    """What the impulse that the engine tells of a palm must be multiplied by for both to give what the body has gained.
+
+    It tells 0.6 % too much, in the mean.
+    """
+    ix, iy, _ = touches[palm]
+    if len(touches) == 1:
+        return (gained.x * ix + gained.y * iy) / max(ix * ix + iy * iy, 1e-30)
+    ox, oy, _ = touches[1 - palm]
+    across = ix * oy - iy * ox
+    return (gained.x * oy - gained.y * ox) / across if across else 1.0
+
+
 def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
     """Runs the scene; see `tools.studies.engines.scene.Engine`."""
     run, q = scene.run, scene.start
@@ -81,12 +94,14 @@ def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> Engin
         surface.collision_type = number + 1
     space.add(moving, *discs, *palms, *surfaces)
     rows, normals = RunRows(q), [(0.0, 0.0), (0.0, 0.0)]
+    touches: dict[int, tuple[float, float, float]] = {}
 
     def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         del space, data
         palm = max(shape.collision_type for shape in arbiter.shapes) - 1
         (nx, ny), impulse = normals[palm], arbiter.total_impulse
-        rows.press(palm, abs(impulse.x * nx + impulse.y * ny), -arbiter.contact_point_set.points[0].distance)
+        side = math.copysign(1.0, impulse.x * nx + impulse.y * ny)
+        touches[palm] = side * impulse.x, side * impulse.y, -arbiter.contact_point_set.points[0].distance
 
     for palm in PALMS:
         space.on_collision(palm, 0, post_solve=pressed)
@@ -103,7 +118,13 @@ def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> Engin
                     in_use[number] = arc
                     discs[number].unsafe_set_radius(outline.radii[arc])
                     discs[number].unsafe_set_offset(outline.centres[arc])
+            touches.clear()
+            before = moving.velocity
             space.step(STEP_S / steps)
+            gained = body.mass * (moving.velocity - before - STEP_S / steps * space.gravity)
+            for palm, (ix, iy, depth) in touches.items():
+                (nx, ny), share = normals[palm], _share(gained, palm, touches)
+                rows.press(palm, share * (ix * nx + iy * ny), depth)
         x, y = moving.position
         if not rows.end(x, y, moving.angle, moving.angular_velocity):
             break
