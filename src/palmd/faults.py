@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Literal
 
 from palmd.system.mechanism import PALMS
-from palmd.system.three_palms import PALMS as ALL_PADS
+from palmd.system.naming import PAD_NUMBERS
 
 
 class Severity(StrEnum):
@@ -296,7 +296,7 @@ FAULTS: tuple[Fault, ...] = (
         "a servo has let go, or has started anew and lost its settings",
         "check its supply and cable, hold the palms, then reset",
     ),
-    *(fault for number in ALL_PADS for fault in _pad(number)),
+    *(fault for number in PAD_NUMBERS for fault in _pad(number)),
     Fault(
         "force-limit",
         Severity.HOLD,

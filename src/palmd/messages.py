@@ -13,10 +13,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from operator import attrgetter, itemgetter
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from palmd.events import (
     Estimate,
@@ -34,16 +36,18 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.jsonvalues import or_none
-from palmd.quantities import ESTIMATE, EVENTS, LOG, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
 from palmd.system.rig_constants import RIG_NAMES, said_off
 from palmd.topics import TOPICS
 
 if TYPE_CHECKING:
+    from palmd.config.any_config import AnyConfig
     from palmd.config.two_palms import Config
 
 Fields = dict[str, Any]
+Answer = TypeVar("Answer")
 
 _TOLD = {q.name: q.source for q in ESTIMATE.quantities if q.source and not q.uncertain}
 _UNCERTAIN = {q.name: q.source for q in ESTIMATE.quantities if q.uncertain}
@@ -191,38 +195,67 @@ _EVENTS = EventsForm(EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 
 
-def improvement_fields(t_tick: float, answer: Improvement) -> Fields:
-    """`palm/improvement`, heard in the tick at `t_tick` (s)."""
-    return {
-        "t_tick_s": t_tick,
-        "t_s": answer.t,
-        "x": answer.x.tolist(),
-        "covariance": answer.P.ravel().tolist(),
-        "frame": answer.frame,
-        "established": answer.established,
-        "touched": answer.touched.astype(int).tolist(),
-        "rig": answer.rig.tolist(),
-        "rig_sd": answer.rig_sd.tolist(),
-        "spread": answer.spread.ravel().tolist(),
-        "contradicted": answer.contradicted.tolist(),
-    }
+class AnswerForm(Generic[Answer]):
+    """A smoother's answer as a topic, there and back: the `source` of a quantity is the attribute that it has."""
+
+    def __init__(
+        self,
+        topic: Topic,
+        made: Callable[..., Answer],
+        *,
+        absent: Mapping[str, Any] = MappingProxyType({}),
+        plain_first: bool = False,
+        vectors: bool = False,
+    ) -> None:
+        """`made` makes an answer of its attributes, arrays laid flat.
+
+        absent: what a field is where older recordings have none. plain_first: the fields are not in the topic's order,
+        but arrays follow the others. vectors: arrays stay arrays, which are packed sooner, else they become lists, and
+        `touched` whole numbers.
+        """
+        told = [(each.name, each.source, each.kind == "numbers") for each in topic.quantities if each.source]
+        self._told = sorted(told, key=itemgetter(2)) if plain_first else told
+        self._made, self._absent, self._vectors = made, absent, vectors
+
+    def fields_of(self, t: float, answer: Answer) -> Fields:
+        """Of an answer heard in the tick at `t` (s)."""
+        fields: Fields = {TICK.name: t}
+        for name, source, is_array in self._told:
+            value = getattr(answer, source)
+            fields[name] = self._listed(name, value) if is_array else value
+        return fields
+
+    def answer_of(self, fields: Mapping[str, Any]) -> Answer:
+        """The answer that `fields_of` was given, bit for bit; raises KeyError, ValueError for other fields."""
+        known = {**self._absent, **fields}
+        told = ((source, known[name], is_array) for name, source, is_array in self._told)
+        return self._made(**{source: _array(value) if is_array else value for source, value, is_array in told})
+
+    def _listed(self, name: str, value: npt.NDArray[Any]) -> Any:
+        flat = value.ravel()
+        if self._vectors:
+            return flat
+        return (flat.astype(int) if name == "touched" else flat).tolist()
 
 
-def improvement_of(fields: Mapping[str, Any]) -> Improvement:
-    """The answer that `improvement_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
-    x, covariance, rig, spread = (_array(fields[name]) for name in ("x", "covariance", "rig", "spread"))
+def _improvement(
+    *,
+    P: FloatArray,  # noqa: N803 -- as the attribute is called
+    touched: FloatArray,
+    spread: FloatArray,
+    **told: Any,
+) -> Improvement:
     return Improvement(
-        fields["t_s"],
-        x,
-        covariance.reshape(len(x), -1),
-        fields["frame"],
-        fields["established"],
-        np.array(fields["touched"], dtype=np.bool_),
-        rig,
-        _array(fields.get("rig_sd", ())),
-        spread.reshape(-1, len(rig)),
-        _array(fields.get("contradicted", ())),
+        **told,
+        P=P.reshape(len(told["x"]), -1),
+        touched=touched.astype(np.bool_),
+        spread=spread.reshape(-1, len(told["rig"])),
     )
+
+
+_IMPROVEMENT = AnswerForm(IMPROVEMENT, _improvement, absent={"rig_sd": (), "contradicted": ()})
+improvement_fields, improvement_of = _IMPROVEMENT.fields_of, _IMPROVEMENT.answer_of
+"""`palm/improvement`, there and back."""
 
 
 def _array(values: Sequence[float]) -> FloatArray:
@@ -406,22 +439,30 @@ def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
     return tuple(LogEntry(*row) for row in zip(*(fields[name] for name in _LOG_COLUMNS), strict=True))
 
 
+def who_runs(version: str, observer: str, config: AnyConfig, system: str = "") -> Fields:
+    """What a system's info begins with; `system` is its name, which two palms leave out."""
+    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
+
+    return {
+        "version": version,
+        "schema": SCHEMA,
+        **({"system": system} if system else {}),
+        "config_hash": config_hash(config),
+        "observer": observer,
+        "rate_hz": config.loop.rate_hz,
+        "units": UNITS,
+    }
+
+
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
     """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
-    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
     from palmd.config.guards import pad_force_limits
 
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
     lengths_mm |= {f"pad{palm}": pad.length_mm for palm, pad in zip(PALMS, config.pads.each(), strict=True)}
     ranges_deg = dict(zip(JOINTS, limits.angles_deg, strict=True))
-    return {
-        "version": version,
-        "schema": SCHEMA,
-        "config_hash": config_hash(config),
-        "observer": observer,
-        "rate_hz": config.loop.rate_hz,
-        "units": UNITS,
+    return who_runs(version, observer, config) | {
         "hinge": rig.hinge,
         "gravity_m_s2": rig.gravity_m_s2,
         "base_m": [place * 1e-3 for place in rig.base_mm],

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from palmd import messages
-from palmd.events import ShapeEstimate
-from palmd.messages import EventsForm, Fields
-from palmd.pivot_quantities import PIVOT, PIVOT_EVENTS
-from palmd.quantities import SCHEMA, UNITS
+from palmd.events import FloatArray, ShapeEstimate
+from palmd.messages import AnswerForm, EventsForm, Fields
+from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
 if TYPE_CHECKING:
@@ -43,42 +40,19 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm/pivot_events`, there and back."""
 
 
-def answer_fields(t_tick: float, answer: PivotAnswer) -> Fields:
-    """`palm/pivot_answer`, heard in the tick at `t_tick` (s)."""
-    return {
-        "t_tick_s": t_tick,
-        "t_s": answer.t,
-        "claimed": answer.claimed,
-        "reason": answer.reason,
-        "psi_rad": answer.psi,
-        "p": answer.p.tolist(),
-        "covariance": answer.covariance.ravel().tolist(),
-        "hP_sd_m": answer.h_sd.tolist(),
-        "touched": answer.touched.astype(int).tolist(),
-    }
+def _shaped(covariance: FloatArray, **told: Any) -> PivotAnswer:
+    width = len(told["p"])
+    return PivotAnswer(**told, covariance=covariance.reshape(width, width))
 
 
-def answer_of(fields: Mapping[str, Any]) -> PivotAnswer:
-    """The answer that `answer_fields` was given, bit for bit; raises KeyError, ValueError for other fields."""
-    p, h_sd, touched = (np.array(fields[name], dtype=np.float64) for name in ("p", "hP_sd_m", "touched"))
-    covariance = np.array(fields["covariance"], dtype=np.float64).reshape(len(p), len(p))
-    return PivotAnswer(
-        fields["t_s"], fields["claimed"], fields["reason"], fields["psi_rad"], p, covariance, h_sd, touched
-    )
+_ANSWER = AnswerForm(PIVOT_ANSWER, _shaped)
+answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
+"""`palm/pivot_answer`, there and back."""
 
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
     """`palm/pivot_info`: who runs, and the rig as configured, for whoever draws it."""
-    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
-
-    return {
-        "version": version,
-        "schema": SCHEMA,
-        "system": SYSTEM,
-        "config_hash": config_hash(config),
-        "observer": observer,
-        "rate_hz": config.loop.rate_hz,
-        "units": UNITS,
+    return messages.who_runs(version, observer, config, SYSTEM) | {
         "gravity_m_s2": config.rig.gravity_m_s2,
         "pad1_length_m": config.pads.palm1.length_mm * 1e-3,
         **{

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from palmd.quantities import MOTION, TICK, Quantity, SystemTopics, Topic, following
-from palmd.system.pivot import AXES
+from palmd.quantities import MOTION, PLANS_BESIDE, TICK, Quantity, SystemTopics, Topic, following, who_runs
+from palmd.system.pivot import AXES, SYSTEM
 
 PIVOT = Topic(
     "palm/pivot",
@@ -97,35 +97,33 @@ PIVOT_ANSWER = Topic(
     "when the smoother beside the loop has answered, of a pivoting grasp",
     (
         TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
-        Quantity("claimed", "bool", "", "whether an outline is claimed"),
-        Quantity("reason", "text", "", "why none is, in words"),
-        Quantity("psi_rad", "number", "rad", "turn of the object at that instant"),
+        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC", source="t"),
+        Quantity("claimed", "bool", "", "whether an outline is claimed", source="claimed"),
+        Quantity("reason", "text", "", "why none is, in words", source="reason"),
+        Quantity("psi_rad", "number", "rad", "turn of the object at that instant", source="psi"),
         Quantity(
-            "p", "numbers", "SI", "the constants: of the body about its pivot, of the rig, the outline's harmonics"
+            "p",
+            "numbers",
+            "SI",
+            "the constants: of the body about its pivot, of the rig, the outline's harmonics",
+            source="p",
         ),
-        Quantity("covariance", "numbers", "SI", "of them, row after row"),
-        Quantity("hP_sd_m", "numbers", "m", "one-sigma of the outline, each degree of its normals"),
-        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each degree of its normals"),
+        Quantity("covariance", "numbers", "SI", "of them, row after row", source="covariance"),
+        Quantity("hP_sd_m", "numbers", "m", "one-sigma of the outline, each degree of its normals", source="h_sd"),
+        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each degree of its normals", source="touched"),
     ),
-)
+)  # fmt: skip
 PIVOT_INFO = Topic(
     "palm/pivot_info",
     1.0,
     "of a pivoting grasp",
     (
-        Quantity("version", "text", "", "of palmd"),
-        Quantity("schema", "number", "", "of these messages"),
-        Quantity("system", "text", "", "pivot"),
-        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
-        Quantity("observer", "text", "", "the observer that runs"),
-        Quantity("rate_hz", "number", "Hz", "of the ticks"),
-        Quantity("units", "text", "", "where the units are"),
+        *who_runs(SYSTEM),
         Quantity("gravity_m_s2", "number", "m/s²", "towards the pad"),
         Quantity("pad1_length_m", "number", "m", "the pad, from its zero on"),
         *(Quantity(f"{axis}_limits_m", "numbers", "m", f"least and largest {axis} of the pivot") for axis in AXES),
         Quantity("force_limit_n", "number", "N", "what the body may press on the pad"),
-        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
+        PLANS_BESIDE,
     ),
 )
 PIVOT_TRUTH = Topic(

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmd.events import DECIDED
-from palmd.system import three_palms
 from palmd.system.mechanism import ENDS, JOINT_MEANINGS, PALMS
+from palmd.system.naming import PAD_NUMBERS
 from palmd.system.rig_constants import RIG_TABLE
 
 SCHEMA = 1
@@ -352,7 +352,7 @@ LOOP = Topic(
         Quantity("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in their order"),
         *(
             Quantity(f"{port}_*", "number", "", f"what has passed on the {port} port since the start, by cause")
-            for port in dict.fromkeys((*ENDS, *(f"pad{number}" for number in three_palms.PALMS)))
+            for port in dict.fromkeys((*ENDS, *(f"pad{number}" for number in PAD_NUMBERS)))
         ),
         Quantity("bus_*", "number", "", "what has passed on the bus since the start"),
         Quantity("lag_ms", "number", "ms", "by how much the arm follows its set-points, estimated"),
@@ -366,17 +366,30 @@ LOOP = Topic(
         Quantity("backend", "text", "", "what runs the models: c, vm or numpy"),
     ),
 )  # fmt: skip
+
+
+def who_runs(system: str = "") -> tuple[Quantity, ...]:
+    """What the info of every system begins with; two palms do not name themselves."""
+    return (
+        Quantity("version", "text", "", "of palmd"),
+        Quantity("schema", "number", "", "of these messages"),
+        *((Quantity("system", "text", "", system),) if system else ()),
+        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
+        Quantity("observer", "text", "", "the observer that runs"),
+        Quantity("rate_hz", "number", "Hz", "of the ticks"),
+        Quantity("units", "text", "", "where the units are"),
+    )
+
+
+PLANS_BESIDE = Quantity(
+    "plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"
+)
 INFO = Topic(
     "palm/info",
     1.0,
     "",
     (
-        Quantity("version", "text", "", "of palmd"),
-        Quantity("schema", "number", "", "of these messages"),
-        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
-        Quantity("observer", "text", "", "the observer that runs"),
-        Quantity("rate_hz", "number", "Hz", "of the ticks"),
-        Quantity("units", "text", "", "where the units are"),
+        *who_runs(),
         Quantity("hinge", "text", "", "what joins the palms: arc or fixed"),
         Quantity("gravity_m_s2", "number", "m/s²", "in the plane of the palms"),
         Quantity(
@@ -393,7 +406,7 @@ INFO = Topic(
         Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
         Quantity("joints", "texts", "", "the joint that turns each palm against the one before, as in <joint>_rad"),
         Quantity("sides", "numbers", "", "where the object is, seen along each palm from the hinge: 1 left, -1 right"),
-        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
+        PLANS_BESIDE,
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
         Quantity("force_limit_n", "numbers", "N", "what may press on each pad, palm by palm"),
@@ -427,18 +440,24 @@ IMPROVEMENT = Topic(
     "when the smoother beside the loop has answered",
     (
         TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
-        Quantity("x", "numbers", "SI", "mean of the shape map's state"),
-        Quantity("covariance", "numbers", "SI", "of that state, were `rig` right, row after row"),
-        Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before"),
-        Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept"),
-        Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0"),
-        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of `palm/rig`"),
-        Quantity("rig_sd", "numbers", "SI", "one-sigma of each"),
-        Quantity("spread", "numbers", "SI", "what one-sigma steps of what is open of `rig` move: state, then `rig`"),
-        Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0"),
+        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC", source="t"),
+        Quantity("x", "numbers", "SI", "mean of the shape map's state", source="x"),
+        Quantity("covariance", "numbers", "SI", "of that state, were `rig` right, row after row", source="P"),
+        Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before",
+                 source="frame"),
+        Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept",
+                 source="established"),
+        Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0",
+                 source="touched"),
+        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of `palm/rig`",
+                 source="rig"),
+        Quantity("rig_sd", "numbers", "SI", "one-sigma of each", source="rig_sd"),
+        Quantity("spread", "numbers", "SI", "what one-sigma steps of what is open of `rig` move: state, then `rig`",
+                 source="spread"),
+        Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0",
+                 source="contradicted"),
     ),
-)
+)  # fmt: skip
 UNEXPLAINED = Topic(
     "palm/unexplained",
     0.0,

@@ -61,6 +61,8 @@ class SystemParts:
     """How its event logs are read, estimated and reconstructed: a `palmd.record.systems.System`."""
     live: LiveParts | None = None
     """None where there are logs only."""
+    log_report: str = ""
+    """What makes the report of a reconstructed event log; empty where only recordings have one."""
 
 
 SYSTEMS: Mapping[str, SystemParts] = {
@@ -114,6 +116,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
             "three_palms",
             "three palms in space",
             log="palmd.record.systems.three_palms:SYSTEM",
+            log_report="palmd.report.command:run_body",
             live=LiveParts(
                 manual="docs/start/three-palms.md",
                 demo="three_palms.yaml",

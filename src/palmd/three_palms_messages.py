@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from palmd import messages
-from palmd.events import FloatArray, ShapeEstimate
-from palmd.messages import EventsForm, Fields
-from palmd.quantities import SCHEMA, UNITS
+from palmd.events import ShapeEstimate
+from palmd.messages import AnswerForm, EventsForm, Fields
 from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS, SYSTEM, BodyAnswer, BodyEstimate
-from palmd.three_palms_quantities import PALM3, PALM3_EVENTS
+from palmd.three_palms_quantities import PALM3, PALM3_ANSWER, PALM3_EVENTS
 
 if TYPE_CHECKING:
     from palmd.config.three_palms import ThreePalmsConfig
@@ -63,48 +60,6 @@ _EVENTS = EventsForm(PALM3_EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm3/events`, there and back."""
 
-_ARRAYS = {
-    "R": "R",
-    "omega_rad_s": "omega",
-    "p": "p",
-    "covariance": "covariance",
-    "h_m": "h",
-    "h_sd_m": "h_sd",
-    "touched": "touched",
-    "inertia_sd_m2": "inertia_sd",
-}
-_PLAIN = {
-    "t_s": "t",
-    "begun_s": "begun",
-    "claimed": "claimed",
-    "reason": "reason",
-    "hypotheses": "hypotheses",
-    "mass_kg": "mass",
-    "mass_sd_kg": "mass_sd",
-    "rough_m": "rough",
-}
-
-
-def answer_fields(t_tick: float, answer: BodyAnswer) -> Fields:
-    """`palm3/answer`, heard in the tick at `t_tick` (s); lists of numbers are vectors, which are packed sooner."""
-    return (
-        {"t_tick_s": t_tick}
-        | {name: getattr(answer, attribute) for name, attribute in _PLAIN.items()}
-        | {name: getattr(answer, attribute).ravel() for name, attribute in _ARRAYS.items()}
-    )
-
-
-def answer_of(fields: Mapping[str, Any]) -> BodyAnswer:
-    """The answer that `answer_fields` was given, bit for bit; raises KeyError, ValueError for other fields.
-
-    Without `rough_m`, as older recordings are, readings are taken to be missed by their noise alone.
-    """
-    arrays: dict[str, FloatArray] = {
-        attribute: np.array(fields[name], dtype=np.float64) for name, attribute in _ARRAYS.items()
-    }
-    plain = {"rough_m": 0.0, **fields}
-    return shaped(**{attribute: plain[name] for name, attribute in _PLAIN.items()}, **arrays)
-
 
 def shaped(**told: Any) -> BodyAnswer:
     """An answer whose matrices have been laid flat."""
@@ -113,20 +68,17 @@ def shaped(**told: Any) -> BodyAnswer:
     return BodyAnswer(**told | square)
 
 
+_ANSWER = AnswerForm(PALM3_ANSWER, shaped, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
+answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
+"""`palm3/answer`, there and back."""
+
+
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
     """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
-    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
     from palmd.config.guards import pad_force_limits
 
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))
-    return {
-        "version": version,
-        "schema": SCHEMA,
-        "system": SYSTEM,
-        "config_hash": config_hash(config),
-        "observer": observer,
-        "rate_hz": config.loop.rate_hz,
-        "units": UNITS,
+    return messages.who_runs(version, observer, config, SYSTEM) | {
         "mechanism": MECHANISM,
         "joints": list(JOINTS),
         "palms": list(PALMS),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from palmd.quantities import MOTION, TICK, Quantity, SystemTopics, Topic
-from palmd.system.three_palms import JOINTS, PALMS
+from palmd.quantities import MOTION, PLANS_BESIDE, TICK, Quantity, SystemTopics, Topic, who_runs
+from palmd.system.three_palms import JOINTS, PALMS, SYSTEM
 
 WORLD_AXES = ("x", "y", "z")
 INERTIA_ENTRIES = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -124,36 +124,44 @@ PALM3_ANSWER = Topic(
     "when the smoother beside the loop has answered, of three palms in space",
     (
         TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC"),
-        Quantity("begun_s", "number", "s", "where the record begins that it is of"),
-        Quantity("claimed", "bool", "", "whether a motion is claimed"),
-        Quantity("reason", "text", "", "why none is, in words"),
-        Quantity("hypotheses", "number", "", "motions that explain the readings so far"),
-        Quantity("R", "numbers", "", "turn of the body at that instant, a matrix row after row"),
-        Quantity("omega_rad_s", "numbers", "rad/s", "its angular velocity, world"),
-        Quantity("p", "numbers", "SI", "the body: harmonics of its surface, inertia, drag, friction"),
-        Quantity("covariance", "numbers", "SI", "of turns in the world, angular velocity and p, row after row"),
-        Quantity("h_m", "numbers", "m", "the surface, in each direction of palm3/shape"),
-        Quantity("h_sd_m", "numbers", "m", "its one-sigma"),
-        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each of these"),
-        Quantity("inertia_sd_m2", "numbers", "m²", "one-sigma of the inertia per unit mass, row after row"),
-        Quantity("mass_kg", "number", "kg", "mass of the object; none where no force was read"),
-        Quantity("mass_sd_kg", "number", "kg", "its one-sigma"),
-        Quantity("rough_m", "number", "m", "what a reading misses the body by besides its noise, one-sigma"),
+        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC", source="t"),
+        Quantity("begun_s", "number", "s", "where the record begins that it is of", source="begun"),
+        Quantity("claimed", "bool", "", "whether a motion is claimed", source="claimed"),
+        Quantity("reason", "text", "", "why none is, in words", source="reason"),
+        Quantity("hypotheses", "number", "", "motions that explain the readings so far", source="hypotheses"),
+        Quantity("R", "numbers", "", "turn of the body at that instant, a matrix row after row", source="R"),
+        Quantity("omega_rad_s", "numbers", "rad/s", "its angular velocity, world", source="omega"),
+        Quantity("p", "numbers", "SI", "the body: harmonics of its surface, inertia, drag, friction", source="p"),
+        Quantity(
+            "covariance",
+            "numbers",
+            "SI",
+            "of turns in the world, angular velocity and p, row after row",
+            source="covariance",
+        ),
+        Quantity("h_m", "numbers", "m", "the surface, in each direction of palm3/shape", source="h"),
+        Quantity("h_sd_m", "numbers", "m", "its one-sigma", source="h_sd"),
+        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each of these", source="touched"),
+        Quantity(
+            "inertia_sd_m2",
+            "numbers",
+            "m²",
+            "one-sigma of the inertia per unit mass, row after row",
+            source="inertia_sd",
+        ),
+        Quantity("mass_kg", "number", "kg", "mass of the object; none where no force was read", source="mass"),
+        Quantity("mass_sd_kg", "number", "kg", "its one-sigma", source="mass_sd"),
+        Quantity(
+            "rough_m", "number", "m", "what a reading misses the body by besides its noise, one-sigma", source="rough"
+        ),
     ),
-)
+)  # fmt: skip
 PALM3_INFO = Topic(
     "palm3/info",
     1.0,
     "of three palms in space",
     (
-        Quantity("version", "text", "", "of palmd"),
-        Quantity("schema", "number", "", "of these messages"),
-        Quantity("system", "text", "", "three_palms"),
-        Quantity("config_hash", "text", "", "sha256 of the effective configuration"),
-        Quantity("observer", "text", "", "the observer that runs"),
-        Quantity("rate_hz", "number", "Hz", "of the ticks"),
-        Quantity("units", "text", "", "where the units are"),
+        *who_runs(SYSTEM),
         Quantity("mechanism", "text", "",
                  "edge-axis: with b = (0, cos beta, sin beta), palm normals n1 = (0, −sin beta, cos beta), "
                  "n2 = cos gamma2 X + sin gamma2 b, n3 = −cos gamma3 X + sin gamma3 b, all palms through the apex 0; "
@@ -169,7 +177,7 @@ PALM3_INFO = Topic(
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each joint"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each joint"),
         Quantity("force_limit_n", "numbers", "N", "what may press on each pad, palm by palm"),
-        Quantity("plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"),
+        PLANS_BESIDE,
     ),
 )  # fmt: skip
 PALM3_TRUTH = Topic(

@@ -53,6 +53,13 @@ def test_an_answer_comes_back_bit_for_bit():
     assert not validate(PIVOT_ANSWER, stamped(says.answer_fields(2.0, answer)))
 
 
+def test_an_answer_that_accepts_nothing_comes_back_empty():
+    none = np.zeros(0)
+    told = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none)
+    back = says.answer_of(says.answer_fields(2.0, told))
+    assert (back.claimed, back.reason, back.p.size, back.covariance.shape) == (False, "too little", 0, (0, 0))
+
+
 def estimate(**changed):
     values = dict.fromkeys(("x", "z", "s", "e", "psi", "omega0", "f", "mu", "moment", "nis", "touched"), 0.01)
     fields = {"valid": True, "observer": "pivot", "object_count": 1, "side": 1, "reason": "", "sd": {}}

@@ -34,8 +34,7 @@ from tools.studies import runs
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-ROWS = "runs.jsonl"
-ALL = "all"
+ROWS, ALL = "runs.jsonl", "all"
 
 Line = dict[str, Any]
 Task = TypeVar("Task", bound="DataclassInstance")

@@ -10,9 +10,9 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record import is_recording
 from palmd.report import command
+from palmd.systems import SYSTEMS, load_part
 
 LOGS = (".jsonl", ".jsonl.gz")
-BODIES = "three_palms"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
     if not subject.name.lower().endswith(LOGS) or is_recording(subject):
         return command.run(subject, output)
     system, log = read_any(subject)
-    if system.name != BODIES:
-        raise CliError(BAD_INPUT, f"{subject}: of an event log there is a report for {BODIES} only; record the run")
+    report = SYSTEMS[system.name].log_report
+    if not report:
+        known = ", ".join(each.name for each in SYSTEMS.values() if each.log_report)
+        raise CliError(BAD_INPUT, f"{subject}: of an event log there is a report for {known} only; record the run")
     with working("reconstructing") as say:
         answer = system.reconstruct(log, 0, say)
-    return command.run_body(subject, answer.line, answer.told, output)
+    status: int = load_part(report)(subject, answer.line, answer.told, output)
+    return status

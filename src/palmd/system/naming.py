@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+PAD_NUMBERS = (1, 2, 3)
+"""The numbers that pads have in any system: each has faults and counters of its own."""
+
 
 @dataclass(frozen=True, slots=True)
 class Naming:
