@@ -66,6 +66,15 @@ def test_two_modules_are_one_pad_and_half_of_them_none():
     assert report.pressure == 28 * 4
 
 
+def test_the_second_module_lies_beyond_the_first():
+    config = array("tsf85", 14, pitch_mm=5.0, contact_width_mm=2.5)
+    pressed = np.zeros((2, 28), dtype=">u2")
+    pressed[1, 8:20] = 100, 100, 100, 100, 200, 200, 200, 200, 100, 100, 100, 100
+    fields = b"".join(tsf85_field(taxels.PRESSURES, module, pressed[module].tobytes()) for module in (1, 0))
+    (report,) = TaxelDecoder(config).feed(tsf85_frame(0x58, fields), 1.0)
+    assert report.x_counts * 1e-3 == pytest.approx((7 + 3) * 5.0, abs=0.01), "its fourth row"
+
+
 @pytest.mark.parametrize(
     ("frame", "documented"),
     [
