@@ -11,15 +11,19 @@ import tempfile
 from pathlib import Path
 
 import msgpack
+import numpy as np
 from websockets.datastructures import Headers
 from websockets.exceptions import InvalidHeaderValue
 from websockets.http11 import Request
 
+from palmd.config.pads import TaxelsConfig
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.daemon.commands import COMMANDS, CommandError, Reply, parse, reply_fields
+from palmd.devices.actuator import make_actuator
 from palmd.devices.armhost import ArmHost
 from palmd.devices.armlink import Hello, LineReader, LinkError, command_body, encode_command, parse_command, parse_reply
 from palmd.devices.armlink import reply_body as body_of
+from palmd.devices.pad import make_pad
 from palmd.devices.versapad import PadCalibration, PadReceiver, VersaPadDecoder
 from palmd.events import PadSample
 from palmd.motion.check import motion_limits
@@ -32,6 +36,7 @@ from palmd.record.runfile import pack
 from palmd.rig.adept_arm import arm_limits
 from palmd.rig.arm import Linkage
 from palmd.rig.controller import Controller
+from palmd.rig.servos import make_servo_arm
 from palmd.rig.world import default_config
 from palmd.view import http_guard, wire
 from palmd.view.files import File
@@ -43,6 +48,24 @@ _LIMITS = motion_limits(_CONFIG)
 _ARM = arm_limits(_CONFIG)
 _HOME = Linkage.from_config(_CONFIG).pose(math.radians(45.0), math.radians(90.0))
 _SCALE = PadCalibration(pad=1, zero_mm=28.0, counts_per_mm=7.874, newtons_per_count=0.02)
+_ARRAYS = tuple(
+    TaxelsConfig.model_validate({"kind": "taxels", "port": "a", "zero_mm": 1.0, "columns": 4} | each)
+    for each in (
+        {"protocol": "tsf85", "rows": 14, "pitch_mm": 4.5},
+        {"protocol": "st0001", "rows": 15, "pitch_mm": 4.0},
+        {"protocol": "text", "rows": 20, "pitch_mm": 3.0},
+    )
+)
+_SERVOS = tuple(
+    Config.model_validate(
+        {
+            "rig": {"hinge": "fixed"},
+            "pads": {f"palm{i}": {"kind": "strip", "port": f"{i}"} for i in (1, 2)},
+            "arm": {"kind": kind, "port": "c"},
+        }
+    )
+    for kind in ("dynamixel", "feetech")
+)
 _FOLDER = tempfile.TemporaryDirectory(prefix="palmd-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
 _FILES = {"/": File(b"page", "text/html")}
 _TOKEN = "the token"
@@ -76,6 +99,56 @@ def versapad(data: bytes) -> None:
             assert event.t_sample <= t
             assert not isinstance(event, PadSample) or 0.0 < event.s <= 0.0565
         receiver.poll(t)
+
+
+def taxels(data: bytes) -> None:
+    """An array's line: every byte is counted, times do not run backwards, contacts lie on the array."""
+    driver = make_pad(1, _ARRAYS[(data[0] if data else 0) % len(_ARRAYS)])
+    driver.opened(0.0)
+    t, latest, size = 0.0, -math.inf, 0
+    for piece in _pieces(data):
+        t += (piece[0] % 8) * 0.005
+        size += len(piece)
+        for event in driver.feed(piece, t):
+            assert latest <= event.t_sample <= t
+            latest = event.t_sample
+            assert not isinstance(event, PadSample) or 0.0 < event.s <= 0.0565
+        driver.poll(t)
+        driver.tend(_Nobody(), t)
+    counts = driver.counts()
+    assert counts["bytes"] == size
+    assert counts["discarded"] <= size
+
+
+_POLLS = 10  # after which a host waits for an answer
+
+
+class _Nobody:
+    """What a driver writes to, unheard."""
+
+    def write(self, data: bytes) -> None:
+        assert isinstance(data, bytes)
+
+
+def servos(data: bytes) -> None:
+    """A bus of servos of one make: the host takes anything, and so do the servos."""
+    config = _SERVOS[(data[0] if data else 0) % len(_SERVOS)]
+    host, t = make_actuator(config.arm), 0.0
+    far = make_servo_arm(config, config.arm, (0.8, 1.5), np.random.default_rng(1), t)
+    for piece in _pieces(data):
+        t += (piece[0] % 8) * 0.005
+        host.feed(piece, t)
+        far.receive(piece, piece, t)
+        for _ in range(_POLLS):
+            sent = host.poll(t, None).data
+            far.receive(sent, sent, t)
+            if host.due() > t:
+                break
+        else:
+            raise AssertionError(f"the host has something to do at {t} s for ever")
+        for said in far.step(t + 0.002):
+            host.feed(said.data, t)
+        list(host.health(True))
 
 
 def armlink(data: bytes) -> None:
@@ -218,5 +291,5 @@ def page(data: bytes) -> None:
 
 TARGETS = {
     target.__name__: target
-    for target in (versapad, armlink, armhost, controller, commands, config, plan, eventlog, mcap, page)
+    for target in (versapad, taxels, servos, armlink, armhost, controller, commands, config, plan, eventlog, mcap, page)
 }

@@ -1,4 +1,4 @@
-"""Strips, input devices and servos as processes on pseudo-terminals: doctor, the daemon, a palm that moves."""
+"""Pads of every kind and servos as processes on pseudo-terminals: doctor, the daemon, a palm that moves."""
 
 import json
 import subprocess
@@ -11,19 +11,33 @@ from harness import Client, Process
 
 pytestmark = pytest.mark.rig
 
+ARRAY = {"kind": "taxels", "columns": 4, "zero_mm": 1.0}
 PADS = {
     "strip": {"kind": "strip"},
     "evdev": {"kind": "evdev", "zero_mm": 0.0, "counts_per_mm": 20.0},
+    "tsf85": ARRAY | {"protocol": "tsf85", "rows": 14, "pitch_mm": 4.5},
+    "st0001": ARRAY | {"protocol": "st0001", "rows": 15, "pitch_mm": 4.0},
+    "text": ARRAY | {"protocol": "text", "rows": 20, "pitch_mm": 3.0, "baud": 1000000},
 }
+MODELS = {"dynamixel": "XL430-W250, firmware 46", "feetech": "STS3215, firmware 3"}
+RIGS = [
+    ("strip", "dynamixel"),
+    ("evdev", "dynamixel"),
+    ("tsf85", "dynamixel"),
+    ("st0001", "feetech"),
+    ("text", "feetech"),
+]
 
 
 class Rig:
     """The emulated rig with pads of a kind, and a configuration of its ports."""
 
-    def __init__(self, folder, pads):
+    def __init__(self, folder, pads, servos):
         def settings(ports):
             each = {f"palm{i}": PADS[pads] | {"port": ports[f"pad{i}"]} for i in (1, 2)}
-            return {"rig": {"hinge": "fixed"}, "pads": each, "arm": {"kind": "dynamixel", "port": ports["arm"]}}
+            return {"rig": {"hinge": "fixed"}, "pads": each, "arm": {"kind": servos, "port": ports["arm"]}}
+
+        self.servos = servos
 
         file = folder / "rig.yaml"
         file.write_text(yaml.safe_dump(settings({"pad1": "a", "pad2": "b", "arm": "c"})))
@@ -37,9 +51,9 @@ class Rig:
         self._process.stop()
 
 
-@pytest.fixture(params=list(PADS))
+@pytest.fixture(params=RIGS, ids="-".join)
 def rig(tmp_path, request):
-    rig = Rig(tmp_path, request.param)
+    rig = Rig(tmp_path, *request.param)
     yield rig
     rig.close()
 
@@ -80,5 +94,6 @@ def test_doctor_finds_pads_and_servos(rig):
     )  # fmt: skip
     assert "Traceback" not in done.stderr
     assert "ok           pad 1 port" in done.stdout
-    assert "XL430-W250, firmware 46" in done.stdout
+    assert "reports in" in done.stdout, "the object lies on both pads"
+    assert MODELS[rig.servos] in done.stdout
     assert "one servo has id 2" in done.stdout

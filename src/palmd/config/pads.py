@@ -246,6 +246,18 @@ class TaxelsConfig(PadBase):
             raise ValueError(f"st0001 has {_ST0001_TAXELS} taxels; got {rows} x {columns}")
         return columns
 
+    @field_validator("pitch_mm")
+    @classmethod
+    def _reaches_the_pads_end(cls, pitch_mm: float, info: ValidationInfo) -> float:
+        known = info.data
+        if known.get("sign") != 1 or not {"zero_mm", "length_mm", "rows"} <= known.keys():
+            return pitch_mm
+        end_mm = known["zero_mm"] + (known["rows"] - 0.5) * pitch_mm
+        if end_mm < known["length_mm"]:
+            reach = f"{known['rows']} rows of it end at {end_mm:g} mm from the hinge"
+            raise ValueError(f"{reach}, before length_mm, which is {known['length_mm']:g}: the pad ends with the array")
+        return pitch_mm
+
     @property
     def line_baud(self) -> int:
         """Of the serial line."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from operator import add
 from typing import Any, TypeVar
 
@@ -119,8 +119,8 @@ def configured(config: Config, seed: int) -> Imperfections:
     asked = config.rig.imperfections
     if asked == "none":
         return PERFECT
-    if asked == "calibrated":
-        return drawn(rig_description(config), seed)
+    if asked == "calibrated":  # the emulated actuator has its play itself
+        return drawn(replace(rig_description(config), angle_sd=math.radians(config.rig.angle_sd_deg)), seed)
     return Imperfections(
         tuple(_pad(getattr(asked, f"palm{palm}")) for palm in PALMS),
         tuple(math.radians(getattr(asked, f"{joint}_deg")) for joint in JOINTS),

@@ -45,7 +45,7 @@ def test_packets_are_as_documented(packet, documented):
 
 
 def test_goals_carry_the_speed_at_which_their_way_takes_a_profile():
-    raw = MAKE.goals({1: 2148, 2: 1948}, {1: 12.0, 2: -0.01}, 12)
+    raw = MAKE.goals({1: 2148, 2: 1948}, {1: 12.0, 2: -0.001}, 12)
     assert raw == encode(
         0xFE, 0x83, bytes((42, 6)) + bytes.fromhex("01 64 08 00 00 E8 03") + bytes.fromhex("02 9C 07 00 00 01 00")
     ), "1000 counts/s, and at least 1: 0 would be no limit"

@@ -12,12 +12,13 @@ from palmd.devices import taxels
 from palmd.devices.taxels import TaxelDecoder, modbus_frame, tsf85_field, tsf85_frame
 from palmd.rig.pads import PadOptions, Press, make_emulator
 
-PLAIN = {"kind": "taxels", "port": "a", "zero_mm": 1.0}
+PLAIN = {"kind": "taxels", "port": "a", "zero_mm": 1.0, "length_mm": 55.0}
 
 
 def array(protocol="text", rows=20, columns=4, pitch_mm=3.0, **values):
+    length = {} if "length_mm" in values or rows == 10 else {"length_mm": min(55.0, (rows - 0.5) * pitch_mm)}
     return TaxelsConfig.model_validate(
-        PLAIN | {"protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch_mm} | values
+        PLAIN | length | {"protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch_mm} | values
     )
 
 
@@ -63,6 +64,15 @@ def test_two_modules_are_one_pad_and_half_of_them_none():
     assert decoder.feed(module(0, 1), 1.0) == []
     (report,) = decoder.feed(module(1, 3), 1.01)
     assert report.pressure == 28 * 4
+
+
+def test_the_second_module_lies_beyond_the_first():
+    config = array("tsf85", 14, pitch_mm=5.0, contact_width_mm=2.5)
+    pressed = np.zeros((2, 28), dtype=">u2")
+    pressed[1, 8:20] = 100, 100, 100, 100, 200, 200, 200, 200, 100, 100, 100, 100
+    fields = b"".join(tsf85_field(taxels.PRESSURES, module, pressed[module].tobytes()) for module in (1, 0))
+    (report,) = TaxelDecoder(config).feed(tsf85_frame(0x58, fields), 1.0)
+    assert report.x_counts * 1e-3 == pytest.approx((7 + 3) * 5.0, abs=0.01), "its fourth row"
 
 
 @pytest.mark.parametrize(
@@ -198,6 +208,7 @@ def test_what_an_observer_weighs_a_reading_by_counts_the_error_as_often_as_it_is
         ({"protocol": "st0001", "rows": 14}, "60 taxels"),
         ({"protocol": "modbus"}, "protocol"),
         ({"axis": "y"}, "axis"),
+        ({"rows": 10}, "end at 29.5 mm from the hinge, before length_mm"),
     ],
 )
 def test_an_array_that_cannot_be_is_refused(values, says):

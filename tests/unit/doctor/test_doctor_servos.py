@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 
 import pytest
-from servo_bench import BenchTalk, ServoBench, tabletop
+from servo_bench import MAKES, BenchTalk, ServoBench, tabletop
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.devices import dynamixel as dxl
@@ -23,9 +23,12 @@ def bench(monkeypatch):
 ARM = tabletop().arm
 
 
-def test_with_leave_every_check_is_made_and_passed(bench, capsys):
-    assert servos.examine_servos(ARM, sure=True) == 0
-    count = 2 * (len(CHECKS) - 1) + 1
+@pytest.mark.parametrize("kind", MAKES)
+def test_with_leave_every_check_is_made_and_passed(kind, monkeypatch, capsys):
+    bench = ServoBench(kind=kind).go(1.0)
+    monkeypatch.setattr(servos, "_talk", lambda _arm: nullcontext(BenchTalk(bench)))
+    assert servos.examine_servos(tabletop(kind=kind).arm, sure=True) == 0
+    count = 2 * (sum(check.concerns(bench.host.axes[0].make) for check in CHECKS) - 1) + 1
     assert f"c: {count} of {count} checks passed, 0 failed\n" in capsys.readouterr().out
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated import simulated
 
-from palmd.config.two_palms import ImperfectionsConfig, rig_description
+from palmd.config.two_palms import Config, ImperfectionsConfig, rig_description
 from palmd.events import PalmMotion
 from palmd.observer.reconstruct import reconstruct
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection, configured, drawn
@@ -250,3 +250,17 @@ def test_a_slip_is_said_once(tmp_path, asked, said):
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     assert str(caught.value) == f"{path}:{said}"
+
+
+def test_the_play_of_servos_is_not_drawn_as_well():
+    """The emulated servos have it already; an observer's band of the angles holds both."""
+    config = Config.model_validate(
+        {
+            "rig": {"hinge": "fixed", "imperfections": "calibrated"},
+            "pads": {f"palm{i}": {"port": f"{i}"} for i in (1, 2)},
+            "arm": {"kind": "feetech", "port": "c"},
+        }
+    )
+    drawn_angles = np.array([configured(config, seed).angles for seed in range(300)])
+    assert np.degrees(np.sqrt(np.mean(drawn_angles**2))) == pytest.approx(0.1, rel=0.15)
+    assert np.degrees(rig_description(config).angle_sd) == pytest.approx(np.hypot(0.1, 0.5))
