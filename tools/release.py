@@ -1,4 +1,4 @@
-"""Builds a release into dist/: wheel, source archive, the site as one archive, upgrade notes, checksums; image if possible.
+"""Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
 
 Everything is made from what git has: files that are not committed are refused. The container image is built and saved
 where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there without a
