@@ -16,7 +16,7 @@ TICK_LIMIT_MS = 2.0
 IDLE = "idle"
 _PRIORITY = "give palmd real-time priority and locked memory (palmd doctor says how), then palmd doctor build"
 _BUSY: Mapping[str, str] = {
-    "every core busy": "give the loop a core of its own: isolcpus=N on the kernel's command line, CPUAffinity=N in the unit",
+    "every core busy": "a core for the loop alone: isolcpus=N on the kernel's command line, CPUAffinity=N in the unit",
     "disk busy": "record to another disk (record.directory), or to a faster one",
     "network busy": "move the network card's interrupts to another core (/proc/irq/*/smp_affinity)",
     "recorder and page": "view the page from another machine, and record with palmd record there",
