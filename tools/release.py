@@ -8,14 +8,17 @@ compiler.
 from __future__ import annotations
 
 import argparse
+import base64
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tempfile
 import venv
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -24,6 +27,7 @@ import palmd
 ROOT = Path(__file__).parent.parent
 NAME = f"palmd-{palmd.__version__}"
 CHECK_S = 20
+FIRST_DAY = (1980, 1, 1, 0, 0, 0)  # of every file in an archive, so that the same files give the same bytes
 BUILDERS = ("podman", "docker")
 
 
@@ -63,7 +67,37 @@ def packages(output: Path) -> list[Path]:
         [sys.executable, "-m", "hatchling", "build", "-d", str(output)],
         cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    return sorted(path for path in output.iterdir() if path.suffix in (".whl", ".gz"))
+    wheel = next(output.glob("*.whl"))
+    return [with_kernels(wheel), *output.glob("*.tar.gz")]
+
+
+def with_kernels(wheel: Path) -> Path:
+    """The wheel with kernels compiled for this platform, under the platform's name; the one without is gone."""
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    made = wheel.with_name(wheel.name.replace("-any.whl", f"-{platform}.whl"))
+    with tempfile.TemporaryDirectory() as name, zipfile.ZipFile(wheel) as plain:
+        folder = Path(name)
+        subprocess.run(
+            [sys.executable, "-m", "tools.portable_kernels", name], cwd=ROOT, check=True, stdout=subprocess.DEVNULL
+        )
+        files = {each.filename: plain.read(each) for each in plain.infolist()}
+        files |= {f"palmd/data/kernels/{path.name}": path.read_bytes() for path in sorted(folder.iterdir())}
+    about = next(each for each in files if each.endswith(".dist-info/WHEEL"))
+    files[about] = (
+        files[about].replace(b"-any", f"-{platform}".encode()).replace(b"Is-Purelib: true", b"Is-Purelib: false")
+    )
+    record = about.replace("WHEEL", "RECORD")
+    del files[record]
+    rows = "".join(f"{name},sha256={_base64_of(data)},{len(data)}\n" for name, data in files.items())
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path, data in (files | {record: f"{rows}{record},,\n".encode()}).items():
+            archive.writestr(zipfile.ZipInfo(path, FIRST_DAY), data, zipfile.ZIP_DEFLATED)
+    wheel.unlink()
+    return made
+
+
+def _base64_of(data: bytes) -> str:
+    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
 
 
 def upgrade_notes(output: Path) -> Path:
