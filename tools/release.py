@@ -1,24 +1,21 @@
 """Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
 
 Everything is made from what git has: files that are not committed are refused. The container image is built and saved
-where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there without a
-compiler.
+where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there: doctor without a compiler, the demo with the
+machine's own.
 """
 
 from __future__ import annotations
 
 import argparse
-import base64
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 import tarfile
 import tempfile
 import venv
-import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -27,7 +24,6 @@ import palmd
 ROOT = Path(__file__).parent.parent
 NAME = f"palmd-{palmd.__version__}"
 CHECK_S = 20
-FIRST_DAY = (1980, 1, 1, 0, 0, 0)  # of every file in an archive, so that the same files give the same bytes
 BUILDERS = ("podman", "docker")
 
 
@@ -67,37 +63,7 @@ def packages(output: Path) -> list[Path]:
         [sys.executable, "-m", "hatchling", "build", "-d", str(output)],
         cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    wheel = next(output.glob("*.whl"))
-    return [with_kernels(wheel), *output.glob("*.tar.gz")]
-
-
-def with_kernels(wheel: Path) -> Path:
-    """The wheel with kernels compiled for this platform, under the platform's name; the one without is gone."""
-    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    made = wheel.with_name(wheel.name.replace("-any.whl", f"-{platform}.whl"))
-    with tempfile.TemporaryDirectory() as name, zipfile.ZipFile(wheel) as plain:
-        folder = Path(name)
-        subprocess.run(
-            [sys.executable, "-m", "tools.portable_kernels", name], cwd=ROOT, check=True, stdout=subprocess.DEVNULL
-        )
-        files = {each.filename: plain.read(each) for each in plain.infolist()}
-        files |= {f"palmd/data/kernels/{path.name}": path.read_bytes() for path in sorted(folder.iterdir())}
-    about = next(each for each in files if each.endswith(".dist-info/WHEEL"))
-    files[about] = (
-        files[about].replace(b"-any", f"-{platform}".encode()).replace(b"Is-Purelib: true", b"Is-Purelib: false")
-    )
-    record = about.replace("WHEEL", "RECORD")
-    del files[record]
-    rows = "".join(f"{name},sha256={_base64_of(data)},{len(data)}\n" for name, data in files.items())
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path, data in (files | {record: f"{rows}{record},,\n".encode()}).items():
-            archive.writestr(zipfile.ZipInfo(path, FIRST_DAY), data, zipfile.ZIP_DEFLATED)
-    wheel.unlink()
-    return made
-
-
-def _base64_of(data: bytes) -> str:
-    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+    return sorted(path for path in output.iterdir() if path.suffix in (".whl", ".gz"))
 
 
 def upgrade_notes(output: Path) -> Path:
@@ -144,7 +110,7 @@ def checksums(output: Path, files: Iterable[Path]) -> Path:
 
 
 def run_wheel(wheel: Path) -> None:
-    """In an empty environment, without a compiler: version, doctor, a demo that ends well. CalledProcessError."""
+    """In an empty environment: version and doctor without a compiler, a demo that ends well. CalledProcessError."""
     with tempfile.TemporaryDirectory(prefix="palmd-release-") as name:
         folder = Path(name)
         venv.create(folder / "venv", with_pip=True)
@@ -159,6 +125,7 @@ def run_wheel(wheel: Path) -> None:
         doctor = subprocess.run([command, "doctor"], cwd=folder, env=environment, check=False, capture_output=True)
         if b"Traceback" in doctor.stderr or not doctor.stdout:
             raise subprocess.CalledProcessError(doctor.returncode, [str(command), "doctor"])
+        environment |= {"PATH": f"{folder / 'venv/bin'}:{os.environ['PATH']}", "CC": os.environ.get("CC", "")}
         demo = [str(command), "demo", "--seconds", str(CHECK_S), "--no-browser", "--seed", "3"]
         subprocess.run(demo, cwd=folder, env=environment, check=True, stderr=subprocess.DEVNULL)
 
