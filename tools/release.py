@@ -1,8 +1,8 @@
 """Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
 
 Everything is made from what git has: files that are not committed are refused. The container image is built and saved
-where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there: doctor without a compiler, the demo with the
-machine's own.
+where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there: doctor without
+a compiler, the demo with the machine's own.
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ MISTAKES = {
     "a form of export that there is not": Mistake(
         "export run.mcap -o run.xls",
         1,
-        "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|svg|dxf|points",
+        "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|lerobot|svg|dxf|points",
     ),
     "an outline with other columns": Mistake(
         "check o.csv", 1, "o.csv:1: the header must be x_mm,y_mm, got x,y", {"o.csv": "x,y\n"}
