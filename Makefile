@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs site setup dev lock wheelhouse clean
+.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs site release setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -56,6 +56,9 @@ docs: dev  ## the pages that are generated from the code's tables
 site: dev docs  ## the documentation as a site that reads without a network, in build/site (warnings are errors)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "build/site/index.html"
+
+release: dev docs  ## dist/: wheel, source archive, site, upgrade notes, checksums, container image where a builder is; the wheel is tried
+	$(BIN)/python -m tools.release --check
 
 build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
 	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"

@@ -441,8 +441,8 @@ _shtab_palmd_estimate_defaults_added=0
 
 _shtab_palmd_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
-  "--as[the form, where the name does not tell it]:form:(log csv mcap-json rrd svg dxf points)"
+  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; --as lerobot, a folder\: a LeRobot data set\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
+  "--as[the form, where the name does not tell it]:form:(log csv mcap-json rrd lerobot svg dxf points)"
   ":a recorded run (.mcap), or a RESULT.json:_files"
 )
 

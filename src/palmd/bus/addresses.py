@@ -45,7 +45,13 @@ def _configured(config: Path | None) -> dict[str, str]:
     except (OSError, ValueError, yaml.YAMLError) as error:
         if config is None:
             return {}
-        raise CliError(BAD_INPUT, f"{config}: no addresses can be read from it: {error}") from None
+        raise CliError(BAD_INPUT, f"{config}: no addresses can be read from it: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """In one line."""
+    said = error.strerror if isinstance(error, OSError) else None
+    return said or " ".join(str(error).split())
 
 
 def _bus_of(config: Path) -> dict[str, str]:

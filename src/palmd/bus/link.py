@@ -16,6 +16,7 @@ import zmq
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.keys import Credentials, KeysError, client_credentials
 
+PORT_MOST = 65535
 PUBLISH = "tcp://127.0.0.1:9872"
 COMMAND = "tcp://127.0.0.1:9873"
 """Where a daemon is unless its configuration says otherwise."""
@@ -66,6 +67,10 @@ class Link:
         if key is not None:
             key.encrypt(self._socket)
         for address in addresses:
+            _, _, port = address.removeprefix("tcp://").rpartition(":")
+            if address.startswith("tcp://") and port.isdecimal() and not 0 < int(port) <= PORT_MOST:
+                self.close()
+                raise CliError(BAD_INPUT, f"{address}: not an address (a port is 1 to {PORT_MOST})")
             try:
                 self._socket.connect(address)
             except zmq.ZMQError as error:

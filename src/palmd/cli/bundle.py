@@ -19,6 +19,7 @@ from palmd import __version__
 from palmd.console.configured import usual
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.redaction import redacted
+from palmd.record import is_recording
 
 RUN_BYTES_MOST = 1 << 31
 
@@ -40,6 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
         if path.stat().st_size > RUN_BYTES_MOST:
             raise CliError(BAD_INPUT, f"{path}: larger than {RUN_BYTES_MOST >> 30} GB: cut out the part that matters")
         recording = path.read_bytes()
+        if not is_recording(path) and not recording.lstrip().startswith(b"{"):
+            raise CliError(BAD_INPUT, f"{path}: is neither a recording (.mcap) nor an event log (.jsonl)")
+    except (FileNotFoundError, IsADirectoryError) as error:
+        what = "is a folder" if isinstance(error, IsADirectoryError) else "no such file"
+        raise CliError(BAD_INPUT, f"{path}: {what}; `palmd runs FOLDER` lists the runs in one") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{path}: {error.strerror}") from None
     texts = {"versions.txt": versions(), "doctor.txt": _findings(arguments.config)} | _of_run(path)
@@ -66,7 +72,7 @@ def versions() -> str:
 
 def _of_run(path: Path) -> dict[str, str]:
     """What the recording says of its configuration and its versions; nothing for an event log."""
-    from palmd.record import RunError, is_recording
+    from palmd.record import RunError
     from palmd.record.metadata import CONFIG
     from palmd.record.run import read_any_run
 

@@ -1,4 +1,4 @@
-"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, for rerun, CAD.
+"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, rerun, LeRobot, CAD.
 
 A drawing (.svg, .dxf, .csv) is of the last valid outline, in mm, with its band; or of a RESULT.json that
 `palmd reconstruct` has written.
@@ -12,11 +12,14 @@ from pathlib import Path
 
 from palmd.cli.drawings import curves_of_result, drawing, write_drawing
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
+from palmd.console.extras import missing
 from palmd.console.notes import say_notes
 from palmd.console.progress import Progress
 from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
 from palmd.record.run import RunError, read_any_run
+
+_NEEDED = {"lerobot": ("pandas", "lerobot")}
+"""The package and the extra of a form, where it is not rerun."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="FILE|FOLDER",
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
-        "the outline: .svg, .dxf drawings, .csv points, x and y in mm",
+        "--as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
     )
     parser.add_argument("--as", dest="form", choices=FORMS, help="the form, where the name does not tell it")
 
@@ -55,8 +58,12 @@ def run(arguments: argparse.Namespace) -> int:
     except (RunError, ExportError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
     except ModuleNotFoundError as error:
-        only_without("rerun", error)
-        raise missing("the form rrd", "rerun-sdk", "rerun") from None
+        package, extra = _NEEDED.get(form, ("rerun-sdk", "rerun"))
+        if (error.name or "").partition(".")[0] not in ("rerun", "pandas", "pyarrow"):
+            raise
+        raise missing(f"the form {form}", package, extra) from None
+    except ImportError as error:  # of pandas, which has no pyarrow
+        raise missing(f"the form {form}", "pyarrow", "lerobot") from error
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     say_notes(recording.notes)

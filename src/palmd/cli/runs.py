@@ -13,6 +13,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"of the recordings (default: {HERE}/ here, else that of the installed configuration)")  # fmt: skip
     add("--search", nargs="+", default=[], metavar="WORD",
         help="only runs that have every WORD in name, time, object, plan, fault or note")  # fmt: skip
-    add("--since", metavar="DATE", help="only runs from this day on, such as 2026-11-23")
+    add("--since", type=_day, metavar="DATE", help="only runs from this day on, such as 2026-11-23")
     add("--objects", action="store_true", help="group the runs by the object that was recognised")
     add("--compare", nargs="+", metavar="RUN", help="these runs side by side; a beginning of the name is enough")
     add("--note", nargs=2, metavar=("RUN", "TEXT"), help="write a note beside a run")
@@ -64,6 +65,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _day(text: str) -> str:
+    """A day, or a time of a day."""
+    try:
+        datetime.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a date; write one as 2026-11-23") from None
+    return text
+
+
 def _configured() -> Path:
     from palmd.console.configured import configured, usual
 
@@ -83,6 +93,8 @@ def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:
     except FileNotFoundError:
         text = f"{folder}: no such folder: no run has been recorded into it; `palmd demo` records one into {HERE}/ here"
         raise CliError(BAD_INPUT, text) from None
+    except NotADirectoryError:
+        raise CliError(BAD_INPUT, f"{folder}: is a file; name the folder that it lies in") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{folder}: {error.strerror or error}") from None
     finally:

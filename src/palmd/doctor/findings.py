@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +13,15 @@ from typing import Any
 from palmd.config.addresses import from_here
 from palmd.config.two_palms import Config
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.doctor import machine, ports
+from palmd.doctor import decision_tree, machine, ports
 from palmd.doctor.finding import Finding
+from palmd.doctor.lateness import percentiles
+from palmd.doctor.wakeups import Meter
 from palmd.plausibility import implausible
 from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config, read_document
 
+METER_S, METER_PERIOD_S = 1.0, 0.01
 RIG_WITHIN_S = 1.5
 """How long a daemon may take to say what it knows of the rig: it does each second."""
 
@@ -32,7 +36,28 @@ def examine_all(path: Path) -> int:
         f"{verdicts.count(each)} {each}" for each in ("ok", "open", "missing", "off", "cannot tell") if each in verdicts
     )
     print(counts)
+    print("\n".join(["", *latency_tree()]))
     return 0 if set(verdicts) <= {"ok", "open"} else BAD_INPUT
+
+
+def latency_tree() -> list[str]:
+    """What a second of wake-ups on this machine, as it is busy now, should change; in lines for people."""
+    with tempfile.TemporaryDirectory(prefix="palmd-doctor-") as name:
+        try:
+            meter = Meter(METER_S, METER_PERIOD_S, Path(name))
+        except OSError:
+            return []
+        try:
+            wakeups = meter.result()
+        finally:
+            meter.close()
+    if wakeups is None:
+        return []
+    found = [decision_tree.wakeup_branch(percentiles(wakeups.lateness_ms)[1])]
+    return [
+        *decision_tree.lines(found),
+        f"  measured for {METER_S:g} s by {wakeups.by}; palmd doctor latency asks the rest",
+    ]
 
 
 def findings(path: Path) -> Iterator[Finding]:

@@ -20,7 +20,7 @@ from typing import Any
 
 from palmd.console.arguments import seconds
 from palmd.console.shipped import shipped
-from palmd.doctor import load
+from palmd.doctor import decision_tree, load
 from palmd.doctor.lateness import Case, TickLateness, table
 from palmd.doctor.wakeups import Meter
 from palmd.harness.operator import Operator
@@ -65,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
                 by.add(measured_by)
     if cases:
         print(table(cases, " / ".join(sorted(by))))
+        print("\n".join(["", *decision_tree.lines(tuple(decision_tree.branches(cases)))]))
     return 0
 
 

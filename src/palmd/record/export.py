@@ -16,7 +16,7 @@ from palmd.record.outline_files import Writer, writer_of
 from palmd.record.run import AnyRun, Run, RunError, read_any_run
 from palmd.systems import SYSTEMS
 
-Form = Literal["log", "csv", "mcap-json", "rrd", "svg", "dxf", "points"]
+Form = Literal["log", "csv", "mcap-json", "rrd", "lerobot", "svg", "dxf", "points"]
 FORMS: tuple[Form, ...] = get_args(Form)
 _SUFFIXES: dict[str, Form] = {
     ".jsonl": "log",
@@ -31,6 +31,7 @@ _SUFFIXES: dict[str, Form] = {
 DRAWINGS: dict[Form, str] = {"svg": ".svg", "dxf": ".dxf", "points": ".csv"}
 """The forms of one outline, and the suffix of each."""
 OTHERS = "its events are in the tables of a folder (CSV) and in .mcap"
+_FOLDERS = ("csv", "lerobot")
 _TWICE = ("csv", "mcap-json")
 """The forms that a run must be read through beforehand for."""
 
@@ -53,13 +54,13 @@ def export(run: AnyRun, target: Path, form: Form, done: Callable[[], None]) -> N
     """Write `run` to `target`; `done` is called after each message of each pass.
 
     A file that is there is replaced unless it is a recording; a folder must be empty. Raises ExportError, RunError,
-    OSError, and ModuleNotFoundError without rerun or ezdxf; there is then no part of an output.
+    OSError, and ModuleNotFoundError without rerun, pandas or ezdxf; there is then no part of an output.
     """
     if _is_recording(target):
         raise ExportError(f"{target}: is a recorded run, which an export does not replace; export to another file")
     if target.exists() and not (target.is_file() or target.is_dir()):
         raise ExportError(f"{target}: is a device; export to a file")
-    if target.is_dir() and form != "csv":
+    if target.is_dir() and form not in _FOLDERS:
         raise ExportError(f"{target}: is a folder; the form {form} is one file")
     if target.is_dir() and any(target.iterdir()):
         raise ExportError(f"{target}: is not empty; export to a new folder")
@@ -92,6 +93,10 @@ def _writer(form: Form, target: Path) -> Callable[[AnyRun, Path, Callable[[], No
             from palmd.record.export_rerun import write_rerun  # an optional extra, and a large one
 
             return write_rerun
+        case "lerobot":
+            from palmd.record.export_lerobot import write_lerobot  # an optional extra, and a large one
+
+            return write_lerobot
         case "svg" | "dxf" | "points":
             drawn = writer_of(DRAWINGS[form])
             return lambda run, path, done: _write_outline(drawn, run, path, done)

@@ -55,6 +55,8 @@ class PoseTrack:
 def read_pose_track(path: Path) -> PoseTrack:
     """The trajectory in a file of any kind that `palmd compare` names; raises TrackFileError. Not for the loop."""
     try:
+        if not path.exists():
+            raise TrackFileError(f"{path}: no such file; `palmd runs FOLDER` lists the recordings in one")
         if path.is_dir():
             raise TrackFileError(f"{path}: is a folder; name the files in it")
         if path.stat().st_size > MAX_BYTES and path.suffix != ".mcap":

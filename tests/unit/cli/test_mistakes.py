@@ -5,25 +5,12 @@ What argparse prints above its message (the usage) is left out here. `{here}` is
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from mistakes import PORTS, Mistake, check_answer
 
-from palmd import cli
-
-PORTS = "pads: {palm1: {port: /dev/a}, palm2: {port: /dev/b}}\narm: {port: /dev/c}\n"
 FIRST = "name: p\nsegments:\n  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s: 2.0}\n"
-
-
-class Mistake(NamedTuple):
-    """What is typed, with which files there; the exit status and what is said."""
-
-    typed: str
-    status: int
-    told: str
-    files: dict[str, str] = {}  # noqa: RUF012
 
 
 MISTAKES = {
@@ -215,7 +202,7 @@ MISTAKES = {
     "a form of export that there is not": Mistake(
         "export run.mcap -o run.xls",
         1,
-        "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|svg|dxf|points",
+        "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|lerobot|svg|dxf|points",
     ),
     "an outline with other columns": Mistake(
         "check o.csv", 1, "o.csv:1: the header must be x_mm,y_mm, got x,y", {"o.csv": "x,y\n"}
@@ -229,18 +216,4 @@ def test_there_are_forty() -> None:
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_told(name: str, tmp_path: Path, monkeypatch, capsys) -> None:
-    typed, status, told, files = MISTAKES[name]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("palmd.daemon.realtime.prepare", lambda *_: [])
-    for path, text in files.items():
-        Path(path).parent.mkdir(exist_ok=True)
-        Path(path).write_text(text)
-    try:
-        ended = cli.main(typed.split())
-    except SystemExit as caught:
-        ended = caught.code
-    captured = capsys.readouterr()
-    said = re.sub(r"\Ausage: .*?^(?=palmd.*: error: )", "", captured.err, flags=re.DOTALL | re.MULTILINE)
-    assert said == told.replace("{here}", str(tmp_path)) + "\n"
-    assert (ended, captured.out) == (status, "")
-    assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()} == set(files)
+    check_answer(MISTAKES[name], tmp_path, monkeypatch, capsys)

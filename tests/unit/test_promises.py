@@ -1,0 +1,65 @@
+"""What a release promises is kept: the stored copy against the code, and the comparison itself."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+
+import pytest
+
+from tools.promises import STORED, broken, promised
+
+PAGE = Path(__file__).parents[2] / "docs/reference/promises.md"
+
+
+@pytest.fixture(scope="module")
+def now() -> dict[str, object]:
+    return json.loads(json.dumps(promised()))
+
+
+def test_all_that_is_promised_is_kept(now) -> None:
+    assert list(broken(json.loads(STORED.read_text(encoding="utf-8")), now)) == []
+
+
+def test_the_stored_copy_has_everything_of_now(now) -> None:
+    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    assert list(broken(now, stored)) == [], "new fields, options or keys: python -m tools.promises --write"
+
+
+@pytest.mark.parametrize(
+    ("path", "line"),
+    [
+        (("topics", "palm/estimate", "psi_rad"), "topics: palm/estimate: psi_rad is gone"),
+        (("commands", "export"), "commands: export is gone"),
+        (("requests", "jog"), "requests: jog is gone"),
+    ],
+)
+def test_what_is_taken_away_is_named(now, path, line) -> None:
+    less = copy.deepcopy(now)
+    inner = less
+    for name in path[:-1]:
+        inner = inner[name]
+    del inner[path[-1]]
+    assert list(broken(now, less)) == [line]
+
+
+def test_another_unit_and_a_lost_option_are_named(now) -> None:
+    other = copy.deepcopy(now)
+    other["topics"]["palm/estimate"]["psi_rad"] = ["number", "deg"]
+    other["commands"]["export"].remove("--as")
+    assert list(broken(now, other)) == [
+        "topics: palm/estimate: psi_rad: was ['number', 'rad'], is ['number', 'deg']",
+        "commands: export: --as is gone",
+    ]
+
+
+def test_what_is_added_breaks_nothing(now) -> None:
+    more = copy.deepcopy(now)
+    more["topics"]["palm/estimate"]["new_m"] = ["number", "m"]
+    assert list(broken(now, more)) == []
+
+
+def test_the_page_names_every_part(now) -> None:
+    text = PAGE.read_text(encoding="utf-8").lower()
+    assert [part for part in now if part.split()[0] not in text] == []

@@ -1,0 +1,138 @@
+"""Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
+
+Everything is made from what git has: files that are not committed are refused. The container image is built and saved
+where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there: doctor without
+a compiler, the demo with the machine's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import venv
+from collections.abc import Iterable
+from pathlib import Path
+
+import palmd
+
+ROOT = Path(__file__).parent.parent
+NAME = f"palmd-{palmd.__version__}"
+CHECK_S = 20
+BUILDERS = ("podman", "docker")
+
+
+def main() -> int:
+    """Exit status 1 when something cannot be built or does not run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist", metavar="FOLDER")
+    parser.add_argument("--no-site", action="store_true", help="leave the documentation out")
+    parser.add_argument("--check", action="store_true", help=f"run the wheel: doctor, and a demo of {CHECK_S} s")
+    arguments = parser.parse_args()
+    changed = _said(["git", "status", "--porcelain", "--untracked-files=no"])
+    if changed:
+        print(f"not committed, so that no release can be made of it:\n{changed}", file=sys.stderr)
+        return 1
+    shutil.rmtree(arguments.output, ignore_errors=True)
+    arguments.output.mkdir(parents=True)
+    try:
+        made = [*packages(arguments.output), upgrade_notes(arguments.output)]
+        if not arguments.no_site:
+            made.append(site(arguments.output))
+        made += image(arguments.output)
+        if arguments.check:
+            run_wheel(next(path for path in made if path.suffix == ".whl"))
+    except subprocess.CalledProcessError as error:
+        print(f"{' '.join(map(str, error.cmd))}: status {error.returncode}", file=sys.stderr)
+        return 1
+    made.append(checksums(arguments.output, made))
+    for path in made:
+        print(f"{path.relative_to(arguments.output.parent)}  {path.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+def packages(output: Path) -> list[Path]:
+    """Wheel and source archive; of the same sources always the same bytes."""
+    environment = os.environ | {"SOURCE_DATE_EPOCH": _said(["git", "log", "-1", "--format=%ct"])}
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", str(output)],
+        cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    return sorted(path for path in output.iterdir() if path.suffix in (".whl", ".gz"))
+
+
+def upgrade_notes(output: Path) -> Path:
+    """What moved since 0.2, from the page of promises, and the newest part of the changelog."""
+    _, _, moved = (ROOT / "docs/reference/promises.md").read_text(encoding="utf-8").partition("## What moved")
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = changelog.split("\n## ", 2)[1]
+    path = output / f"{NAME}-upgrade.md"
+    path.write_text(f"# Upgrade to {palmd.__version__}\n\n## What moved{moved}\n## {newest}", encoding="utf-8")
+    return path
+
+
+def site(output: Path) -> Path:
+    """The documentation as one archive that opens from the disk."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
+            cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, check=True,
+        )  # fmt: skip
+        path = output / f"{NAME}-site.tar.gz"
+        with tarfile.open(path, "w:gz") as archive:
+            archive.add(folder, f"{NAME}-site")
+    return path
+
+
+def image(output: Path) -> list[Path]:
+    """The container image as an archive; nothing where no builder answers, which is said."""
+    for builder in BUILDERS:
+        if shutil.which(builder) and not subprocess.run([builder, "info"], capture_output=True, check=False).returncode:
+            path = output / f"{NAME}-image.tar"
+            subprocess.run([builder, "build", "-q", "-t", f"palmd:{palmd.__version__}", str(ROOT)], check=True)
+            subprocess.run([builder, "save", "-o", str(path), f"palmd:{palmd.__version__}"], check=True)
+            return [path]
+    print(f"no container image: neither {' nor '.join(BUILDERS)} answers here", file=sys.stderr)
+    return []
+
+
+def checksums(output: Path, files: Iterable[Path]) -> Path:
+    """As `sha256sum --check` reads them."""
+    path = output / "SHA256SUMS"
+    lines = [f"{hashlib.sha256(each.read_bytes()).hexdigest()}  {each.name}\n" for each in files]
+    path.write_text("".join(lines), encoding="utf-8")
+    return path
+
+
+def run_wheel(wheel: Path) -> None:
+    """In an empty environment: version and doctor without a compiler, a demo that ends well. CalledProcessError."""
+    with tempfile.TemporaryDirectory(prefix="palmd-release-") as name:
+        folder = Path(name)
+        venv.create(folder / "venv", with_pip=True)
+        python, command = folder / "venv/bin/python", folder / "venv/bin/palmd"
+        pip = [str(python), "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
+        subprocess.run([*pip, "--require-hashes", "-r", str(ROOT / "requirements.lock")], check=True)
+        subprocess.run([*pip, "--no-deps", str(wheel)], check=True)
+        environment = {
+            "PATH": str(folder / "venv/bin"), "HOME": name, "XDG_CACHE_HOME": f"{name}/cache", "CC": "no-compiler",
+        }  # fmt: skip
+        subprocess.run([command, "--version"], cwd=folder, env=environment, check=True)
+        doctor = subprocess.run([command, "doctor"], cwd=folder, env=environment, check=False, capture_output=True)
+        if b"Traceback" in doctor.stderr or not doctor.stdout:
+            raise subprocess.CalledProcessError(doctor.returncode, [str(command), "doctor"])
+        environment |= {"PATH": f"{folder / 'venv/bin'}:{os.environ['PATH']}", "CC": os.environ.get("CC", "")}
+        demo = [str(command), "demo", "--seconds", str(CHECK_S), "--no-browser", "--seed", "3"]
+        subprocess.run(demo, cwd=folder, env=environment, check=True, stderr=subprocess.DEVNULL)
+
+
+def _said(arguments: list[str]) -> str:
+    return subprocess.run(arguments, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
