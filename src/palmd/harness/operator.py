@@ -114,12 +114,19 @@ class PlanRun:
     """
 
     def __init__(
-        self, client: CommandClient, listen: Callable[[float], None], told: Callable[[Status, float], str]
+        self,
+        client: CommandClient,
+        listen: Callable[[float], None],
+        told: Callable[[Status, float], str],
+        *,
+        resumes: bool = False,
     ) -> None:
         """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
 
-        `told(status, seconds)` is how far it has come, in words, for an error.
+        `told(status, seconds)` is how far it has come, in words, for an error. `resumes`: a hold that nobody asked for
+        and whose cause is gone is ended here; only for a rig that no hand can be near.
         """
+        self._resumes = resumes
         self.seconds = 0.0
         self._client, self._listen, self._told = client, listen, told
         self._armed = self._over = False
@@ -157,6 +164,8 @@ class PlanRun:
                 return status
             if status["state"] == "tracking":
                 t_going = t
+            elif self._resumes and still_wanted("start", status):
+                self._client.ask("start")
             if t > t_going + HELD_S:
                 raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {why(status)}")
             if t >= t_progress:
