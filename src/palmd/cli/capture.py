@@ -160,7 +160,8 @@ class Guide:
         self.config = with_pads(self.config, _read(self._bundle.calibration / name)["configuration"])
         _say("Taken over: there is nothing to write by hand.")
         if not self._emulated:
-            wait_for_none(arguments, self.config, "the cylinder")
+            there = self.config.model_copy(update={"bus": self._stack.bus})
+            wait_for_none(arguments, there, "the last cylinder")
         self._begin_rig()
         self._begin_daemon()
 
