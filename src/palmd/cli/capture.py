@@ -35,7 +35,7 @@ from palmd.console.configured import configured, usual
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
-from palmd.harness.operator import PlanRun
+from palmd.harness.operator import PlanRun, Status, why
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack, not_started
 from palmd.motion.check import load_trajectory, motion_limits
@@ -144,7 +144,7 @@ class Guide:
         self._begin_daemon()
         arguments = argparse.Namespace(
             config=self._stack.path, radius_mm=diameter_mm / 2, second_radius_mm=other_mm / 2, key=None, curve=False,
-            output=self._bundle.calibration, resumes=self._emulated,
+            output=self._bundle.calibration, resumes=self._goes_on,
         )  # fmt: skip
 
         def calibrated() -> None:
@@ -235,7 +235,7 @@ class Guide:
                 wait_for_touch(stack.subscriber, stack.bus.publish, stop, name)
                 operation = PlanRun(
                     stack.client, self._listen, lambda _status, seconds: f"ended after {seconds:.0f} s",
-                    resumes=self._emulated,
+                    resumes=self._goes_on,
                 )  # fmt: skip
                 operation.begin(self._plan)
                 try:
@@ -259,6 +259,13 @@ class Guide:
 
     def _ask(self, text: str, default: str, read: Callable[[str], Any] = str) -> Any:
         return read(default) if self._emulated else asked(Prompt(text, default, read), "capture")
+
+    def _goes_on(self, status: Status) -> bool:
+        """Whether held palms may move again; CliError when whoever is at the rig says no."""
+        text = f"The palms are held: {why(status)}\nPut it right, hands off; then go on, yes or no"
+        if self._ask(text, "yes", YES_OR_NO) == "no":
+            raise CliError(RIG_FAILED, f"given up while held: {why(status)}")
+        return True
 
     def _until_done(self, step: Callable[[], Found], mend: str) -> Found:
         """Again and again, until it succeeds or somebody gives up; then CliError."""
