@@ -24,10 +24,12 @@ from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
 from palmd.topics import TOPICS
+from palmd.yamlfile import load_config
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools`
 
+from tools.adept import linkage
 from tools.tabletop import drawing, parameters, parts, wiring
 
 SEGMENTS = (MoveSpec, RateSpec, HoldSpec, SineSpec, ExploreSpec)
@@ -180,11 +182,12 @@ PAGES = {
     "docs/reference/mischief.md": mischief,
 }
 LAYOUTS = {"config/plotjuggler.xml": layouts.plotjuggler, "config/foxglove.json": layouts.foxglove}
-TABLETOP_FILES = {
+FIGURES = {
     "tools/tabletop/parameters.scad": functools.partial(parameters.parameters, TABLETOP),
     "docs/figures/tabletop.svg": functools.partial(drawing.drawing, TABLETOP),
     "docs/figures/tabletop-assembly.svg": functools.partial(drawing.assembly, TABLETOP),
     "docs/figures/tabletop-wiring.svg": wiring.wiring,
+    "docs/figures/adept-linkage.svg": functools.partial(linkage.drawing, load_config(ROOT / "config/palmd.yaml")),
 }
 SHELL = {path: functools.partial(shell_files.completion, shell) for shell, path in shell_files.SHELLS.items()}
 SHELL |= {shell_files.MANUAL: shell_files.manual}
@@ -193,7 +196,7 @@ SHELL |= {shell_files.MANUAL: shell_files.manual}
 def main() -> int:
     stale = []
     made = {name: NOTE + page() for name, page in PAGES.items()} | {
-        name: make() for name, make in (LAYOUTS | TABLETOP_FILES | SHELL).items()
+        name: make() for name, make in (LAYOUTS | FIGURES | SHELL).items()
     }
     for name, text in made.items():
         path = ROOT / name

@@ -12,6 +12,7 @@ _shtab_palmd_commands() {
   local _commands=(
     bundle:'pack a recorded run, versions and findings for a bug report'
     calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
+    capture:'make the first recording of a rig, guided: check, calibrate, record, bundle'
     check:'validate configurations and motion plans'
     compare:'compare runs with each other, with the truth or with an external track'
     ctl:'command a running daemon'
@@ -226,6 +227,20 @@ _shtab_palmd_calibrate_standoff_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_standoff_defaults_added=0
+
+_shtab_palmd_capture_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  {-o,--output}"[a new folder (default\: capture-DATE-TIME here)]:BUNDLE:_files"
+  "--plan[how the palms move for each object (default\: the configuration\'s)]:PLAN:_files"
+  "--objects[how many to record (default\: 3)]:N:"
+  "--zip[pack the bundle into BUNDLE.zip too, to share it]"
+  "--emulated[on an emulated rig, which answers by itself\; its truth is taken for calipers]"
+  "--seed[of the emulated rig (default\: 0)]:N:"
+  ":the rig\'s configuration (default\: the installed one):_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_capture_defaults_added=0
 
 _shtab_palmd_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -560,7 +575,7 @@ _shtab_palmd_reconstruct_options=(
   "--mesh[write the surface of a body in space too\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
   "--seed[of the blind start (default\: 0)]:N:"
   "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
-  ":an event log (JSON lines) or a recorded run (.mcap):_files"
+  ":an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -697,6 +712,7 @@ _shtab_palmd() {
       case $line[1] in
         bundle) _arguments -C -s $_shtab_palmd_bundle_options ;;
         calibrate) _shtab_palmd_calibrate ;;
+        capture) _arguments -C -s $_shtab_palmd_capture_options ;;
         check) _arguments -C -s $_shtab_palmd_check_options ;;
         compare) _arguments -C -s $_shtab_palmd_compare_options ;;
         ctl) _shtab_palmd_ctl ;;

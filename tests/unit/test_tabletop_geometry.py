@@ -30,15 +30,15 @@ def usual_answers() -> dict[str, object]:
     return answers
 
 
-def told(pad: StripConfig) -> tuple[float, float, float]:
+def constants(pad: StripConfig) -> tuple[float, float, float]:
     return pad.zero_mm, pad.length_mm, pad.counts_per_mm
 
 
 def test_configuration_defaults_are_the_drawn_rig():
     strip = (TABLETOP.strip_start, TABLETOP.strip_start + TABLETOP.strip_length, TABLETOP.counts_per_mm)
     assert strip == (2.5, 62.5, 273.05)
-    assert told(StripConfig(kind="strip", port="p")) == strip
-    assert [told(pad) for pad in SHIPPED.pads.each()] == [strip, strip]
+    assert constants(StripConfig(kind="strip", port="p")) == strip
+    assert [constants(pad) for pad in SHIPPED.pads.each()] == [strip, strip]
     assert SHIPPED.rig.palm_lengths_mm == (TABLETOP.palm_length,) * 2 == (75.0, 75.0)
     assert STRIP_COUNTS == POSITION_MAX
 
@@ -52,7 +52,7 @@ def test_a_fixed_hinge_has_the_drawn_palms_unless_told_otherwise():
 def test_init_writes_the_drawn_rig_on_enter():
     written = configuration(usual_answers())
     for pad in written["pads"].values():
-        assert (pad["zero_mm"], pad["length_mm"], pad["counts_per_mm"]) == told(SHIPPED.pads.palm1)
+        assert (pad["zero_mm"], pad["length_mm"], pad["counts_per_mm"]) == constants(SHIPPED.pads.palm1)
     lengths = [written["rig"][f"palm{palm}_length_mm"] for palm in (1, 2)]
     assert lengths == list(SHIPPED.rig.palm_lengths_mm)
 

@@ -59,7 +59,7 @@ def make(folder: Path, geometry: Tabletop) -> list[str]:
         (folder / name).write_text(text(geometry), encoding="utf-8")
     lines = [f"{name}: written" for name in TEXTS]
     lines += printed(folder, geometry)
-    lines += [f"{name}: {said}" for name, said in firmware.build(folder).items()]
+    lines += [f"{name}: {outcome}" for name, outcome in firmware.build(folder).items()]
     return lines
 
 

@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
     add_key(parser)
+    parser.set_defaults(resumes=lambda _status: False)  # as `PlanRun` has it; a guided capture sets it
 
 
 def within(most: float) -> Callable[[str], float]:
@@ -94,7 +95,7 @@ def heard(
         Subscriber(publish, topics=(CONTACT.name, EVENTS.name), key=key) as subscriber,
     ):
         can_move(client)
-        _wait_for_touch(subscriber, publish, stop, cylinder)
+        wait_for_touch(subscriber, publish, stop, cylinder)
         events: list[Event] = []
 
         def listen(t_end: float) -> None:
@@ -102,7 +103,9 @@ def heard(
                 if message.topic == EVENTS.name:
                     events.extend(events_of(message.fields))
 
-        operation = PlanRun(client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s")
+        operation = PlanRun(
+            client, listen, lambda _status, seconds: f"ended after {seconds:.0f} s", resumes=arguments.resumes
+        )
         operation.begin(plan)
         try:
             status = operation.watch(stop, progress)
@@ -182,8 +185,8 @@ def wait_for_none(arguments: argparse.Namespace, config: Config, cylinder: str) 
     raise CliError(RIG_FAILED, f"{cylinder} was not taken out within {TAKE_OUT_S:.0f} s: nothing is stored")
 
 
-def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cylinder: str) -> None:
-    """Until both pads have been touched for a while."""
+def wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cylinder: str) -> None:
+    """Asks for `cylinder`, and waits until both pads have been touched for a while; CliError when they are not."""
     print(f"lay {cylinder} between the palms, across both pads", file=sys.stderr, flush=True)
     left = _touched_otherwise(subscriber, stop, (True, True), FIRST_TOUCH_S)
     if left is None:
@@ -192,7 +195,7 @@ def _wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cyl
         raise CliError(RIG_FAILED, "stopped before anything moved")
     if not left:
         raise CliError(RIG_FAILED, _unheard(address))
-    raise CliError(RIG_FAILED, f"{_untouched(left)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
+    raise CliError(RIG_FAILED, f"{_untouched(left, cylinder)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
 
 
 def _touched_otherwise(
@@ -216,8 +219,8 @@ def _unheard(address: str) -> str:
     return f"nothing is heard from {address}: is a palmd running there?"
 
 
-def _untouched(touched: tuple[bool, ...]) -> str:
+def _untouched(touched: tuple[bool, ...], cylinder: str) -> str:
     if any(touched):
         feels, lacks = PALMS if touched[0] else PALMS[::-1]
-        return f"the cylinder is felt on palm {feels} and not on palm {lacks}"
+        return f"{cylinder} is felt on palm {feels} and not on palm {lacks}"
     return "nothing has touched the pads"

@@ -9,8 +9,9 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from palmd.calibration import cylinder_session
@@ -38,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
+    measure(arguments, partial(wait_for_none, arguments))
+    return 0
+
+
+def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], None]) -> None:
+    """The whole calibration; `exchange` is given configuration and name of the cylinder that must go for the other."""
     config = with_flat_palms(arguments.config, "a pad's standoff")
     radii_mm = (arguments.radius_mm, arguments.second_radius_mm)
     if max(radii_mm) < LEAST_RATIO * min(radii_mm):
@@ -51,18 +58,22 @@ def run(arguments: argparse.Namespace) -> int:
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     names = [f"the cylinder of {radius_mm:g} mm" for radius_mm in radii_mm]
     sessions = [heard(arguments, config, plans[0], cylinder=names[0])]
-    wait_for_none(arguments, config, names[0])
+    exchange(config, names[0])
     sessions.append(heard(arguments, config, plans[1], cylinder=names[1]))
     radii_m = (radii_mm[0] * 1e-3, radii_mm[1] * 1e-3)
     with ending(RIG_FAILED):
-        found = pad_standoffs(sessions, pads(config), radii_m, math.radians(config.rig.angle_sd_deg))
+        found = pad_standoffs(sessions, pads(config), radii_m, math.radians(_opening_sd_deg(config)))
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)
     told = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
     kind = {"palmd_standoff": FORMAT, "radius_mm": radii_mm[0], "second_radius_mm": radii_mm[1]}
     store(folder / FILE, kind, arguments, config, called_for(found), told)
-    return 0
+
+
+def _opening_sd_deg(config: Config) -> float:
+    """One-sigma of φ2: its own constant, and the play between each palm and its actuator."""
+    return math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
 
 
 def table(found: Sequence[PadStandoff]) -> str:

@@ -149,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, f"{path} is there already: name another file, or give --force")
     answers: dict[str, Any] = {}
     for key, question in questions(answers):
-        answers[key] = _asked(question)
+        answers[key] = asked(question)
         if key == "pads" and (note := pad_note(answers[key])):
             print(f"Note: {note}.", file=sys.stderr)
     try:
@@ -161,14 +161,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _asked(question: Prompt) -> Any:
+def asked(question: Prompt, command: str = "init") -> Any:
     """The answer; asked again until it is one, CliError when nobody answers."""
     while True:
         print(f"{question.text} [{question.usual}]: ", end="", flush=True, file=sys.stderr)
         line = sys.stdin.readline()
         if not line:
             print(file=sys.stderr)
-            raise CliError(BAD_INPUT, "nobody answers: palmd init asks at a terminal, or takes a line for each answer")
+            raise CliError(
+                BAD_INPUT, f"nobody answers: palmd {command} asks at a terminal, or takes a line for each answer"
+            )
         try:
             return question.read(line.strip() or question.usual)
         except ValueError as error:

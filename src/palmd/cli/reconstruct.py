@@ -3,6 +3,8 @@
 With -o FILE.svg, .dxf or .csv only the outline is written, with its band, in mm; `palmd export` draws it from
 RESULT.json too. Of a body between three palms, -o FILE.stl, .ply or .obj writes the surface, in mm, --mesh FILE beside
 the result; a PLY is coloured by the band.
+
+LOG may be a bundle of `palmd capture`: each of its recordings is reconstructed and compared with its caliper table.
 """
 
 from __future__ import annotations
@@ -24,7 +26,12 @@ from palmd.record.systems import Reconstructed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
+    parser.add_argument(
+        "log",
+        type=Path,
+        metavar="LOG",
+        help="an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture",
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -46,6 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
+    if arguments.log.is_dir():
+        from palmd.cli.capture_score import compare
+
+        return compare(arguments)
     suffix = arguments.output.suffix.lower()
     beside: Path | None = arguments.mesh
     if beside is not None and beside.suffix.lower() not in MESHES:

@@ -29,6 +29,7 @@ COMMANDS = (
     Command("rig", "cli.rig", "run the emulated rig alone, its ports on pseudo-terminals"),
     Command("ctl", "cli.ctl", "command a running daemon"),
     Command("ctl explore", "cli.explore", "have a running daemon touch the whole outline of the object"),
+    Command("capture", "cli.capture", "make the first recording of a rig, guided: check, calibrate, record, bundle"),
     Command("jog", "cli.jog", "turn the palms with the arrow keys"),
     Command("top", "cli.top", "show the live status of a running daemon in this terminal"),
     Command("view", "cli.view", "serve the live page of a running daemon to browsers on this machine"),

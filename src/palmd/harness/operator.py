@@ -114,12 +114,19 @@ class PlanRun:
     """
 
     def __init__(
-        self, client: CommandClient, listen: Callable[[float], None], told: Callable[[Status, float], str]
+        self,
+        client: CommandClient,
+        listen: Callable[[float], None],
+        told: Callable[[Status, float], str],
+        *,
+        resumes: Callable[[Status], bool] = lambda _status: False,
     ) -> None:
         """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
 
-        `told(status, seconds)` is how far it has come, in words, for an error.
+        `told(status, seconds)` is how far it has come, in words, for an error. `resumes(status)` is asked
+        whether a hold ends that nobody asked for and whose cause is gone; True only when no hand is near the palms.
         """
+        self._resumes = resumes
         self.seconds = 0.0
         self._client, self._listen, self._told = client, listen, told
         self._armed = self._over = False
@@ -157,6 +164,9 @@ class PlanRun:
                 return status
             if status["state"] == "tracking":
                 t_going = t
+            elif still_wanted("start", status) and self._resumes(status):
+                self._client.ask("start")
+                t_going = time.monotonic()
             if t > t_going + HELD_S:
                 raise CliError(RIG_FAILED, f"held for {HELD_S:g} s, so given up; {why(status)}")
             if t >= t_progress:

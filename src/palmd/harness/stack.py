@@ -34,14 +34,13 @@ Name = Literal["rig", "daemon", "recorder", "page"]
 class Stack:
     """Enter it and start what is needed; left, all of it is gone. Each of the four may be started anew.
 
-    `told` is the rig's JSON line, `path` the daemon's configuration; `client` and `subscriber` are the daemon's, and
-    the latter hears the rig's truth too.
+    `told` is the emulated rig's JSON line, empty without one; `path` the daemon's configuration; `client` and
+    `subscriber` are the daemon's, and the latter hears the rig's truth too.
     """
 
     child: ClassVar[type[Child]] = Child
     topics: ClassVar[tuple[str, ...]] = ("palm", "rig/")
 
-    told: dict[str, Any]
     bus: BusConfig
     path: Path
     page: str
@@ -64,6 +63,7 @@ class Stack:
         self._folder, self._config, self._runs = folder, config, runs or folder / "runs"
         self._give_up, self._tell = give_up, tell
         self._count = 0
+        self.told: dict[str, Any] = {}
         self._lives: dict[str, ExitStack] = {}
         self.children: dict[Name, Child] = {}
 
@@ -140,7 +140,7 @@ class Stack:
         quietly = () if records else ("--no-record",)
         self.children["daemon"] = self.begin("daemon", "run", str(self.path), *quietly, **environment)
         life = self._lives["daemon"]
-        self.subscriber = life.enter_context(Subscriber(self.bus.publish, self.told["truth"], topics=self.topics))
+        self.subscriber = life.enter_context(Subscriber(self.bus.publish, *self._truth(), topics=self.topics))
         self.client = life.enter_context(CommandClient(self.bus.command, ANSWER_S))
 
     def until_heard(self, hear: Callable[[Message], None] = lambda _message: None) -> bool:
@@ -159,9 +159,14 @@ class Stack:
 
     def start_recorder(self) -> None:
         """It listens when this returns, unless it does not start at all, which ends nothing."""
-        arguments = ("record", str(self.path), "--truth", self.told["truth"])
+        truth = [word for address in self._truth() for word in ("--truth", address)]
+        arguments = ("record", str(self.path), *truth)
         self.children["recorder"] = self.begin("recorder", *arguments)
         self.children["recorder"].first_line(START_S, self._give_up)
+
+    def _truth(self) -> list[str]:
+        """Where the emulated rig tells its truth."""
+        return [self.told["truth"]] if self.told else []
 
     def start_page(self) -> bool:
         """Whether there is a live page, at `page`; why not is what its process said."""

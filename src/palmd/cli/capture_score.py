@@ -1,0 +1,76 @@
+"""A bundle of `palmd capture`: every recording reconstructed and compared with the caliper table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from palmd.cli.logs import has_a_place, opened, read_any
+from palmd.console.errors import BAD_INPUT, CliError
+from palmd.console.progress import working
+from palmd.record.calipers import TRUTH, CaliperError, Measured, Score, read_table, scored
+
+SURE = 3.0
+"""Standard deviations that an estimate may be off by."""
+
+
+def compare(arguments: argparse.Namespace) -> int:
+    """One JSON object, and a table on standard error; CliError when the bundle cannot be used."""
+    folder = arguments.log
+    try:
+        table = read_table(folder)
+    except CaliperError as error:
+        raise CliError(BAD_INPUT, str(error)) from None
+    has_a_place(arguments.output)
+    objects = []
+    for measured in table:
+        system, log = read_any(folder / measured.run, arguments.calibration_sd)
+        with working(f"reconstructing {measured.name}") as say:
+            result = system.reconstruct(log, arguments.seed, say).line
+        objects.append(_row(measured, result))
+        print("\n".join(_lines(objects[-1])), file=sys.stderr, flush=True)
+    scores = [score for each in objects for score in each["scores"].values()]
+    beyond = sum(abs(score["sigmas"]) > SURE for score in scores)
+    summary = {"objects": objects, "compared": len(scores), "beyond_3_sigma": beyond}
+    with opened(arguments.output, folder / TRUTH) as stream:
+        stream.write(json.dumps(summary, allow_nan=False) + "\n")
+    print(f"{len(scores)} compared with {folder / TRUTH}, {beyond} off by more than {SURE:g} sigma", file=sys.stderr)
+    return 0
+
+
+def _row(measured: Measured, result: Mapping[str, Any]) -> dict[str, Any]:
+    scores = scored(result, measured) if result["converged"] or result.get("verdict") == "partial" else {}
+    touched = result.get("touched")
+    return {
+        "object": measured.name,
+        "run": measured.run,
+        "verdict": result.get("verdict") or ("accepted" if result["converged"] else "rejected"),
+        "coverage": sum(touched) / len(touched) if touched else 0.0,
+        "reason": result.get("reason"),
+        "scores": {name: _numbers(score) for name, score in scores.items()},
+    }
+
+
+def _numbers(score: Score) -> dict[str, Any]:
+    return {
+        "estimate": score.estimate,
+        "sd": score.sd,
+        "measured": score.measured,
+        "whole": score.whole,
+        "sigmas": score.sigmas,
+    }
+
+
+def _lines(row: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{row['object']}: {row['verdict']}, {row['coverage']:.0%} of the normals touched"
+    for name, score in row["scores"].items():
+        bound = "" if score["whole"] else ", where touched"
+        yield (
+            f"  {name:12} {score['estimate']:8.3f} ± {score['sd']:.3f}, measured {score['measured']:.3f}"
+            f" ({score['sigmas']:+.1f} sigma{bound})"
+        )
+    if not row["scores"]:
+        yield f"  nothing to compare: {row['reason'] or 'no outline'}"

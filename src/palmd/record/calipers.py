@@ -1,0 +1,149 @@
+"""Outlines against calipers: the table of a capture's bundle, and how far a reconstruction is from it.
+
+Calipers find the largest and the smallest width of an outline, whichever way round it lies. With the support function
+h(θ) the width along θ is h(θ) + h(θ + π).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmd.events import FloatArray
+
+TRUTH = "truth.csv"
+SCALES_SD = 1e-3
+"""One-sigma of scales, as a share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One object: its recording and photo (files of the bundle), and what calipers and scales say of it.
+
+    sd_mm: one-sigma of a width. mass_g: NaN where it was not weighed.
+    """
+
+    name: str
+    run: str
+    photo: str
+    largest_mm: float
+    smallest_mm: float
+    sd_mm: float
+    mass_g: float = math.nan
+
+
+class CaliperError(ValueError):
+    """The table is not in order; the text says where and what to do."""
+
+
+def widths_mm(h_m: FloatArray) -> FloatArray:
+    """The width (mm) along each of evenly spaced normals, from h (m); raises ValueError for an odd number of them."""
+    if len(h_m) % 2:
+        raise ValueError(f"needs an even number of normals, got {len(h_m)}")
+    return np.asarray((h_m + np.roll(h_m, -(len(h_m) // 2))) * 1e3)
+
+
+def extremes_mm(h_m: Sequence[float] | FloatArray) -> tuple[float, float]:
+    """The largest and the smallest width (mm)."""
+    widths = widths_mm(np.asarray(h_m, dtype=float))
+    return float(widths.max()), float(widths.min())
+
+
+def as_csv(rows: Iterable[Measured]) -> str:
+    """The table's text."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, [field.name for field in fields(Measured)], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow(
+            {key: f"{value:g}" if isinstance(value, float) else value for key, value in asdict(row).items()}
+        )
+    return out.getvalue()
+
+
+def read_table(folder: Path) -> list[Measured]:
+    """The table of a bundle; raises CaliperError with line and column name for what is wrong."""
+    path = folder / TRUTH
+    try:
+        rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error.reason
+        raise CaliperError(f"{path}: {reason}; a bundle of palmd capture has this table") from None
+    if not rows:
+        raise CaliperError(f"{path}: has no object; write one line for each recording")
+    return [_row(path, number, row) for number, row in enumerate(rows, 2)]
+
+
+def _row(path: Path, line: int, row: Mapping[str | None, Any]) -> Measured:
+    values: dict[str, Any] = {}
+    for field in fields(Measured):
+        text = row.get(field.name)
+        if text is None:
+            raise CaliperError(f"{path}:{line}: column {field.name} is missing")
+        if field.type != "float":
+            values[field.name] = text
+            continue
+        try:
+            values[field.name] = float(text)
+        except ValueError:
+            raise CaliperError(f"{path}:{line}: {field.name} must be a number, got {text!r}") from None
+    found = Measured(**values)
+    if not (0.0 < found.smallest_mm <= found.largest_mm and found.sd_mm > 0.0):
+        raise CaliperError(f"{path}:{line}: needs 0 < smallest_mm ≤ largest_mm and sd_mm > 0")
+    if not (folder_run := path.parent / found.run).is_file():
+        raise CaliperError(f"{path}:{line}: there is no recording {folder_run}")
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """An estimate beside what was measured, both with their sd, and their difference in combined sd.
+
+    whole: False where only a bound is known, for a width that not all normals were touched for: the largest that was
+    found may be less than the calipers' and the smallest more; `sigmas` is then 0 unless it is the other way round.
+    """
+
+    estimate: float
+    sd: float
+    measured: float
+    measured_sd: float
+    whole: bool = True
+    way: int = 0
+
+    @property
+    def sigmas(self) -> float:
+        """The difference in combined sd."""
+        off = (self.estimate - self.measured) / math.hypot(self.sd, self.measured_sd)
+        return off if self.whole else self.way * max(self.way * off, 0.0)
+
+
+def scored(result: Mapping[str, Any], measured: Measured) -> dict[str, Score]:
+    """Widths (mm) and mass (g) of a result of `palmd reconstruct`, as far as it has them.
+
+    A width counts where both its ends were touched. The ends share the rig's errors, so that their sds are added.
+    """
+    found: dict[str, Score] = {}
+    if result.get("mass_kg") is not None and not math.isnan(measured.mass_g):
+        found["mass_g"] = Score(
+            result["mass_kg"] * 1e3, result["mass_sd_kg"] * 1e3, measured.mass_g, SCALES_SD * measured.mass_g
+        )
+    h, sd, touched = (result.get(key) for key in ("h_m", "h_sd_m", "touched"))
+    if h is None or sd is None or touched is None:
+        return found
+    widths, sds = widths_mm(np.array(h)), widths_mm(np.array(sd))
+    ends = np.array(touched, dtype=bool)
+    known = ends & np.roll(ends, -(len(ends) // 2))
+    for name, way, calipers in (("largest_mm", 1, measured.largest_mm), ("smallest_mm", -1, measured.smallest_mm)):
+        if known.any():
+            index = int(np.where(known, way * widths, -np.inf).argmax())
+            found[name] = Score(
+                float(widths[index]), float(sds[index]), calipers, measured.sd_mm, bool(known.all()), way
+            )
+    return found

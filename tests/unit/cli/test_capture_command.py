@@ -1,0 +1,88 @@
+"""`palmd capture` before it reaches a rig, and its bundle. With an emulated rig: tests/rig/test_capture.py."""
+
+import io
+from pathlib import Path
+
+import pytest
+
+from palmd.cli import main
+from palmd.cli.capture import Guide
+from palmd.cli.capture_bundle import Bundle, with_pads
+from palmd.config.two_palms import Config
+from palmd.console.errors import CliError
+from palmd.record.calipers import Measured, read_table
+from palmd.yamlfile import load_config
+
+ROOT = Path(__file__).parents[3]
+TABLETOP, EXPLORE, LIVELY = (
+    ROOT / "config" / name for name in ("tabletop.yaml", "plans/explore.yaml", "plans/lively.yaml")
+)
+STONE = Measured("stone", "runs/1-stone.mcap", "stone.jpg", 44.0, 36.0, 0.05)
+
+
+def test_a_plan_without_an_end_is_refused_before_anything_happens(tmp_path, capsys):
+    assert main(["capture", str(TABLETOP), "--plan", str(LIVELY), "-o", str(tmp_path / "new")]) == 1
+    assert "repeats forever" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_it_writes_into_nothing_that_is_there(tmp_path, capsys):
+    (tmp_path / "mine").write_text("mine")
+    assert main(["capture", str(TABLETOP), "-o", str(tmp_path)]) == 1
+    assert "is not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_bundle_loads_again_with_its_calibration_and_plan(tmp_path):
+    bundle = Bundle(tmp_path / "bundle")
+    run = tmp_path / "20261129.mcap"
+    run.write_bytes(b"run")
+    assert bundle.take_run(run, "1-stone") == STONE.run
+    config = with_pads(load_config(TABLETOP), {"palm1": {"zero_mm": 2.6, "scale_sd": 0.002}})
+    bundle.finish(config, EXPLORE, [STONE], emulated=False)
+    loaded: Config = load_config(bundle.folder / "palmd.yaml")
+    assert (loaded.pads.palm1.zero_mm, loaded.pads.palm1.scale_sd, loaded.pads.palm2.zero_mm) == (2.6, 0.002, 2.5)
+    assert (loaded.plan, loaded.record.directory) == (bundle.folder / "plan.yaml", bundle.folder / "runs")
+    assert loaded.plan.read_text() == EXPLORE.read_text()
+    (row,) = read_table(bundle.folder)
+    assert (row.name, row.run, row.photo, row.largest_mm) == ("stone", STONE.run, "stone.jpg", 44.0)
+    assert bundle.pack() == tmp_path / "bundle.zip"
+    assert main(["check", str(loaded.plan), str(bundle.folder / "palmd.yaml")]) == 0
+
+
+def guide(monkeypatch, tmp_path, *lines):
+    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+    return Guide(None, load_config(TABLETOP), EXPLORE, Bundle(tmp_path / "bundle"), None)
+
+
+def failing(times):
+    left = [times]
+
+    def step():
+        left[0] -= 1
+        if left[0] >= 0:
+            raise CliError(3, "pad 1 is silent")
+        return "done"
+
+    return step
+
+
+def test_a_failed_step_says_what_to_do_and_is_tried_again(monkeypatch, tmp_path, capsys):
+    assert guide(monkeypatch, tmp_path, "", "yes")._until_done(failing(2), "wipe the pads") == "done"
+    said = capsys.readouterr().err
+    assert said.count("It failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
+    with pytest.raises(CliError, match="silent"):
+        guide(monkeypatch, tmp_path / "other", "no")._until_done(failing(1), "wipe the pads")
+
+
+def test_calipers_are_asked_for_and_a_slip_is_asked_again(monkeypatch, tmp_path, capsys):
+    answers = ("44", "54", "36.5", "unknown", "")
+    row = guide(monkeypatch, tmp_path, *answers)._measured("stone", "runs/1-stone.mcap")
+    assert (row.largest_mm, row.smallest_mm, row.photo) == (44.0, 36.5, "stone.jpg")
+    assert row.mass_g != row.mass_g
+    assert "a number from 1 to 44" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_caliper_table_cannot_be_compared(tmp_path, capsys):
+    assert main(["reconstruct", str(tmp_path), "-o", str(tmp_path / "r.json")]) == 1
+    assert "truth.csv" in capsys.readouterr().err
