@@ -64,10 +64,10 @@ def _share(gained: pymunk.Vec2d, palm: int, touches: dict[int, tuple[float, floa
     """
     ix, iy, _ = touches[palm]
     if len(touches) == 1:
-        return (gained.x * ix + gained.y * iy) / max(ix * ix + iy * iy, 1e-30)
+        return float((gained.x * ix + gained.y * iy) / max(ix * ix + iy * iy, 1e-30))
     ox, oy, _ = touches[1 - palm]
     across = ix * oy - iy * ox
-    return (gained.x * oy - gained.y * ox) / across if across else 1.0
+    return float((gained.x * oy - gained.y * ox) / across) if across else 1.0
 
 
 def simulate(scene: EngineScene, duration_s: float, steps: int = STEPS) -> EngineRun:
