@@ -19,6 +19,7 @@ from palmd.cli.logs import add_calibration_argument, has_a_place, opened, read_a
 from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
+from palmd.record.calipers import TRUTH
 from palmd.record.meshfile import MESHES
 from palmd.record.outline_files import SUFFIXES
 from palmd.record.systems import Reconstructed
@@ -53,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before the answer is there; CliError when the log cannot be used."""
-    if arguments.log.is_dir():
+    if (arguments.log / TRUTH).exists() or (arguments.log / "runs").is_dir():  # a bundle of `capture`
         from palmd.cli.capture_score import compare
 
         return compare(arguments)

@@ -119,12 +119,13 @@ class PlanRun:
         listen: Callable[[float], None],
         told: Callable[[Status, float], str],
         *,
-        resumes: Callable[[Status], bool] = lambda _status: False,
+        resumes: Callable[[Status], bool] | None = None,
     ) -> None:
         """`listen(t_end)` takes what is published until t_end (s, monotonic clock).
 
         `told(status, seconds)` is how far it has come, in words, for an error. `resumes(status)` is asked
         whether a hold ends that nobody asked for and whose cause is gone; True only when no hand is near the palms.
+        Without it none ends so.
         """
         self._resumes = resumes
         self.seconds = 0.0
@@ -164,7 +165,7 @@ class PlanRun:
                 return status
             if status["state"] == "tracking":
                 t_going = t
-            elif still_wanted("start", status) and self._resumes(status):
+            elif self._resumes and still_wanted("start", status) and self._resumes(status):
                 self._client.ask("start")
                 t_going = time.monotonic()
             if t > t_going + HELD_S:

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from tools.studies.camera import Camera, as_csv, filmed
 
 from palmd.cli import main
 from palmd.rig.simulate import simulate_log
+from tools.camera import Camera, as_csv, filmed
 
 CAMERA = Camera()
 SECONDS = 6.0

@@ -83,6 +83,7 @@ def test_calipers_are_asked_for_and_a_slip_is_asked_again(monkeypatch, tmp_path,
     assert "a number from 1 to 44" in capsys.readouterr().err
 
 
-def test_a_folder_without_a_caliper_table_cannot_be_compared(tmp_path, capsys):
+def test_a_bundle_without_a_caliper_table_cannot_be_compared(tmp_path, capsys):
+    (tmp_path / "runs").mkdir()
     assert main(["reconstruct", str(tmp_path), "-o", str(tmp_path / "r.json")]) == 1
     assert "truth.csv" in capsys.readouterr().err
