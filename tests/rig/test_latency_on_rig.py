@@ -21,7 +21,9 @@ def test_every_case_has_its_line(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    head, *lines = done.stdout.splitlines()
+    table, advice = done.stdout.split("\n\n", 1)
+    assert "->" in advice
+    head, *lines = table.splitlines()
     assert "late: p50" in head
     assert [line.partition("  ")[0] for line in lines] == list(CASES)
     for line, name in zip(lines, CASES, strict=True):
