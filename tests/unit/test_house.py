@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -104,3 +104,9 @@ def test_hardly_a_class_name_means_two_things():
             homes[name].append(str(path))
     shared = {name: files for name, files in homes.items() if len(files) > 1}
     assert len(shared) <= MOST_SHARED_NAMES, shared
+
+
+def test_no_two_files_of_tests_share_a_name() -> None:
+    """pytest imports a file by its name alone, and refuses the second."""
+    names = Counter(path.name for path in Path(__file__).parents[1].rglob("test_*.py"))
+    assert [name for name, times in names.items() if times > 1] == []
