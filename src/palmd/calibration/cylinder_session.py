@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
     add_key(parser)
-    parser.set_defaults(resumes=lambda _status: False)  # as `PlanRun` has it; a guided capture sets it
+    parser.set_defaults(resumes=None)  # of `PlanRun`; a guided capture sets it
 
 
 def within(most: float) -> Callable[[str], float]:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, Register, Settings, Unfit
+from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unfit
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -205,30 +205,9 @@ def _packet(frame: Frame) -> Packet:
     return Packet(t_first, servo, instruction, body[1] if told else 0, body[2:] if told else body[1:], answers)
 
 
-class PacketReader:
-    """Turns a bus's bytes into packets; garbage is counted and nothing else."""
-
-    def __init__(self, baud: int) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
-        self._scanner = FrameScanner(baud, _size, _is_sound, begins=HEADER[0])
-        self.counters = self._scanner.counters
-
-    @property
-    def pending(self) -> int:
-        """How many bytes are in hand."""
-        return self._scanner.pending
-
-    def feed(self, data: bytes, t_recv: float) -> list[Packet]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
-        return list(map(_packet, self._scanner.feed(data, t_recv)))
-
-    def give_up(self) -> list[Packet]:
-        """No more comes of the packet in hand: the packets that it hid."""
-        return list(map(_packet, self._scanner.give_up()))
-
-    def reset(self) -> None:
-        """Discard what is in hand, for the line has been interrupted."""
-        self._scanner.reset()
+def packet_reader(baud: int) -> PacketReader:
+    """Of a bus of `baud` bit/s, which dates the bytes. Raises ValueError if it is not positive."""
+    return PacketReader(FrameScanner(baud, _size, _is_sound, begins=HEADER[0]), _packet)
 
 
 _SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
@@ -272,7 +251,7 @@ class DynamixelMake:
         1220: Unfit("XC330-T181", _UNFIT_WHY, _UNFIT_MEND),
         1230: Unfit("XC330-T288", _UNFIT_WHY, _UNFIT_MEND),
     }
-    reader = staticmethod(PacketReader)
+    reader = staticmethod(packet_reader)
     ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
     sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
     status, restart = staticmethod(encode_status), staticmethod(reboot)

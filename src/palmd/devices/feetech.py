@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, Register, Settings, Unfit
+from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unfit
 
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE
@@ -148,36 +148,20 @@ def _is_sound(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
-class FeetechReader:
-    """Turns a bus's bytes into packets, all answers or all questions; garbage is counted and nothing else."""
+def _answer(frame: Frame) -> Packet:
+    t_first, raw = frame
+    return Packet(t_first, raw[2], 0, raw[4], raw[5:-1], is_status=True)
 
-    def __init__(self, baud: int, *, answers: bool = True) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
-        self._scanner = FrameScanner(baud, _size, _is_sound, begins=_FILLER)
-        self.counters = self._scanner.counters
-        self._answers = answers
 
-    @property
-    def pending(self) -> int:
-        """How many bytes are in hand."""
-        return self._scanner.pending
+def _question(frame: Frame) -> Packet:
+    t_first, raw = frame
+    return Packet(t_first, raw[2], raw[4], 0, raw[5:-1], is_status=False)
 
-    def feed(self, data: bytes, t_recv: float) -> list[Packet]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
-        return list(map(self._packet, self._scanner.feed(data, t_recv)))
 
-    def give_up(self) -> list[Packet]:
-        """No more comes of the packet in hand: the packets that it hid."""
-        return list(map(self._packet, self._scanner.give_up()))
-
-    def reset(self) -> None:
-        """Discard what is in hand, for the line has been interrupted."""
-        self._scanner.reset()
-
-    def _packet(self, frame: Frame) -> Packet:
-        t_first, raw = frame
-        instruction, error = (0, raw[4]) if self._answers else (raw[4], 0)
-        return Packet(t_first, raw[2], instruction, error, raw[5:-1], self._answers)
+def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
+    """Of a bus of `baud` bit/s with answers only, or questions only. Raises ValueError if `baud` is not positive."""
+    scanner = FrameScanner(baud, _size, _is_sound, begins=_FILLER)
+    return PacketReader(scanner, _answer if answers else _question)
 
 
 class FeetechMake:
@@ -205,7 +189,7 @@ class FeetechMake:
     }
     models: Mapping[int, str] = {777: "STS3215", 2825: "STS3250"}
     unfit: Mapping[int, Unfit] = {}
-    reader = staticmethod(FeetechReader)
+    reader = staticmethod(packet_reader)
     ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
     sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
     status = staticmethod(encode_status)

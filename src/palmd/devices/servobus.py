@@ -5,11 +5,11 @@ Everything here is pure and safe inside the 100 Hz loop.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from palmd.devices.framing import FrameCounters
+from palmd.devices.framing import Frame, FrameScanner
 
 COUNTS_PER_TURN = 4096
 
@@ -84,25 +84,30 @@ class Packet:
     is_status: bool
 
 
-class BusReader(Protocol):
+class PacketReader:
     """Turns a bus's bytes into packets; garbage is counted and nothing else."""
 
-    @property
-    def counters(self) -> FrameCounters:
-        """What the bus has brought."""
+    def __init__(self, scanner: FrameScanner, packet: Callable[[Frame], Packet]) -> None:
+        """`scanner` finds the make's frames, `packet` says what is in one."""
+        self._scanner, self._packet = scanner, packet
+        self.counters = scanner.counters
 
     @property
     def pending(self) -> int:
         """How many bytes are in hand."""
+        return self._scanner.pending
 
     def feed(self, data: bytes, t_recv: float) -> list[Packet]:
         """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        return list(map(self._packet, self._scanner.feed(data, t_recv)))
 
     def give_up(self) -> list[Packet]:
         """No more comes of the packet in hand: the packets that it hid."""
+        return list(map(self._packet, self._scanner.give_up()))
 
     def reset(self) -> None:
         """Discard what is in hand, for the line has been interrupted."""
+        self._scanner.reset()
 
 
 class Unfit(NamedTuple):
@@ -156,7 +161,7 @@ class ServoMake(Protocol):
     models: Mapping[int, str]
     unfit: Mapping[int, Unfit]
 
-    def reader(self, baud: int) -> BusReader:
+    def reader(self, baud: int) -> PacketReader:
         """Of what the servos say. Raises ValueError for a `baud` that is not positive."""
 
     def ping(self, servo: int) -> bytes:

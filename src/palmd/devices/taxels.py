@@ -63,7 +63,8 @@ ANSWER_S = 0.030
 """An answer that has not come within so long will not come: it takes 0.3 ms on the line and 16 ms in a slow adapter."""
 
 MOST_DIGITS = 6
-_NUMBERS = re.compile(rb"[ \t]*\d{1,6}(?:[ \t]*[,; \t][ \t]*\d{1,6})*[ \t]*[,;]?[ \t]*\r?\n")
+_NUMBER = rb"\d{1,%d}" % MOST_DIGITS
+_NUMBERS = re.compile(rb"[ \t]*%b(?:[ \t]*[,; \t][ \t]*%b)*[ \t]*[,;]?[ \t]*\r?\n" % (_NUMBER, _NUMBER))
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +225,7 @@ class St0001:
         return np.frombuffer(frame[4:-2], "<u2").tolist()  # type: ignore[no-any-return]
 
     def opening(self) -> bytes:
-        """Values in millinewtons, please."""
+        """Asks for values in millinewtons."""
         return modbus_frame(WRITE_REGISTER, VALUE_TYPE.to_bytes(2, "big") + MILLINEWTONS.to_bytes(2, "big"))
 
     def question(self) -> bytes:

@@ -16,7 +16,7 @@ import numpy as np
 from palmd.config.arms import ArmConfig, ServoConfig, ServosConfig
 from palmd.config.two_palms import Config
 from palmd.devices.actuator import ArmState
-from palmd.devices.servobus import COUNTS_PER_TURN, BusReader, Packet
+from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader
 from palmd.events import Joints, PalmMotion
 from palmd.rig.actuators import Utterance
 from palmd.rig.arm import Servo
@@ -152,9 +152,14 @@ class ServoArm(ABC, Generic[Shaft]):
     """Both servos on their bus; see `rig.actuators.EmulatedActuator`."""
 
     def __init__(
-        self, config: Config, arm: ServosConfig, servos: Sequence[Shaft], reader: BusReader, rng: np.random.Generator,
+        self,
+        config: Config,
+        arm: ServosConfig,
+        servos: Sequence[Shaft],
+        reader: PacketReader,
+        rng: np.random.Generator,
         t: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`servos` stand still at t (s), without torque; `reader` is of what a host says."""
         self.baud = arm.baud
         self.hinge = Hinge("fixed", config.rig.palm_lengths_mm[0] * 1e-3, (0.0, 0.0))
@@ -174,7 +179,7 @@ class ServoArm(ABC, Generic[Shaft]):
         """What the servos do and say when they have heard a question at t (s)."""
 
     @abstractmethod
-    def listener(self) -> BusReader:
+    def listener(self) -> PacketReader:
         """Of their answers."""
 
     @property

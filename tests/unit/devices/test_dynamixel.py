@@ -15,10 +15,10 @@ from palmd.devices.dynamixel import (
     VELOCITY,
     WATCHDOG,
     Instruction,
-    PacketReader,
     crc16,
     encode,
     encode_status,
+    packet_reader,
     ping,
     read,
     reboot,
@@ -64,7 +64,7 @@ def test_packets_are_those_of_the_manual(packet, manual):
 
 def test_an_answer_of_ordinary_numbers_is_stuffed_and_read_back():
     raw = bytes.fromhex("FF FF FD 00 01 15 00 55 00 E8 03 01 01 00 00 FF FF FD FD FF FF FF 63 08 00 00 62 A2")
-    (packet,) = PacketReader(BAUD).feed(raw, 0.0)
+    (packet,) = packet_reader(BAUD).feed(raw, 0.0)
     registers = Registers(120, packet.parameters)
     assert (registers[VELOCITY], registers[POSITION]) == (-3, 2147)
     assert HARDWARE_ERROR not in registers
@@ -126,7 +126,7 @@ def test_stuffing_is_undone_and_leaves_no_header(data):
 def test_every_split_of_the_bytes_gives_the_same_packets(packets, data):
     stream = b"".join(packets)
     edges = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
-    whole, cut = PacketReader(BAUD), PacketReader(BAUD)
+    whole, cut = packet_reader(BAUD), packet_reader(BAUD)
     expected = whole.feed(stream, 0.0)
     found = [p for a, b in zip([0, *edges], [*edges, len(stream)], strict=True) for p in cut.feed(stream[a:b], 0.0)]
     assert len(expected) == len(packets)
@@ -136,7 +136,7 @@ def test_every_split_of_the_bytes_gives_the_same_packets(packets, data):
 
 @given(st.lists(st.one_of(PACKETS, DATA), max_size=8))
 def test_garbage_is_counted_and_nothing_else(pieces):
-    reader = PacketReader(BAUD)
+    reader = packet_reader(BAUD)
     found = reader.feed(b"".join(pieces), 0.0) + reader.give_up()
     counters = reader.counters
     assert counters.packets == len(found)
@@ -145,7 +145,7 @@ def test_garbage_is_counted_and_nothing_else(pieces):
 
 
 def test_what_a_cut_packet_hides_comes_when_it_is_given_up():
-    reader, whole = PacketReader(BAUD), encode_status(2, 0, bytes(16))
+    reader, whole = packet_reader(BAUD), encode_status(2, 0, bytes(16))
     assert reader.feed(encode_status(1, 0, bytes(60))[:20] + whole, 0.0) == []
     (found,) = reader.give_up()
     assert found.servo == 2
@@ -153,7 +153,7 @@ def test_what_a_cut_packet_hides_comes_when_it_is_given_up():
 
 
 def test_one_flipped_bit_loses_one_packet():
-    reader = PacketReader(BAUD)
+    reader = packet_reader(BAUD)
     good, bad = encode_status(1, 0, bytes(16)), bytearray(encode_status(2, 0, bytes(16)))
     bad[12] ^= 4
     assert [p.servo for p in reader.feed(bytes(bad) + good, 0.0)] == [1]
@@ -161,7 +161,7 @@ def test_one_flipped_bit_loses_one_packet():
 
 
 def test_the_first_byte_is_dated_by_the_line():
-    reader, raw = PacketReader(BAUD), encode_status(1, 0, bytes(16))
+    reader, raw = packet_reader(BAUD), encode_status(1, 0, bytes(16))
     reader.feed(raw[:5], 1.0)
     (packet,) = reader.feed(raw[5:], 2.0)
     assert packet.t_first == pytest.approx(1.0 - 4 * 10 / BAUD)

@@ -12,9 +12,9 @@ from palmd.devices.feetech import (
     LOAD,
     MAKE,
     POSITION,
-    FeetechReader,
     encode,
     encode_status,
+    packet_reader,
     ping,
     read,
     sync_read,
@@ -69,7 +69,7 @@ def test_what_a_register_cannot_hold_is_refused():
 def test_every_split_gives_the_same_and_every_byte_is_counted(pieces, data):
     stream = b"".join(pieces)
     edges = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
-    whole, cut = FeetechReader(BAUD), FeetechReader(BAUD)
+    whole, cut = packet_reader(BAUD), packet_reader(BAUD)
     expected = whole.feed(stream, 0.0)
     found = [p for a, b in zip([0, *edges], [*edges, len(stream)], strict=True) for p in cut.feed(stream[a:b], 0.0)]
     assert [(p.servo, p.error, p.parameters) for p in found] == [(p.servo, p.error, p.parameters) for p in expected]
@@ -85,7 +85,7 @@ def test_a_hundred_thousand_splits_give_the_same_packets():
         for _ in range(8000)
     )
     edges = sorted(dice.sample(range(1, len(stream)), SPLITS))
-    whole, cut = FeetechReader(BAUD), FeetechReader(BAUD)
+    whole, cut = packet_reader(BAUD), packet_reader(BAUD)
     expected = whole.feed(stream, 0.0)
     found = [p for a, b in zip([0, *edges], [*edges, len(stream)], strict=True) for p in cut.feed(stream[a:b], 0.0)]
     assert [(p.servo, p.parameters) for p in found] == [(p.servo, p.parameters) for p in expected]
@@ -94,14 +94,14 @@ def test_a_hundred_thousand_splits_give_the_same_packets():
 
 @given(st.binary(max_size=200))
 def test_any_bytes_raise_nothing_and_are_over_when_given_up(data):
-    reader = FeetechReader(BAUD)
+    reader = packet_reader(BAUD)
     found = reader.feed(data, 0.0) + reader.give_up()
     assert reader.pending == 0
     assert reader.counters.packets == len(found)
 
 
 def test_one_flipped_bit_loses_one_packet():
-    reader = FeetechReader(BAUD)
+    reader = packet_reader(BAUD)
     bad = bytearray(encode_status(2, 0, bytes(16)))
     bad[9] ^= 4
     assert [p.servo for p in reader.feed(bytes(bad) + encode_status(1, 0, bytes(16)), 0.0)] == [1]
@@ -109,7 +109,7 @@ def test_one_flipped_bit_loses_one_packet():
 
 
 def test_the_first_byte_is_dated_by_the_line():
-    reader, raw = FeetechReader(BAUD), encode_status(1, 0, bytes(16))
+    reader, raw = packet_reader(BAUD), encode_status(1, 0, bytes(16))
     reader.feed(raw[:5], 1.0)
     (packet,) = reader.feed(raw[5:], 2.0)
     assert packet.t_first == pytest.approx(1.0 - 4 * 10 / BAUD)

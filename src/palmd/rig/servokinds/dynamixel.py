@@ -17,8 +17,8 @@ import numpy as np
 from palmd.config.arms import DynamixelConfig, ServoConfig
 from palmd.config.two_palms import Config
 from palmd.devices import dynamixel as dxl
-from palmd.devices.dynamixel import BROADCAST, HardwareError, Instruction, PacketReader
-from palmd.devices.servobus import COUNTS_PER_TURN, Packet, Register
+from palmd.devices.dynamixel import BROADCAST, HardwareError, Instruction, packet_reader
+from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Utterance
 from palmd.rig.servokinds import dynamixel_table as servotable
@@ -233,11 +233,11 @@ class DynamixelArm(ServoArm[EmulatedServo]):
         """At rest at `home` (rad) at t (s), without torque."""
         self._code = code = {115200: 2, 1000000: 3, 2000000: 4, 3000000: 5, 4000000: 6}[arm.baud]
         servos = [EmulatedServo(servo, direction, code, rng, t) for servo, direction in palms_of(arm, home)]
-        super().__init__(config, arm, servos, PacketReader(arm.baud), rng, t)
+        super().__init__(config, arm, servos, packet_reader(arm.baud), rng, t)
 
     def listener(self) -> PacketReader:
         """Of its answers."""
-        return PacketReader(self.baud)
+        return packet_reader(self.baud)
 
     # -- the bus ------------------------------------------------------------------------------------------
 

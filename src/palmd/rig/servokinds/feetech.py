@@ -18,8 +18,8 @@ import numpy as np
 from palmd.config.arms import FeetechConfig, ServoConfig
 from palmd.config.two_palms import Config
 from palmd.devices import feetech as sts
-from palmd.devices.feetech import BROADCAST, FeetechError, FeetechInstruction, FeetechReader
-from palmd.devices.servobus import Packet, Register
+from palmd.devices.feetech import BROADCAST, FeetechError, FeetechInstruction, packet_reader
+from palmd.devices.servobus import Packet, PacketReader, Register
 from palmd.events import Joints
 from palmd.rig.actuators import Utterance
 from palmd.rig.servos import RADIANS_PER_COUNT, REBOOT_S, ServoArm, ServoArmFactory, ServoShaft, palms_of
@@ -186,11 +186,11 @@ class FeetechArm(ServoArm[FeetechServo]):
         self._code = code = BAUD_CODES[arm.baud]
         friction = math.radians(arm.friction_deg)
         servos = [FeetechServo(servo, direction, friction, code, rng, t) for servo, direction in palms_of(arm, home)]
-        super().__init__(config, arm, servos, FeetechReader(arm.baud, answers=False), rng, t)
+        super().__init__(config, arm, servos, packet_reader(arm.baud, answers=False), rng, t)
 
-    def listener(self) -> FeetechReader:
+    def listener(self) -> PacketReader:
         """Of its answers."""
-        return FeetechReader(self.baud)
+        return packet_reader(self.baud)
 
     def _obey(self, packet: Packet, t: float) -> list[Utterance]:
         hearing = {servo.id: servo for servo in self._servos if servo.hears(self._code, t)}
