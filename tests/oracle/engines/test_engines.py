@@ -51,6 +51,16 @@ def test_the_engine_turns_the_body_as_the_emulated_rig_does(engine, kind, seed):
     assert np.ptp(np.degrees(here)) > 0.5
 
 
+def test_a_body_of_arcs_turns_as_a_smooth_one():
+    """Without friction engine and plant have the same equations, and only the outline's steps of curvature differ."""
+    pytest.importorskip("pymunk")
+    scene, seconds = draw_scene("slick", 8101), 3.0
+    there, here = study.engine_called("chipmunk")(scene, seconds), resolved(scene, seconds)
+    error = np.degrees(there.psi[: len(here)] - here)
+    assert np.ptp(np.degrees(here)) > 100.0
+    assert math.sqrt(np.mean(error**2)) < 5e-3
+
+
 def test_without_friction_a_log_of_an_engine_is_reconstructed_blind_and_right():
     pytest.importorskip("pymunk")
     row = study.run(study.EngineTask("chipmunk", "slick", "none", 0, 5.0))
