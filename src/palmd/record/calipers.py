@@ -95,10 +95,15 @@ def _row(path: Path, line: int, row: Mapping[str | None, Any]) -> Measured:
         except ValueError:
             raise CaliperError(f"{path}:{line}: {field.name} must be a number, got {text!r}") from None
     found = Measured(**values)
-    if not (0.0 < found.smallest_mm <= found.largest_mm and found.sd_mm > 0.0):
-        raise CaliperError(f"{path}:{line}: needs 0 < smallest_mm ≤ largest_mm and sd_mm > 0")
-    if not (folder_run := path.parent / found.run).is_file():
-        raise CaliperError(f"{path}:{line}: there is no recording {folder_run}")
+    if not (0.0 < found.smallest_mm <= found.largest_mm < math.inf and 0.0 < found.sd_mm < math.inf):
+        raise CaliperError(f"{path}:{line}: needs 0 < smallest_mm ≤ largest_mm and sd_mm > 0, all finite")
+    if not (math.isnan(found.mass_g) or 0.0 < found.mass_g < math.inf):
+        raise CaliperError(f"{path}:{line}: mass_g must be more than 0, or nan where it was not weighed")
+    recording = path.parent / found.run
+    if not recording.resolve().is_relative_to(path.parent.resolve()):
+        raise CaliperError(f"{path}:{line}: run must lie in the bundle, got {found.run}")
+    if not recording.is_file():
+        raise CaliperError(f"{path}:{line}: there is no recording {recording}")
     return found
 
 

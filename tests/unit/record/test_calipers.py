@@ -69,6 +69,10 @@ def test_the_table_comes_back_as_it_was_written(tmp_path):
     [
         (("44,36", "wide,36"), "truth.csv:2: largest_mm must be a number, got 'wide'"),
         (("44,36", "34,36"), "truth.csv:2: needs 0 < smallest_mm ≤ largest_mm"),
+        (("0.05,100", "inf,100"), "truth.csv:2: needs 0 < smallest_mm ≤ largest_mm and sd_mm > 0, all finite"),
+        (("0.05,100", "0.05,inf"), "truth.csv:2: mass_g must be more than 0"),
+        (("0.05,100", "0.05,-5"), "truth.csv:2: mass_g must be more than 0"),
+        (("runs/1.mcap", "../1.mcap"), "truth.csv:2: run must lie in the bundle"),
         (("runs/1", "runs/2"), "truth.csv:2: there is no recording"),
         (("mass_g", "mass"), "truth.csv:2: column mass_g is missing"),
         (("stone,runs/1.mcap,,44,36,0.05,100\n", ""), "has no object"),
