@@ -213,14 +213,14 @@ class AnswerForm(Generic[Answer]):
         but arrays follow the others. vectors: arrays stay arrays, which are packed sooner, else they become lists, and
         `touched` whole numbers.
         """
-        told = [(each.name, each.source, each.kind == "numbers") for each in topic.quantities if each.source]
-        self._told = sorted(told, key=itemgetter(2)) if plain_first else told
+        columns = [(each.name, each.source, each.kind == "numbers") for each in topic.quantities if each.source]
+        self._columns = sorted(columns, key=itemgetter(2)) if plain_first else columns
         self._made, self._absent, self._vectors = made, absent, vectors
 
     def fields_of(self, t: float, answer: Answer) -> Fields:
         """Of an answer heard in the tick at `t` (s)."""
         fields: Fields = {TICK.name: t}
-        for name, source, is_array in self._told:
+        for name, source, is_array in self._columns:
             value = getattr(answer, source)
             fields[name] = self._listed(name, value) if is_array else value
         return fields
@@ -228,8 +228,8 @@ class AnswerForm(Generic[Answer]):
     def answer_of(self, fields: Mapping[str, Any]) -> Answer:
         """The answer that `fields_of` was given, bit for bit; raises KeyError, ValueError for other fields."""
         known = {**self._absent, **fields}
-        told = ((source, known[name], is_array) for name, source, is_array in self._told)
-        return self._made(**{source: _array(value) if is_array else value for source, value, is_array in told})
+        values = ((source, known[name], is_array) for name, source, is_array in self._columns)
+        return self._made(**{source: _array(value) if is_array else value for source, value, is_array in values})
 
     def _listed(self, name: str, value: npt.NDArray[Any]) -> Any:
         flat = value.ravel()
@@ -243,13 +243,13 @@ def _improvement(
     P: FloatArray,  # noqa: N803 -- as the attribute is called
     touched: FloatArray,
     spread: FloatArray,
-    **told: Any,
+    **others: Any,
 ) -> Improvement:
     return Improvement(
-        **told,
-        P=P.reshape(len(told["x"]), -1),
+        **others,
+        P=P.reshape(len(others["x"]), -1),
         touched=touched.astype(np.bool_),
-        spread=spread.reshape(-1, len(told["rig"])),
+        spread=spread.reshape(-1, len(others["rig"])),
     )
 
 

@@ -40,9 +40,9 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm/pivot_events`, there and back."""
 
 
-def _shaped(covariance: FloatArray, **told: Any) -> PivotAnswer:
-    width = len(told["p"])
-    return PivotAnswer(**told, covariance=covariance.reshape(width, width))
+def _shaped(covariance: FloatArray, **others: Any) -> PivotAnswer:
+    width = len(others["p"])
+    return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
 _ANSWER = AnswerForm(PIVOT_ANSWER, _shaped)

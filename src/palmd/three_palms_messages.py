@@ -61,11 +61,11 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm3/events`, there and back."""
 
 
-def shaped(**told: Any) -> BodyAnswer:
+def shaped(**values: Any) -> BodyAnswer:
     """An answer whose matrices have been laid flat."""
-    width = math.isqrt(told["covariance"].size)
-    square = {"R": told["R"].reshape(-1, 3), "covariance": told["covariance"].reshape(width, width)}
-    return BodyAnswer(**told | square)
+    width = math.isqrt(values["covariance"].size)
+    square = {"R": values["R"].reshape(-1, 3), "covariance": values["covariance"].reshape(width, width)}
+    return BodyAnswer(**values | square)
 
 
 _ANSWER = AnswerForm(PALM3_ANSWER, shaped, absent={"rough_m": 0.0}, plain_first=True, vectors=True)

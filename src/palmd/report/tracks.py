@@ -122,10 +122,10 @@ def _of_tum(path: Path) -> PoseTrack:
 def _of_result(path: Path) -> PoseTrack:
     """Of `palmd reconstruct`: its plane trajectories have no position, since that takes the palms' angles."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
-        told = None  # read_result says where it is wrong
-    course = told.get("trajectory") if isinstance(told, dict) else None
+        content = None  # read_result says where it is wrong
+    course = content.get("trajectory") if isinstance(content, dict) else None
     if isinstance(course, dict) and "quat_xyzw" in course:
         try:
             t, quat, com = (np.array(course[name], dtype=np.float64) for name in ("t", "quat_xyzw", "com_m"))
