@@ -14,7 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.model.friction import KINK, LEAST_FORCE, LEAST_RIPPLE
+from palmd.model.friction import (
+    HOP_NOISE_S,
+    KINK,
+    LEAST_DIRECTION,
+    LEAST_DRIVE,
+    LEAST_FORCE,
+    LEAST_RIPPLE,
+    RIPPLE_NOISE_S,
+)
 from palmd.model.shape import HARMONICS
 from palmd.model.shape_map import N, Z
 
@@ -51,7 +59,12 @@ def reading_row(x: FloatArray, phi1: float, phi2: float, pad: int) -> tuple[floa
 
 
 def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
-    """α0 (rad/s²) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
+    """α0 (rad/s²) of states, a column each; see `motion`."""
+    return motion(x, palms, rig)[0]
+
+
+def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
+    """(α0 in rad/s², what the law of friction leaves open of ω0 in (rad/s)²/s) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
 
     With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
     that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md),
@@ -93,34 +106,82 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
         right[:, 2] = damping * omega0
         return np.asarray(np.linalg.solve(left, right[:, :, None])[:, :, 0].T)
 
-    kappa, transmission, averaged, half_period, kappa_off, transmission_off = rig[7:13]
+    kappa, transmission, averaged, half_period, kappa_off, transmission_off, period_off = rig[7:14]
     if averaged:
-        return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2])
+        return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2]), np.zeros(x.shape[1])
     kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
+    half_period *= max(1.0 + period_off, 0.0)
     each = {signs: solved(signs) for signs in _SIGN_PAIRS}
     turning = t.T @ (to_plane @ d) + r  # of each slip with ω0
-    ripple = _ripple({signs: of[2] for signs, of in each.items()}, _mean_direction(slip / speed), kappa)
-    ripple = np.sqrt((half_period * turning) ** 2 * ripple + LEAST_RIPPLE**2)
-    ripple = np.where(ripple.real < speed.real, ripple, speed)
-    mean = (_mean_direction((slip + ripple) / speed) + _mean_direction((slip - ripple) / speed)) / 2
-    forces, rubbed = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean)
-    for signs, share in _sign_shares(mean, kappa):
-        force = share * _positive(each[signs][:2])
-        forces, rubbed = forces + force, rubbed + np.array(signs)[:, None] * force
-    return np.asarray(solved(mean + (transmission + transmission_off) * (rubbed / forces - mean))[2])
+    drive = turning[:, None] * half_period / 2 * _by_sign({signs: of[2] for signs, of in each.items()})
+    follows = transmission + transmission_off
+
+    def averaged_over(mean: Array, lag: Array) -> tuple[Array, Array]:
+        """α0, and the part of it that comes of contacts being pulled."""
+        forces, rubbed, pulled = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean), 0.0
+        for signs, share in _sign_shares(mean, kappa, lag):
+            s = np.array(signs)[:, None]
+            force = share * _positive(each[signs][:2])
+            forces, rubbed = forces + force, rubbed + s * force
+            pulled = pulled + (share * _positive(-each[signs][:2]) * np.abs(d + mu * s * r) / rho2).sum(axis=0)
+        return np.asarray(solved(mean + follows * (rubbed / forces - mean))[2]), follows * pulled
+
+    spin, pulled = averaged_over(*_rippled_directions(slip, speed, drive, kappa))
+    steady, _ = averaged_over(_mean_direction(slip / speed), np.zeros(x.shape[1]))
+    return spin, RIPPLE_NOISE_S * (spin - steady) ** 2 + HOP_NOISE_S * pulled**2
 
 
-def _ripple(spin: Mapping[tuple[int, int], Array], mean: Array, kappa: float) -> Array:
-    """Mean square of both slips' ripple over G/(2f), from α0 of each pair of signs and the slips' mean directions.
+def _by_sign(spin: Mapping[tuple[int, int], Array]) -> Array:
+    """By how much α0 changes as the sign of slip of contact 1, of contact 2, goes from −1 to 1, twice."""
+    return np.array([
+        sum(signs[contact] * of for signs, of in spin.items()) for contact in range(2)
+    ])  # fmt: skip
 
-    A reversal of one contact alone changes α0 by the mean over the other's signs; palms of one frequency reverse
-    together, alike for κ = 1 and unlike for −1.
+
+def _rippled_directions(slip: Array, speed: Array, drive: Array, kappa: float) -> tuple[Array, Array]:
+    """Mean direction of each slip, and by how many periods contact 1's is later than the other's, by the body's ripple.
+
+    drive[i, j]: by how much (m/s) the sign of contact j drives slip i, in a period.
     """
-    weight = (1 - mean**2) / 4  # p (1 − p)
-    alone = np.array([spin[1, 1] + spin[1, -1] - spin[-1, 1] - spin[-1, -1],
-                      spin[1, 1] + spin[-1, 1] - spin[1, -1] - spin[-1, -1]]) / 2 * weight  # fmt: skip
-    both = spin[1, 1] - spin[-1, -1] if kappa > 0 else spin[1, -1] - spin[-1, 1]
-    return np.asarray((1 - abs(kappa)) * (alone**2 + alone[::-1] ** 2 / 3) + abs(kappa) * (both * weight) ** 2)
+    steady = _mean_direction(slip / speed)
+    mean, late = np.empty_like(steady), np.empty_like(steady)
+    together, apart = abs(kappa), 1 - abs(kappa)
+    half = 0.0 if kappa > 0 else 0.5
+    p = (1 + steady) / 2
+    for i, j in ((0, 1), (1, 0)):
+        own, other = drive[i, i] * p[i] * (1 - p[i]), drive[i, j] * p[j] * (1 - p[j])
+        stray = apart * np.where(other.real < 0, -other, other) / math.sqrt(3)
+        spread = apart * np.sqrt(own**2 + other**2 / 3 + LEAST_RIPPLE**2)
+        tips, swings = [], []
+        for side in (1, -1):
+            swing = together * drive[i, j] * _swung(half + side * p[i] / 2, p[j])
+            w = swing + side * (together * own - spread)
+            w = np.where(w.real > speed.real, speed, np.where(w.real < -speed.real, -speed, w))
+            tips.append(_mean_direction((slip[i] + w) / speed))
+            swings.append(swing)
+        least = LEAST_DRIVE * speed
+        own_drive = np.where(-drive[i, i].real > least.real, -drive[i, i], least)
+        found = (tips[0] + tips[1]) / 2
+        ahead = _beyond(speed - slip[i] - swings[1], stray, own_drive)
+        behind = _beyond(speed + slip[i] + swings[0], stray, own_drive)
+        mean[i] = found + _positive(ahead - _positive(found)) - _positive(behind - _positive(-found))
+        late[i] = (tips[0] - tips[1]) / 8
+    return mean, late[0] - late[1]
+
+
+def _swung(x: Array, share: Array) -> Array:
+    """∫(sign − its mean), of a sign that is positive for a share of the period about x = 0; in periods."""
+    x = x - np.floor(x.real + 0.5)
+    side = np.where(x.real < 0, -1, 1)
+    inside = np.abs(x.real) < share.real / 2
+    return np.asarray(np.where(inside, 2 * (1 - share) * x, share * (side - 2 * x)))
+
+
+def _beyond(room: Array, stray: Array, drive: Array) -> Array:
+    """The least mean direction of a contact whose ripple has so much room, ± stray, where it would have more."""
+    squares = (1 - 4 * _positive(each) / drive for each in (room + stray, room - stray))
+    one, two = (np.sqrt(np.where(each.real > LEAST_DIRECTION**2, each, LEAST_DIRECTION**2)) for each in squares)
+    return np.asarray((one + two) / 2 - LEAST_DIRECTION)
 
 
 def _mean_direction(x: Array) -> Array:
@@ -129,15 +190,19 @@ def _mean_direction(x: Array) -> Array:
     return np.asarray(2 / math.pi * np.arctan(x / KINK * np.sqrt(cosh**2 - 1) / cosh))
 
 
-def _sign_shares(mean: Array, kappa: float) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Pairs of slip signs, with their shares of time: independent ones, and by |κ| as far as can be alike or unlike."""
-    forward, backward = (1 + mean) / 2, (1 - mean) / 2
-    unlike = kappa < 0.0
-    for signs in _SIGN_PAIRS:
-        p1, p2 = (forward[j] if signs[j] > 0 else backward[j] for j in range(2))
-        same = signs[0] == signs[1]
-        extreme = _positive(p1 + p2 - 1) if same == unlike else np.where(p1.real < p2.real, p1, p2)
-        yield signs, (1 - abs(kappa)) * p1 * p2 + abs(kappa) * extreme
+def _sign_shares(mean: Array, kappa: float, lag: Array) -> Iterator[tuple[tuple[int, int], Array]]:
+    """Pairs of slip signs with their shares of time: of independent slips, and by |κ| of two arcs of one period."""
+    p1, p2 = (1 + mean) / 2
+    late = 2 * np.where(lag.real < 0, -lag, lag)
+    lesser = 2 * np.where(p1.real < p2.real, p1, p2)
+
+    def overlap(x: Array) -> Array:
+        left = p1 + p2 - x
+        return _positive(np.where(left.real < lesser.real, left, lesser)) / 2
+
+    arcs = overlap(late) + overlap(2 - late) if kappa > 0 else overlap(1 - late) + overlap(1 + late)
+    both = (1 - abs(kappa)) * p1 * p2 + abs(kappa) * arcs
+    yield from zip(_SIGN_PAIRS, (both, p1 - both, p2 - both, 1 - p1 - p2 + both), strict=True)
 
 
 def _positive(value: Array) -> Array:

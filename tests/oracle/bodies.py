@@ -16,7 +16,7 @@ ORDER = 12
 # ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
 KAPPA, TRANSMISSION = RIG + 15, RIG + 16  # by how much both are off
-SHAPE = RIG + 17
+SHAPE = RIG + 18
 CONSTANTS = SHAPE + 2 * ORDER + 1
 KINK = 0.02
 

@@ -12,7 +12,7 @@ from palmd.model.integrate import exponential_step
 from palmd.model.outputs import NAMED
 
 FLAT = [0.0, 0.0]
-IN_PHASE = [-0.7, 0.8, 0.0, 2e-3, -0.2, 0.1]  # κ, λ, not the old law, 1/(2f); by how much κ, λ are off
+IN_PHASE = [-0.7, 0.8, 0.0, 2e-3, -0.2, 0.1, 0.2]  # κ, λ, not the old law, 1/(2f); by how much these are off
 RIG = [9.81, 0.12, 0.12, 0.0, 0.1, *FLAT, *IN_PHASE]
 PALMS = [0.7, 1.5, 0.4, -0.3, 1.0, -2.0]
 JERK = [3.0, -4.0]

@@ -7,14 +7,16 @@ the palms are not parallel; neither a force nor a torque sensor is needed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
-from palmd.model.friction import SlipResponse, Vibrated, averaged, normal_forces
+from palmd.model.friction import HOP_NOISE_S, RIPPLE_NOISE_S, SlipResponse, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
-VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 13)
-"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ and λ."""
+VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 14)
+"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ, of λ and, as a
+share, of 1/(2f)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +73,16 @@ class BodyConstants:
 class Motion:
     """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
 
-    least: the least force on each contact within a vibration (m/s²).
+    least: the least force on each contact within a vibration (m/s²). discrepancy: density ((rad/s)²/s) of what the law
+    of friction leaves open of ω0, 0 where nothing vibrates; hopping: the part of it where contacts hop.
     """
 
     alpha0: SX
     f1: SX
     f2: SX
     least: tuple[SX, ...]
+    discrepancy: SX
+    hopping: SX
 
     @property
     def forces(self) -> tuple[SX, SX]:
@@ -97,21 +102,29 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
 def vibrated_of(dither: SX, rig: SX) -> Vibrated:
     """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
     kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
-    kappa_off, transmission_off = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    kappa_off, transmission_off, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
     kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
     return Vibrated(dither, kappa, transmission + transmission_off, averaged)
 
 
-def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> Motion:
+def half_period_of(rig: SX) -> SX:
+    """1/(2f) (s) of the palms' vibration by what the kernels are told of the rig; 0 at least."""
+    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + rig[VIBRATION_OFF_INPUTS.stop - 1], 0)
+
+
+def newton_euler(
+    palms: Palms, omega0: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX, steps: int = 1
+) -> Motion:
     """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
-    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ, 2f Δ(1/(2f))): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
     Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
-    Valid while f1, f2 > 0.
+    Valid while f1, f2 > 0. steps: to the ripple that agrees with the shares of time that it makes. One is enough for
+    independent vibrations; in antiphase one is no better than none, and two leave a third of the error.
     """
     c = centre_of_mass(palms.phi1, palms.phi2, one, two)
     friction = (body.mu * (1 + rig[4]), body.mu * (1 - rig[4]))
@@ -151,10 +164,16 @@ def newton_euler(palms: Palms, omega0: SX, one: Contact, two: Contact, body: Bod
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
     kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
     by_turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
-    response = SlipResponse(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, rig[HALF_PERIOD_INPUT])
-    mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response)
-    along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
-    f1, f2 = normal_forces(A, B, b, along)
-    torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
-    alpha0 = (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2
-    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)))
+    response = SlipResponse(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, half_period_of(rig))
+    mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response, steps)
+
+    def moving(directions: Sequence[SX]) -> tuple[SX, SX, SX]:
+        along = [mu * each for mu, each in zip(friction, directions, strict=True)]
+        f1, f2 = normal_forces(A, B, b, along)
+        torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
+        return (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2, f1, f2
+
+    alpha0, f1, f2 = moving(mean.directions)
+    by_ripple = alpha0 - moving(mean.without_ripple)[0]
+    hopping = HOP_NOISE_S * mean.pulled**2
+    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), RIPPLE_NOISE_S * by_ripple**2 + hopping, hopping)

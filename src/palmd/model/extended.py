@@ -14,7 +14,7 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, offsets
-from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs
@@ -80,6 +80,10 @@ def _body(x: SX) -> BodyConstants:
     return BodyConstants(x[X.RHO], x[X.MU], ca.exp(x[X.LN_DITHER]), x[X.DAMPING])
 
 
+def _motion(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> Motion:
+    return newton_euler(_palms(x, alpha1, alpha2), x[X.OMEGA0], *_contacts(x), _body(x), rig)
+
+
 def drift(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> SX:
     """Rates of the moving states: ṙ = −d θ̇, ṡ by differentiating (3.13), (3.14), ω̇0 by Newton–Euler."""
     one, two = _contacts(x)
@@ -92,7 +96,7 @@ def drift(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> SX:
     lever1, lever2 = one.r * cos + two.r, two.r * cos + one.r
     s1_dot = (r1_dot * cos - one.r * sin * w2 + r2_dot) / sin - lever1 * cos * w2 / sin**2 - d1_dot
     s2_dot = (r2_dot * cos - two.r * sin * w2 + r1_dot) / sin - lever2 * cos * w2 / sin**2 + d2_dot
-    alpha0 = newton_euler(palms, x[X.OMEGA0], one, two, _body(x), rig).alpha0
+    alpha0 = _motion(x, alpha1, alpha2, rig).alpha0
     return ca.vertcat(
         r1_dot, r2_dot, alpha0, s1_dot, s2_dot, palms.omega1, alpha1, w2, alpha2, x[X.OMEGA0]
     )  # in the order of X
@@ -111,7 +115,7 @@ def predict_function() -> ca.Function:
     moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, damping)
     Q = SX.zeros(MOVING)
     Q[X.R1] = Q[X.R2] = Q[X.S1] = Q[X.S2] = Q_LENGTH
-    Q[X.OMEGA0] = Q_OMEGA0
+    Q[X.OMEGA0] = Q_OMEGA0 + _motion(x, alpha[0], alpha[1], rig).discrepancy
     Q[X.OMEGA1] = Q[X.OMEGA2] = Q_PALM_RATE
     # only the moving rows of the transition differ from the identity
     top = J @ P

@@ -19,6 +19,15 @@ KINK = 0.02
 LEAST_DETERMINANT = 0.02  # of that without friction; less and the body is wedged, where no law of this kind holds
 LEAST_FORCE = 1e-9  # m/s², so that 0/0 of a contact that is never loaded is 0
 LEAST_RIPPLE = 1e-7  # m/s, so that a ripple has a derivative at 0
+LEAST_DIRECTION = 1e-6  # so that a bound on a mean direction has a derivative at 0
+LEAST_DRIVE = (
+    0.3  # of V: the least ripple that the directions next to V are rounded by, more than 0.02 V from it not at all
+)
+RELAXED = 0.7  # from the second of the steps on to the ripple that agrees with the shares that it makes
+RIPPLE_NOISE_S = 0.02
+"""Of the ripple's effect on α0 a part is wrong: as noise of this times its square (median of resolved vibrations)."""
+HOP_NOISE_S = 2.0
+"""The same of what a contact would have to pull for part of a vibration, where it hops instead."""
 BRIEF = KINK / 2  # share of time that the smooth kink leaves to the other sign at a slip of 1.2 V
 SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 SLOPE = math.pi / 2
@@ -56,14 +65,21 @@ def averaged_direction(slip: Any, dither: Any, xp: Any = ca) -> Any:
     return slip / xp.sqrt(slip**2 + dither**2)
 
 
-def sign_shares(sigma: Sequence[Any], kappa: Any, xp: Any = ca) -> tuple[Any, Any, Any, Any]:
+def sign_shares(sigma: Sequence[Any], kappa: Any, lag: Any = 0.0, xp: Any = ca) -> tuple[Any, Any, Any, Any]:
     """Shares of time of the slip signs (+,+), (+,−), (−,+), (−,−) of both palms (section 2).
 
-    P(++) = (1 − |κ|) p1 p2 + |κ| P, where P is min(p1, p2) in antiphase (κ > 0) and max(0, p1 + p2 − 1) in phase;
-    p_i = (1 + σ_i)/2.
+    P(++) = (1 − |κ|) p1 p2 + |κ| P, p_i = (1 + σ_i)/2, where P is that of one frequency: ½ (o(x) + o(2 − x)),
+    o(x) = max(0, min(p1 + p2 − x, 2 p1, 2 p2)), x = δ/π. lag: by how many periods the one contact's forward slip is
+    later than the other's, besides what the palms' phase makes of it: x = 2 |lag| in antiphase (κ > 0), 1 − 2 |lag| in
+    phase. Without lag P is min(p1, p2) and max(0, p1 + p2 − 1).
     """
     p1, p2 = ((1 + each) / 2 for each in sigma)
-    in_antiphase, in_phase = xp.fmin(p1, p2), xp.fmax(p1 + p2 - 1, 0)
+    late = 2 * xp.fabs(lag)
+
+    def overlap(x: Any) -> Any:
+        return xp.fmax(xp.fmin(p1 + p2 - x, 2 * xp.fmin(p1, p2)), 0) / 2
+
+    in_antiphase, in_phase = overlap(late) + overlap(2 - late), overlap(1 - late) + overlap(1 + late)
     both = p1 * p2
     both = both + xp.fmax(kappa, 0) * (in_antiphase - both) + xp.fmax(-kappa, 0) * (in_phase - both)
     return both, p1 - both, p2 - both, 1 - p1 - p2 + both
@@ -93,15 +109,15 @@ def sign_pair_forces(
 
 
 def effective_directions(
-    forces: Sequence[Sequence[Any]], sigma: Sequence[Any], kappa: Any, transmission: Any, xp: Any = ca
+    forces: Sequence[Sequence[Any]], sigma: Sequence[Any], shares: Sequence[Any], transmission: Any, xp: Any = ca
 ) -> tuple[Any, Any]:
     """The directions with which one solve gives the averaged law: σ_i + λ (σ_eff,i − σ_i), σ_eff,i = E[s_i f_i]/E[f_i].
 
-    Sections 1 and 3. forces: `sign_pair_forces`. sigma: mean direction of slip on each palm. A contact that would be
-    pulled under a pair of signs bears nothing then, so that each direction stays within ±1.
+    Sections 1 and 3. forces: `sign_pair_forces`. sigma: mean direction of slip on each palm; shares: `sign_shares`. A
+    contact that would be pulled under a pair of signs bears nothing then, so that each direction stays within ±1.
     """
     mean, along = [LEAST_FORCE, LEAST_FORCE], [0.0, 0.0]
-    for share, signs, pressed in zip(sign_shares(sigma, kappa, xp), SIGN_PAIRS, forces, strict=True):
+    for share, signs, pressed in zip(shares, SIGN_PAIRS, forces, strict=True):
         for i, (force, sign) in enumerate(zip(pressed, signs, strict=True)):
             part = share * xp.fmax(force, 0)
             mean[i], along[i] = mean[i] + part, along[i] + sign * part
@@ -124,48 +140,108 @@ class SlipResponse:
     half_period: Any
 
 
-def ripples(
-    forces: Sequence[Sequence[Any]],
-    mu: Sequence[Any],
-    sigma: Sequence[Any],
-    kappa: Any,
-    body: SlipResponse,
-    xp: Any = ca,
-) -> tuple[Any, Any]:
-    """By how much (m/s) the slip of each contact goes up and down as contacts reverse (section 1, validity b).
+def drives(
+    forces: Sequence[Sequence[Any]], mu: Sequence[Any], body: SlipResponse
+) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """By how much (m/s) a sign that alternates drives each slip: D_ij = G_i ∂α0/∂s_j /f, j the contact that alternates.
 
-    A reversal of contact j changes α0 by Δ_j: a triangle of amplitude a_ij = |G_i Δ_j| p_j (1 − p_j)/(2f). Slip i
-    reverses at the tip of its own, anywhere on an independent palm's (1/√3 of it, RMS). Palms of one frequency reverse
-    about together, from one sign pair to its opposite. Returns the root mean square, interpolated for 0 < |κ| < 1.
+    The derivative is the mean over the other contact's sign. Negative on the diagonal, unless the normal forces
+    alternate by more than friction.
     """
     both, one_only, two_only, none = (
         -sum(f * (d + m * s * r) for f, d, r, m, s in zip(pressed, body.d, body.r, mu, signs, strict=True)) / body.rho2
         for pressed, signs in zip(forces, SIGN_PAIRS, strict=True)
     )  # α0 of each pair, but for what all have
-    lasts = [(1 - each**2) / 4 * body.half_period for each in sigma]
-    own = [(both - two_only + one_only - none) / 2 * lasts[0], (both - one_only + two_only - none) / 2 * lasts[1]]
-    together = xp.fmax(kappa, 0) * (both - none) ** 2 + xp.fmax(-kappa, 0) * (one_only - two_only) ** 2
-    apart = 1 - xp.fabs(kappa)
-    first, second = (
-        xp.sqrt(turning**2 * (apart * (own[i] ** 2 + own[1 - i] ** 2 / 3) + together * lasts[i] ** 2) + LEAST_RIPPLE**2)
-        for i, turning in enumerate(body.turning)
+    by = both - two_only + one_only - none, both - one_only + two_only - none
+    one, two = (tuple(turning * body.half_period / 2 * each for each in by) for turning in body.turning)
+    return one, two
+
+
+def _swung(x: Any, share: Any, xp: Any) -> Any:
+    """∫(s − σ) of a sign that is forward for a `share` of the period about x = 0; x and the integral in periods."""
+    x = x - xp.floor(x + 0.5)
+    rising, falling, fallen = 2 * (1 - share) * x, share * (1 - 2 * x), share * (1 + 2 * x)
+    return xp.fmax(xp.fmin(rising, falling), -fallen)
+
+
+def _beyond(room: Any, stray: Any, drive: Any, xp: Any) -> Any:
+    """√(1 − 4 room/drive): the least mean direction where there is so much `room` (m/s), ± `stray`, for the ripple."""
+    one, other = (
+        xp.sqrt(xp.fmax(1 - 4 * xp.fmax(each, 0) / drive, LEAST_DIRECTION**2)) for each in (room + stray, room - stray)
     )
-    return first, second
+    return (one + other) / 2 - LEAST_DIRECTION
+
+
+def rippled_directions(
+    slips: Sequence[Any], speed: Any, drive: Sequence[Sequence[Any]], kappa: Any, steps: int = 1, xp: Any = ca
+) -> tuple[tuple[Any, Any], Any]:
+    """Mean direction of each slip, and the lag (periods) of slip 1 behind slip 2, the body's own ripple included.
+
+    Each sign that alternates makes the body turn to and fro, so that a slip is not u_i + V cos τ but has triangles
+    Σ_j D_ij ∫(s_j − σ_j) besides (docs/theory/vibration.md, ripple). A contact reverses at u_i + w, where w is what
+    these are just then: a_ii = D_ii p_i (1 − p_i) backwards, −a_ii forwards of its own, of an independent palm's
+    anything between ±a_ij (RMS a_ij/√3), of one with the same frequency what its phase makes of it, which puts both
+    slips out of phase. The ripple cannot carry a slip beyond the vibration's reversal: where |u_i| + |a_ii| > V, the
+    contact sticks for part of the period, so that |a_ii| is V − |u_i| and σ_i² = 1 − 4 (V − |u_i|)/|D_ii|, 1 from V on.
+    drive: `drives`.
+    """
+    together, antiphase = xp.fabs(kappa), xp.fmax(xp.sign(kappa), 0)
+    apart, shift = 1 - together, (1 - antiphase) / 2
+    sigma, lags = [mean_direction(u / speed, xp) for u in slips], [0.0, 0.0]
+    for step in range(steps):
+        part = RELAXED if step else 1.0
+        shares = [(1 + each) / 2 for each in sigma]
+        tips = [each * (1 - each) for each in shares]
+        found, late = [], []
+        for i, u in enumerate(slips):
+            j = 1 - i
+            own, other = drive[i][i] * tips[i], drive[i][j] * tips[j]
+            stray = apart * xp.fabs(other) / math.sqrt(3)
+            spread = apart * xp.sqrt(own**2 + other**2 / 3 + LEAST_RIPPLE**2)
+            away = lags[i] - lags[j] + shift
+            backward, forward = (
+                together * drive[i][j] * _swung(away + side * shares[i] / 2, shares[j], xp) for side in (1, -1)
+            )
+            alone = together * own - spread
+            ends = [xp.fmax(xp.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
+            end, begin = (mean_direction((u + each) / speed, xp) for each in ends)
+            damping = xp.fmax(-drive[i][i], LEAST_DRIVE * speed)
+            mean = (end + begin) / 2
+            mean = (
+                mean
+                + xp.fmax(_beyond(speed - u - forward, stray, damping, xp) - xp.fmax(mean, 0), 0)
+                - xp.fmax(_beyond(speed + u + backward, stray, damping, xp) - xp.fmax(-mean, 0), 0)
+            )
+            found.append(sigma[i] + part * (mean - sigma[i]))
+            late.append(lags[i] + part * ((end - begin) / 8 - lags[i]))
+        sigma, lags = found, late
+    return (sigma[0], sigma[1]), lags[0] - lags[1]
+
+
+def pulled(forces: Sequence[Sequence[Any]], shares: Sequence[Any], mu: Sequence[Any], body: SlipResponse) -> Any:
+    """The part of α0 (rad/s²) that comes of contacts being pulled, which hop instead, all of one sign."""
+    return sum(
+        share * ca.fmax(-f, 0) * ca.fabs(d + m * s * r) / body.rho2
+        for pressed, share, signs in zip(forces, shares, SIGN_PAIRS, strict=True)
+        for f, m, s, d, r in zip(pressed, mu, signs, body.d, body.r, strict=True)
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Averaged:
     """What friction does in the mean over the vibration.
 
-    directions: of friction at each contact, with which one solve of the contact equations gives the mean forces.
-    pair_forces, shares: normal forces (m/s²) and share of time of each of `SIGN_PAIRS`. transmission: λ, 0 with the
-    averaged law.
+    directions: of friction at each contact, with which one solve of the contact equations gives the mean forces;
+    without_ripple: the same if the body's slip had no ripple. pair_forces, shares: normal forces (m/s²) and share of
+    time of each of `SIGN_PAIRS`. transmission: λ, 0 with the averaged law. pulled: see the function of that name.
     """
 
     directions: tuple[SX, ...]
+    without_ripple: tuple[SX, ...]
     pair_forces: tuple[tuple[SX, ...], ...]
     shares: tuple[SX, ...]
     transmission: SX
+    pulled: SX
 
     def least_forces(self, means: Sequence[SX]) -> tuple[SX, ...]:
         """The least force on each contact within a vibration (m/s²), of these mean forces; at 0 it hops.
@@ -189,19 +265,19 @@ def averaged(
     slip: Sequence[SX],
     vibrated: Vibrated,
     body: SlipResponse,
+    steps: int,
 ) -> Averaged:
-    """Friction at both contacts, of slips u_i (m/s), whichever law the vibration asks for."""
+    """Friction at both contacts, of slips u_i (m/s), by the law that the vibration asks for; `steps`: `newton_euler`."""
     forces = sign_pair_forces(A, B, b, mu)
-    per_speed = SLOPE / vibrated.dither
-    steady = [mean_direction(u * per_speed) for u in slip]
-    # a ripple of V or more would stick, where the law is void
-    rippled = [ca.fmin(a, 1 / per_speed) for a in ripples(forces, mu, steady, vibrated.kappa, body)]
-    new = [
-        (mean_direction((u + a) * per_speed) + mean_direction((u - a) * per_speed)) / 2
-        for u, a in zip(slip, rippled, strict=True)
-    ]
+    speed, kappa, law = vibrated.dither / SLOPE, vibrated.kappa, 1 - vibrated.averaged
+    transmission = vibrated.transmission * law
     old = [averaged_direction(u, vibrated.dither) for u in slip]
-    sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, old, strict=True)]
-    transmission = vibrated.transmission * (1 - vibrated.averaged)
-    found = effective_directions(forces, sigma, vibrated.kappa, transmission)
-    return Averaged(found, forces, sign_shares(sigma, vibrated.kappa), transmission)
+
+    def directions(new: Sequence[SX], lag: SX) -> tuple[tuple[SX, ...], tuple[SX, ...]]:
+        sigma = [s + vibrated.averaged * (o - s) for s, o in zip(new, old, strict=True)]
+        shares = sign_shares(sigma, kappa, lag)
+        return effective_directions(forces, sigma, shares, transmission), shares
+
+    found, shares = directions(*rippled_directions(slip, speed, drives(forces, mu, body), kappa, steps))
+    steady, _ = directions([mean_direction(u / speed) for u in slip], SX(0))
+    return Averaged(found, steady, forces, shares, transmission, transmission * pulled(forces, shares, mu, body))

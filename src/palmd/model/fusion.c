@@ -14,14 +14,15 @@
 
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
-#define RIG_INPUTS 13
+#define RIG_INPUTS 14
 #define FRICTION_INPUT 4
-#define VIBRATION_OFF_INPUTS 11 /* two: of kappa and of the transmission */
+#define VIBRATION_OFF_INPUTS 11 /* of kappa, of the transmission, of the period */
+#define VIBRATION_OFF 3
 #define NAMED 18
 #define MOST_STATES 64
 #define EVENTS 24 /* that can be undone */
 #define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
-enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 17 };
+enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 18 };
 
 const long fusion_sizes[] = {JOINTS,  RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS, NAMED, MOST_STATES, EVENTS,
                              RADIUS,  ZERO,       SCALE,          SAGITTA,              LAG,   STANDOFF,    TILT,
@@ -223,7 +224,7 @@ static long best_of(const Bank *bank) {
 
 static void friction_of(const Bank *bank, const RigError *rig) {
   bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
-  for (int i = 0; i < 2; i++) bank->rig[VIBRATION_OFF_INPUTS + i] = rig->values[KAPPA + i];
+  for (int i = 0; i < VIBRATION_OFF; i++) bank->rig[VIBRATION_OFF_INPUTS + i] = rig->values[KAPPA + i];
 }
 
 static void prediction_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double dt, double *u) {

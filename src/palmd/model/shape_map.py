@@ -11,7 +11,7 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, readings
-from palmd.model.dynamics import BodyConstants, Palms, newton_euler
+from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
@@ -66,10 +66,15 @@ def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
     return Palms(phi[0], phi[1], omega[0], omega[1], alpha[0], alpha[1])
 
 
+def motion_of(x: SX, palms: Palms, rig: SX, touch: Touch) -> Motion:
+    """How a state moves."""
+    one, two = contacts_of(x, palms.angles, touch)
+    return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig)
+
+
 def spin_acceleration(x: SX, palms: Palms, rig: SX, touch: Touch) -> SX:
     """α0 (rad/s²) of a state."""
-    one, two = contacts_of(x, palms.angles, touch)
-    return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig).alpha0
+    return motion_of(x, palms, rig, touch).alpha0
 
 
 def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
@@ -83,12 +88,14 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
         state = ca.vertcat(moving, x[2:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
-    damping = ca.jacobian(spin_acceleration(x, palms_after(palms, jerk, SX(0)), rig, touch), x[Z.OMEGA0])
+    beginning = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
+    damping = ca.jacobian(beginning.alpha0, x[Z.OMEGA0])
     moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
     x_next = ca.vertcat(moved, x[2:])
+    (discrepancy,) = touch.thawed(beginning.discrepancy)
     # only two rows of the transition differ from the identity
     top = J @ P
-    corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0)) * dt
+    corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0 + discrepancy)) * dt
     corner[1, 0] = corner[0, 1]
     P_next = ca.blockcat([[corner, top[:, 2:]], [top[:, 2:].T, P[2:, 2:]]])
     return ca.Function("predict", [x, P, u], [x_next, P_next], ["x", "P", "u"], ["x_next", "P_next"])

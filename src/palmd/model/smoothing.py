@@ -30,6 +30,9 @@ ORDER = 12  # harmonics of the outline: more than the live observer's, for ellip
 NODE = 2  # ψ, ω0
 
 
+RIPPLE_STEPS = 2  # see `newton_euler`
+
+
 class C(IntEnum):
     """Index of each constant; SI units, logarithms of SI units.
 
@@ -43,7 +46,7 @@ class C(IntEnum):
     DAMPING = 3
     LN_MASS = 4
     RIG = 5
-    SHAPE = 22
+    SHAPE = 23
 
 
 class R(IntEnum):
@@ -52,9 +55,9 @@ class R(IntEnum):
     A pad reads ZERO + FORCE f + (1 + SCALE) s of a contact at s under a force f (N), as it was LAG ago. Its surface
     lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
     than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
-    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are what κ and λ of the
-    palms' vibration are off by (`model.friction`). Where each pad has its own, pad 2's follows pad 1's.
-    `system.rig_constants` has their names.
+    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are what κ and λ of the palms' vibration are
+    off by, PERIOD is the share by which its period is longer (`model.friction`). Where each pad has its own, pad 2's
+    follows pad 1's. `system.rig_constants` has their names.
     """
 
     ZERO = 0
@@ -68,6 +71,7 @@ class R(IntEnum):
     FORCE = 13
     KAPPA = 15
     TRANSMISSION = 16
+    PERIOD = 17
 
 
 RIG_CONSTANTS = len(RIG_NAMES)
@@ -159,12 +163,12 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) ->
     felt = _felt(palms.phi1, palms.phi2, psi, p, lying)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    off = p[RIG][R.KAPPA], p[RIG][R.TRANSMISSION]
+    off = ca.vertsplit(p[RIG][R.KAPPA : R.PERIOD + 1])
     rig = ca.vertcat(
         rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[FRICTION_INPUT + 1 : VIBRATION_OFF_INPUTS.start], *off
     )
     phi1, phi2 = felt.joints
-    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *felt.contacts, body, rig)
+    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *felt.contacts, body, rig, RIPPLE_STEPS)
 
 
 def step_function(form: Form = SMOOTH) -> ca.Function:
@@ -180,6 +184,15 @@ def step_function(form: Form = SMOOTH) -> ca.Function:
     damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lying).alpha0, x[1])
     moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping, lying.touch)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
+
+
+def hopping_function(form: Form = SMOOTH) -> ca.Function:
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → how uncertain ω0 becomes as contacts hop ((rad/s)²/s)."""
+    x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
+    palms, rig = palms_after(u[1:7], u[7:9], SX(0)), u[9:-2]
+    lying = _Lying(form.outline, touch_on(rig, form.curved), u[-2:])
+    left_open = _motion(x[0], x[1], p, palms, rig, lying).hopping
+    return ca.Function("hopping", [x, p, u], lying.touch.thawed(left_open), ["x", "p", "u"], ["q"])
 
 
 def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
@@ -226,13 +239,13 @@ def _kernels(form: Form) -> list[Kernel]:
     step = step_function(form)
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batched = (step, contact_function(form), force_function(form))
+    batched = (step, hopping_function(form), contact_function(form), force_function(form))
     return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(advance)]
 
 
 @cache
 def library(curved: bool = False) -> Library:
-    """step_batch, contact_batch, force_batch, of columns with the same p; `advance`, a step without its Jacobian."""
+    """step, hopping, contact, force, `_batch` each: of columns with the same p; `advance`: a step without its Jacobian."""
     return kernels("smoothing_curved", Form(curved=True)) if curved else kernels("smoothing", SMOOTH)
 
 

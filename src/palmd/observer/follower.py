@@ -152,7 +152,16 @@ class Follower:
         # palms at rest are no reason for doubt here
         if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):
             return None
-        return Answer(search, finding)
+        return Answer(search, self._judged(search, finding))
+
+    def _judged(self, search: Search, finding: Minima) -> Minima:
+        """With steps uncertain in which contacts hop."""
+        best = finding.fits[0]
+        record = Smoother(search.library, finding.record, search.known).judged(best.guess)
+        if not record.left_open.any():
+            return finding
+        fit = Smoother(search.library, record, search.known).fit(best.guess, best.noise)
+        return Minima(record, (fit,), finding.work)
 
     def _go_on(self, answer: Answer) -> None:
         """What is older than `OPEN_S` becomes part of the chain, the rest is open."""

@@ -108,7 +108,7 @@ def _directions(
         yield 1.0, averaged_direction(slip, dither, np), averaged_direction(other, dither, np)
         return
     sigma = [mean_direction(math.pi / 2 * u / dither, np) for u in (slip, other)]
-    for share, (one, two) in zip(sign_shares(sigma, 0.0, np), itertools.product((1.0, -1.0), repeat=2), strict=True):
+    for share, (one, two) in zip(sign_shares(sigma, 0.0, xp=np), itertools.product((1.0, -1.0), repeat=2), strict=True):
         yield share, one, two
 
 

@@ -29,6 +29,10 @@ WILD_SPIN = 200.0  # rad/s
 BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s), within one step
 
 
+MOST_DISCREPANCY = 1e4
+"""(rad/s)²/s: of a motion that nothing is known of."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
     """Densities of what the model leaves out: of ψ (rad²/s) and of ω0 ((rad/s)²/s).
@@ -70,7 +74,6 @@ class Guess:
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
     """At one point: the matrix and the right-hand side as in `observer.reduction`, and what the cost is made of.
-
     `slack` is what the steps' noise, `strain` what prior knowledge contributes; `outliers` is the share of contact
     readings beyond the gate, `astray` the longest run of them. χ² is per contact and per force reading, robust.
     """
@@ -246,6 +249,14 @@ class Residuals:
         self._p[:] = guess.p
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
+    def hopping(self, guess: Guess) -> FloatArray:
+        """How uncertain ω0 becomes in each step as contacts hop within a vibration ((rad/s)²/s)."""
+        steps, found = len(self.record.dt), np.zeros(len(self._a) + 1)
+        self._p[:], self._a[:steps] = guess.p, guess.x[:-1]
+        self._library.bind("hopping_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
+        found[steps:] = 0.0
+        return np.minimum(np.nan_to_num(found[: steps + 1], nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
+
     def contacts(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""
         self._p[:] = guess.p
@@ -269,7 +280,8 @@ class Residuals:
             self._contacts.predicted(x), record.contact_value, record.contact_variance, record.contact_weight
         )
         forces = does.weighed(self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight)
-        quiet = 1.0 / np.sqrt(np.outer(record.dt, [noise.psi, noise.omega0]))
+        density = np.stack([np.full(steps, noise.psi), noise.omega0 + record.left_open[:-1]], axis=1)
+        quiet = 1.0 / np.sqrt(record.dt[:, None] * density)
         quiet[record.torn] = 0.0
         root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
         root[record.torn] = 0.0

@@ -355,7 +355,8 @@ def _found_again(part: _Part, seed: int) -> _Part:
 def _refined(search: Search, finding: Minima) -> _Part:
     """The best fit again on finer nodes, forces on contacts and forces' noise taken from the model, not from readings.
 
-    Constants of the rig that the readings contradict are given free.
+    Constants of the rig that the readings contradict are given free. Last of all steps in which contacts hop are
+    uncertain: before, that would favour bodies that hop.
     """
     best, prior, belief = finding.fits[0], search.prior, search.belief
     segment, rig = search.segment, search.rig
@@ -374,6 +375,9 @@ def _refined(search: Search, finding: Minima) -> _Part:
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
+    record = smoother.judged(fit.guess)
+    if record.left_open.any():
+        fit = Smoother(search.library, record, prior).fit(fit.guess, fit.noise)
     reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
     return _Part(search, prior, fit, record, belief, as_described, reason)

@@ -35,7 +35,8 @@ class Record:
     `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
     `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
     pads that tell no force; `contact_told`: where the pad tells a force, which it does not beyond its scale. `torn`:
-    steps over which nothing is said of the motion (`within`).
+    steps over which nothing is said of the motion (`within`). left_open (K + 1): what the model leaves open of ω0
+    besides the process noise ((rad/s)²/s) in the step that begins there, at first nothing.
     """
 
     t: FloatArray
@@ -59,6 +60,12 @@ class Record:
     force_variance: FloatArray
     force_weight: FloatArray
     torn: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    left_open: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Nothing is left open unless it is said."""
+        if not len(self.left_open):
+            object.__setattr__(self, "left_open", np.zeros(len(self.t)))
 
     @property
     def dt(self) -> FloatArray:
@@ -99,7 +106,7 @@ class Record:
             self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
-            self.torn[(self.torn >= first) & (self.torn < last)] - first,
+            self.torn[(self.torn >= first) & (self.torn < last)] - first, self.left_open[first : last + 1],
         )  # fmt: skip
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -165,6 +165,10 @@ class Smoother:
         """The record, its contacts pressed as the model has it at `guess` rather than as the pads tell it."""
         return self._residuals.record.pressed_by(self._residuals.pressing(guess))
 
+    def judged(self, guess: Guess) -> Record:
+        """The record, its steps as uncertain as contacts that hop make them at `guess`."""
+        return replace(self._residuals.record, left_open=self._residuals.hopping(guess))
+
     def residuals(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""
         return self._residuals.contacts(guess)
@@ -220,7 +224,8 @@ class Smoother:
             raise np.linalg.LinAlgError("the fit is beyond all numbers")
         covariance, log_det, step = now.posterior()
         steps = len(fit.guess.x) - 1
-        normaliser = steps * (math.log(noise.psi) + math.log(noise.omega0))
+        left_open = self._residuals.record.left_open[:-1]
+        normaliser = steps * math.log(noise.psi) + float(np.log(noise.omega0 + left_open).sum())
         beyond = Guess(fit.guess.x + step.x, fit.guess.p + step.p)
         return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser), beyond, now.promise(step))
 

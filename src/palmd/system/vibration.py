@@ -19,6 +19,10 @@ SHAKER_SD, LEAST_LN_SD = 0.10, 1e-3
 """One sigma of ln V of a shaker whose speed is given without one; and the least that there is."""
 FREQUENCY_HZ = 240.0
 """A shaker's, where it is not given: amidst the 200 to 280 Hz of small shakers."""
+UNKNOWN_PERIOD_SD = 0.5
+"""One sigma of the period of a shaker of unknown frequency, of itself: it may be so fast that no body follows it."""
+RIPPLE_SD = 0.25
+"""One sigma of the ripple's effect on the motion, as a share of it, where the frequency is known exactly."""
 UNKNOWN_KAPPA_SD = 0.7
 RIGID_SD = 0.10
 """One sigma of λ where it is not given: mounts and contacts give a little."""
@@ -68,6 +72,14 @@ class Vibration:
     def half_period(self) -> float:
         """1/(2f) (s); 0 where the body's ripple plays no part, as with the averaged law."""
         return 0.0 if self.averaged else 0.5 / (self.frequency or FREQUENCY_HZ)
+
+    @property
+    def period_sd(self) -> float:
+        """One sigma of the period, as a share of it, what the law does not know of the ripple included."""
+        if self.averaged:
+            return 0.0
+        known = UNKNOWN_PERIOD_SD if self.frequency is None else (self.frequency_sd or 0.0) / self.frequency
+        return math.hypot(known, RIPPLE_SD)
 
     @property
     def likeliest_transmission(self) -> float:
