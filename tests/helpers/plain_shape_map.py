@@ -7,22 +7,14 @@ Jacobian to full precision (complex-step differentiation), with no derivative wr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from plain_friction import SIGN_PAIRS, by_sign, mean_direction, positive, rippled_directions, sign_shares
 
 from palmd.events import FloatArray
-from palmd.model.friction import (
-    HOP_NOISE_S,
-    KINK,
-    LEAST_DIRECTION,
-    LEAST_DRIVE,
-    LEAST_FORCE,
-    LEAST_RIPPLE,
-    RIPPLE_NOISE_S,
-)
+from palmd.model.friction import HOP_NOISE_S, LEAST_FORCE, RIPPLE_NOISE_S
 from palmd.model.shape import HARMONICS
 from palmd.model.shape_map import N, Z
 
@@ -31,7 +23,6 @@ Array = npt.NDArray[Any]  # real or complex
 EPSILON = 1e-30
 _K = np.arange(1, HARMONICS + 1)[:, None]
 _SERIES_TERMS = 20
-_SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _OWN_RATE_STEP = 3e-4  # rad/s: slips change by far less than the speed that hides friction
 
 
@@ -64,8 +55,9 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
 
 
 def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
-    """(α0 in rad/s², what the law of friction leaves open of ω0 in (rad/s)²/s) from Newton–Euler per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
+    """α0 (rad/s²) and what the law of friction leaves open of ω0 ((rad/s)²/s) by Newton–Euler.
 
+    Per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
     With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
     that vibrate the directions of friction are E[s f]/E[f] over the signs s of both slips (docs/theory/vibration.md),
     which the body's own ripple lets alternate sooner.
@@ -111,102 +103,24 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
         return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2]), np.zeros(x.shape[1])
     kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
     half_period *= max(1.0 + period_off, 0.0)
-    each = {signs: solved(signs) for signs in _SIGN_PAIRS}
+    each = {signs: solved(signs) for signs in SIGN_PAIRS}
     turning = t.T @ (to_plane @ d) + r  # of each slip with ω0
-    drive = turning[:, None] * half_period / 2 * _by_sign({signs: of[2] for signs, of in each.items()})
+    drive = turning[:, None] * half_period / 2 * by_sign({signs: of[2] for signs, of in each.items()})
     follows = transmission + transmission_off
 
     def averaged_over(mean: Array, lag: Array) -> tuple[Array, Array]:
         """α0, and the part of it that comes of contacts being pulled."""
         forces, rubbed, pulled = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean), 0.0
-        for signs, share in _sign_shares(mean, kappa, lag):
+        for signs, share in sign_shares(mean, kappa, lag):
             s = np.array(signs)[:, None]
-            force = share * _positive(each[signs][:2])
+            force = share * positive(each[signs][:2])
             forces, rubbed = forces + force, rubbed + s * force
-            pulled = pulled + (share * _positive(-each[signs][:2]) * np.abs(d + mu * s * r) / rho2).sum(axis=0)
+            pulled = pulled + (share * positive(-each[signs][:2]) * np.abs(d + mu * s * r) / rho2).sum(axis=0)
         return np.asarray(solved(mean + follows * (rubbed / forces - mean))[2]), follows * pulled
 
-    spin, pulled = averaged_over(*_rippled_directions(slip, speed, drive, kappa))
-    steady, _ = averaged_over(_mean_direction(slip / speed), np.zeros(x.shape[1]))
+    spin, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
+    steady, _ = averaged_over(mean_direction(slip / speed), np.zeros(x.shape[1]))
     return spin, RIPPLE_NOISE_S * (spin - steady) ** 2 + HOP_NOISE_S * pulled**2
-
-
-def _by_sign(spin: Mapping[tuple[int, int], Array]) -> Array:
-    """By how much α0 changes as the sign of slip of contact 1, of contact 2, goes from −1 to 1, twice."""
-    return np.array([
-        sum(signs[contact] * of for signs, of in spin.items()) for contact in range(2)
-    ])  # fmt: skip
-
-
-def _rippled_directions(slip: Array, speed: Array, drive: Array, kappa: float) -> tuple[Array, Array]:
-    """Mean direction of each slip, and by how many periods contact 1's is later than the other's, by the body's ripple.
-
-    drive[i, j]: by how much (m/s) the sign of contact j drives slip i, in a period.
-    """
-    steady = _mean_direction(slip / speed)
-    mean, late = np.empty_like(steady), np.empty_like(steady)
-    together, apart = abs(kappa), 1 - abs(kappa)
-    half = 0.0 if kappa > 0 else 0.5
-    p = (1 + steady) / 2
-    for i, j in ((0, 1), (1, 0)):
-        own, other = drive[i, i] * p[i] * (1 - p[i]), drive[i, j] * p[j] * (1 - p[j])
-        stray = apart * np.where(other.real < 0, -other, other) / math.sqrt(3)
-        spread = apart * np.sqrt(own**2 + other**2 / 3 + LEAST_RIPPLE**2)
-        tips, swings = [], []
-        for side in (1, -1):
-            swing = together * drive[i, j] * _swung(half + side * p[i] / 2, p[j])
-            w = swing + side * (together * own - spread)
-            w = np.where(w.real > speed.real, speed, np.where(w.real < -speed.real, -speed, w))
-            tips.append(_mean_direction((slip[i] + w) / speed))
-            swings.append(swing)
-        least = LEAST_DRIVE * speed
-        own_drive = np.where(-drive[i, i].real > least.real, -drive[i, i], least)
-        found = (tips[0] + tips[1]) / 2
-        ahead = _beyond(speed - slip[i] - swings[1], stray, own_drive)
-        behind = _beyond(speed + slip[i] + swings[0], stray, own_drive)
-        mean[i] = found + _positive(ahead - _positive(found)) - _positive(behind - _positive(-found))
-        late[i] = (tips[0] - tips[1]) / 8
-    return mean, late[0] - late[1]
-
-
-def _swung(x: Array, share: Array) -> Array:
-    """∫(sign − its mean), of a sign that is positive for a share of the period about x = 0; in periods."""
-    x = x - np.floor(x.real + 0.5)
-    side = np.where(x.real < 0, -1, 1)
-    inside = np.abs(x.real) < share.real / 2
-    return np.asarray(np.where(inside, 2 * (1 - share) * x, share * (side - 2 * x)))
-
-
-def _beyond(room: Array, stray: Array, drive: Array) -> Array:
-    """The least mean direction of a contact whose ripple has so much room, ± stray, where it would have more."""
-    squares = (1 - 4 * _positive(each) / drive for each in (room + stray, room - stray))
-    one, two = (np.sqrt(np.where(each.real > LEAST_DIRECTION**2, each, LEAST_DIRECTION**2)) for each in squares)
-    return np.asarray((one + two) / 2 - LEAST_DIRECTION)
-
-
-def _mean_direction(x: Array) -> Array:
-    """Mean sign of x + cos τ over a period, its kinks at |x| = 1 smoothed over `KINK`."""
-    cosh = (np.sqrt((x + 1) ** 2 + KINK**2) + np.sqrt((x - 1) ** 2 + KINK**2)) / 2
-    return np.asarray(2 / math.pi * np.arctan(x / KINK * np.sqrt(cosh**2 - 1) / cosh))
-
-
-def _sign_shares(mean: Array, kappa: float, lag: Array) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Pairs of slip signs with their shares of time: of independent slips, and by |κ| of two arcs of one period."""
-    p1, p2 = (1 + mean) / 2
-    late = 2 * np.where(lag.real < 0, -lag, lag)
-    lesser = 2 * np.where(p1.real < p2.real, p1, p2)
-
-    def overlap(x: Array) -> Array:
-        left = p1 + p2 - x
-        return _positive(np.where(left.real < lesser.real, left, lesser)) / 2
-
-    arcs = overlap(late) + overlap(2 - late) if kappa > 0 else overlap(1 - late) + overlap(1 + late)
-    both = (1 - abs(kappa)) * p1 * p2 + abs(kappa) * arcs
-    yield from zip(_SIGN_PAIRS, (both, p1 - both, p2 - both, 1 - p1 - p2 + both), strict=True)
-
-
-def _positive(value: Array) -> Array:
-    return np.where(value.real > 0.0, value, 0.0)
 
 
 def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:

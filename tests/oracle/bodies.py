@@ -8,54 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import product
 
 import numpy as np
+from plain_friction import SIGN_PAIRS, by_sign, rippled_directions, sign_shares
 
 ORDER = 12
 # ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
-KAPPA, TRANSMISSION = RIG + 15, RIG + 16  # by how much both are off
+KAPPA, TRANSMISSION, PERIOD = RIG + 15, RIG + 16, RIG + 17  # by how much these are off, the period as a share of it
+STEPS = 2  # of the smoother, to the ripple that agrees with the shares that it makes
 SHAPE = RIG + 18
 CONSTANTS = SHAPE + 2 * ORDER + 1
-KINK = 0.02
-
-
-def mean_direction(ratio: np.ndarray) -> np.ndarray:
-    """(2/π) asin(u/V), its kinks at |u| = V rounded: the angle of an ellipse's confocal coordinates."""
-    far, near = np.hypot(ratio + 1, KINK), np.hypot(ratio - 1, KINK)
-    cosh = (far + near) / 2
-    return 2 / np.pi * np.arctan2(ratio * np.sqrt((cosh - 1) * (cosh + 1)), KINK * cosh)
-
-
-def shares_of_signs(forward: tuple[np.ndarray, np.ndarray], kappa: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
-    """How much of the time each pair of slip signs lasts, from both contacts' shares of forward slip."""
-    one, two = forward
-    alone = one * two
-    together = np.where(kappa > 0, np.minimum(one, two), np.maximum(0.0, one + two - 1.0))
-    both = (1 - np.abs(kappa)) * alone + np.abs(kappa) * together
-    return {(1, 1): both, (1, -1): one - both, (-1, 1): two - both, (-1, -1): 1 - one - two + both}
-
-
-def alternating_spin(
-    spin: dict[tuple[int, int], np.ndarray], forward: list[np.ndarray], kappa: np.ndarray
-) -> list[np.ndarray]:
-    """Amplitude of the triangle of ω0 by which each slip differs in its reversals, over 1/(2f) (rad/s²).
-
-    spin: α0 of each pair of slip signs. A reversal of one contact is counted with the mean over the other's signs, and
-    anywhere in the other's period (1/√3, RMS). With one frequency both reverse about together.
-    """
-    change = [
-        (spin[1, 1] + spin[1, -1] - spin[-1, 1] - spin[-1, -1]) / 2,
-        (spin[1, 1] - spin[1, -1] + spin[-1, 1] - spin[-1, -1]) / 2,
-    ]
-    weight = [p * (1 - p) for p in forward]
-    alone = [c * w for c, w in zip(change, weight, strict=True)]
-    both = np.where(kappa > 0, spin[1, 1] - spin[-1, -1], spin[1, -1] - spin[-1, 1])
-    return [
-        np.sqrt((1 - abs(kappa)) * (alone[i] ** 2 + alone[1 - i] ** 2 / 3) + abs(kappa) * (both * weight[i]) ** 2)
-        for i in range(2)
-    ]
 
 
 class Bodies:
@@ -146,22 +109,17 @@ class Bodies:
             t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) for i, arm in enumerate(arms)
         ]
         kappas, transmission = self.kappa + self.p[KAPPA], self.transmission + self.p[TRANSMISSION]
-        of_signs = {signs: solved(signs) for signs in product((1, -1), repeat=2)}
-        turning = [  # of each slip with the body's rate
+        period = self.half_period * (1 + self.p[PERIOD])
+        of_signs = {signs: solved(signs) for signs in SIGN_PAIRS}
+        turning = np.array([  # of each slip with the body's rate
             t[i] @ (with_spin + np.stack([-arm[1], arm[0]])) for i, arm in enumerate(arms)
-        ]
-        steady = [(1 + mean_direction(slip / speed)) / 2 for slip in slips]
-        spread = alternating_spin({signs: each[2] for signs, each in of_signs.items()}, steady, kappas)
-        swing = zip(turning, spread, strict=True)
-        ripples = [np.minimum(np.abs(by) * rate * self.half_period, speed) for by, rate in swing]
-        one, two = (
-            (mean_direction((slip + ripple) / speed) + mean_direction((slip - ripple) / speed)) / 2
-            for slip, ripple in zip(slips, ripples, strict=True)
-        )
-        forward = (1 + one) / 2, (1 + two) / 2
+        ])  # fmt: skip
+        drive = turning[:, None] * period / 2 * by_sign({signs: each[2] for signs, each in of_signs.items()})
+        means, lag = rippled_directions(np.array(slips), speed, drive, kappas, STEPS)
+        shares = dict(sign_shares(means, kappas, lag))
         directions = []
-        for i, mean in enumerate((one, two)):
-            parts = {signs: share * of_signs[signs][i] for signs, share in shares_of_signs(forward, kappas).items()}
+        for i, mean in enumerate(means):
+            parts = {signs: share * np.maximum(of_signs[signs][i], 0) for signs, share in shares.items()}
             alternating = sum(signs[i] * part for signs, part in parts.items()) / sum(parts.values())
             directions.append(mean + transmission * (alternating - mean))
         return solved(directions)

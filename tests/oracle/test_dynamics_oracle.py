@@ -12,7 +12,20 @@ from palmd.model.contact import Contact, offsets, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 
 GRAVITY = 9.81
-AVERAGED = (0, 0, 0, 0, 0, 0, 1, 1, 0, 0, 0, 0)  # of what follows (g, L1): friction by the averaged law, as in the plant
+AVERAGED = (
+    0,
+    0,
+    0,
+    0,
+    0,
+    0,
+    1,
+    1,
+    0,
+    0,
+    0,
+    0,
+)  # after (g, L1): friction by the averaged law, as in the plant
 
 
 class Lump:

@@ -20,9 +20,7 @@ LEAST_DETERMINANT = 0.02  # of that without friction; less and the body is wedge
 LEAST_FORCE = 1e-9  # m/s², so that 0/0 of a contact that is never loaded is 0
 LEAST_RIPPLE = 1e-7  # m/s, so that a ripple has a derivative at 0
 LEAST_DIRECTION = 1e-6  # so that a bound on a mean direction has a derivative at 0
-LEAST_DRIVE = (
-    0.3  # of V: the least ripple that the directions next to V are rounded by, more than 0.02 V from it not at all
-)
+LEAST_DRIVE = 0.3  # of V: where signs drive a slip by less, contacts stick for so little that the smooth kink hides it
 RELAXED = 0.7  # from the second of the steps on to the ripple that agrees with the shares that it makes
 RIPPLE_NOISE_S = 0.02
 """Of the ripple's effect on α0 a part is wrong: as noise of this times its square (median of resolved vibrations)."""
@@ -205,11 +203,11 @@ def rippled_directions(
             alone = together * own - spread
             ends = [xp.fmax(xp.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
             end, begin = (mean_direction((u + each) / speed, xp) for each in ends)
-            damping = xp.fmax(-drive[i][i], LEAST_DRIVE * speed)
-            mean = (end + begin) / 2
-            mean = (
-                mean
-                + xp.fmax(_beyond(speed - u - forward, stray, damping, xp) - xp.fmax(mean, 0), 0)
+            mean, least = (end + begin) / 2, LEAST_DRIVE * speed
+            damping = xp.fmax(-drive[i][i], least)
+            sticking = 1 / (1 + (least / xp.fmax(-drive[i][i], LEAST_RIPPLE)) ** 4)
+            mean = mean + sticking * (
+                xp.fmax(_beyond(speed - u - forward, stray, damping, xp) - xp.fmax(mean, 0), 0)
                 - xp.fmax(_beyond(speed + u + backward, stray, damping, xp) - xp.fmax(-mean, 0), 0)
             )
             found.append(sigma[i] + part * (mean - sigma[i]))
@@ -267,7 +265,7 @@ def averaged(
     body: SlipResponse,
     steps: int,
 ) -> Averaged:
-    """Friction at both contacts, of slips u_i (m/s), by the law that the vibration asks for; `steps`: `newton_euler`."""
+    """Friction at both contacts, of slips u_i (m/s), by the law that the vibration asks for."""
     forces = sign_pair_forces(A, B, b, mu)
     speed, kappa, law = vibrated.dither / SLOPE, vibrated.kappa, 1 - vibrated.averaged
     transmission = vibrated.transmission * law

@@ -245,7 +245,7 @@ def _kernels(form: Form) -> list[Kernel]:
 
 @cache
 def library(curved: bool = False) -> Library:
-    """step, hopping, contact, force, `_batch` each: of columns with the same p; `advance`: a step without its Jacobian."""
+    """step, hopping, contact, force, `_batch` each: of columns with the same p; `advance`: a step, no Jacobian."""
     return kernels("smoothing_curved", Form(curved=True)) if curved else kernels("smoothing", SMOOTH)
 
 

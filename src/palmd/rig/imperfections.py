@@ -89,6 +89,7 @@ class Imperfections:
             "friction_asymmetry": self.friction,
             "vibration_kappa": 0.0,  # that of the rig's description
             "vibration_transmission": 0.0,
+            "vibration_period": 0.0,
         }
 
 
