@@ -74,7 +74,7 @@ def _beyond(room: Array, stray: Array, drive: Array) -> Array:
     """The least mean direction of a contact whose ripple has so much room, ± stray, where it would have more."""
     squares = (1 - 4 * positive(each) / drive for each in (room + stray, room - stray))
     one, two = (np.sqrt(np.where(each.real > LEAST_DIRECTION**2, each, LEAST_DIRECTION**2)) for each in squares)
-    return np.asarray((one + two) / 2 - LEAST_DIRECTION)
+    return np.asarray((one + two) / 2 - 2 * LEAST_DIRECTION)
 
 
 def mean_direction(x: Array) -> Array:

@@ -90,20 +90,30 @@ def normal_forces(
 
     The determinant is that of a body which is not wedged: at least `LEAST_DETERMINANT` of the one without friction.
     """
-    (m11, m12), (m21, m22) = (
-        (a - c * s for a, c, s in zip(*rows, friction, strict=True)) for rows in zip(A, B, strict=True)
-    )
-    least = LEAST_DETERMINANT * (A[0][0] * A[1][1] - A[0][1] * A[1][0])
-    determinant = xp.fmax(m11 * m22 - m12 * m21, least)
+    (m11, m12), (m21, m22) = _with(A, B, friction)
+    determinant = xp.fmax(m11 * m22 - m12 * m21, LEAST_DETERMINANT * (A[0][0] * A[1][1] - A[0][1] * A[1][0]))
     return (b[0] * m22 - b[1] * m12) / determinant, (m11 * b[1] - m21 * b[0]) / determinant
+
+
+def _with(A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], friction: Sequence[Any]) -> list[list[Any]]:
+    return [[a - c * s for a, c, s in zip(*rows, friction, strict=True)] for rows in zip(A, B, strict=True)]
+
+
+def wedged(A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], friction: Sequence[Any]) -> Any:
+    """Whether this friction holds the body whatever presses it: no forces that press solve the equations."""
+    (m11, m12), (m21, m22) = _with(A, B, friction)
+    return m11 * m22 - m12 * m21 < LEAST_DETERMINANT * (A[0][0] * A[1][1] - A[0][1] * A[1][0])
 
 
 def sign_pair_forces(
     A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], b: Sequence[Any], mu: Sequence[Any], xp: Any = ca
 ) -> tuple[tuple[Any, ...], ...]:
     """f1, f2 for each of `SIGN_PAIRS` (section 1), mu of each palm; negative of a contact that would be pulled."""
-    pairs = ([m * s for m, s in zip(mu, signs, strict=True)] for signs in SIGN_PAIRS)
-    return tuple(normal_forces(A, B, b, friction, xp) for friction in pairs)
+    return tuple(normal_forces(A, B, b, friction, xp) for friction in _by_pair(mu))
+
+
+def _by_pair(mu: Sequence[Any]) -> list[list[Any]]:
+    return [[m * s for m, s in zip(mu, signs, strict=True)] for signs in SIGN_PAIRS]
 
 
 def effective_directions(
@@ -167,7 +177,7 @@ def _beyond(room: Any, stray: Any, drive: Any, xp: Any) -> Any:
     one, other = (
         xp.sqrt(xp.fmax(1 - 4 * xp.fmax(each, 0) / drive, LEAST_DIRECTION**2)) for each in (room + stray, room - stray)
     )
-    return (one + other) / 2 - LEAST_DIRECTION
+    return (one + other) / 2 - 2 * LEAST_DIRECTION  # below 0 where nothing sticks, so that no maximum is between equals
 
 
 def rippled_directions(
@@ -230,28 +240,31 @@ class Averaged:
     """What friction does in the mean over the vibration.
 
     directions: of friction at each contact, with which one solve of the contact equations gives the mean forces;
-    without_ripple: the same if the body's slip had no ripple. pair_forces, shares: normal forces (m/s²) and share of
-    time of each of `SIGN_PAIRS`. transmission: λ, 0 with the averaged law. pulled: see the function of that name.
+    without_ripple: the same if the body's slip had no ripple. pair_forces, shares, wedged: normal forces (m/s²) and
+    share of time of each of `SIGN_PAIRS`, and whether the body is wedged then. transmission: λ, 0 with the averaged
+    law. pulled: see the function of that name.
     """
 
     directions: tuple[SX, ...]
     without_ripple: tuple[SX, ...]
     pair_forces: tuple[tuple[SX, ...], ...]
     shares: tuple[SX, ...]
+    wedged: tuple[SX, ...]
     transmission: SX
     pulled: SX
 
     def least_forces(self, means: Sequence[SX]) -> tuple[SX, ...]:
         """The least force on each contact within a vibration (m/s²), of these mean forces; at 0 it hops.
 
-        Of the sign pairs that last for more than `BRIEF` of the time.
+        Of the sign pairs that last for more than `BRIEF` of the time; in which the body is wedged it is below 0.
         """
         return tuple(self._least(i, mean) for i, mean in enumerate(means))
 
     def _least(self, contact: int, mean: SX) -> SX:
         least = mean
-        for pair, share in zip(self.pair_forces, self.shares, strict=True):
-            least = ca.fmin(least, ca.if_else(share > BRIEF, pair[contact], mean))
+        for pair, share, wedge in zip(self.pair_forces, self.shares, self.wedged, strict=True):
+            pressed = ca.if_else(wedge, -ca.fabs(pair[contact]), pair[contact])
+            least = ca.fmin(least, ca.if_else(share > BRIEF, pressed, mean))
         return mean + self.transmission * (least - mean)
 
 
@@ -278,4 +291,5 @@ def averaged(
 
     found, shares = directions(*rippled_directions(slip, speed, drives(forces, mu, body), kappa, steps))
     steady, _ = directions([mean_direction(u / speed) for u in slip], SX(0))
-    return Averaged(found, steady, forces, shares, transmission, transmission * pulled(forces, shares, mu, body))
+    held = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
+    return Averaged(found, steady, forces, shares, held, transmission, transmission * pulled(forces, shares, mu, body))

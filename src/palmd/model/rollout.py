@@ -25,6 +25,7 @@ MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since th
 BINS = 72  # of outward normals, bin 0 beginning at θ = 0
 TOLD = 10  # ψ, ω0, f1, f2 at their least within a vibration, s1, s2, f1, f2 in the mean, θ1, θ2
 S, MEAN_FORCES, THETA = slice(4, 6), slice(6, 8), slice(8, 10)  # in it
+MOST_UNEXPLAINED = 0.05  # rad/s gained in a step against the torque: more is the step's own error
 MOST_TURN = 0.2  # rad, of a curved palm's tangent at the contact within a step: beyond it the contact has jumped
 
 
@@ -45,7 +46,11 @@ def palms_on(move: SX, t: SX) -> Palms:
 
 
 def _step_function(curved: bool) -> ca.Function:
-    """(x, s, move, rig) → (x after one step, `TOLD` then); of a contact that jumps the least force is −inf."""
+    """(x, s, move, rig) → (x after one step, `TOLD` then); of a contact that jumps the least force is −inf.
+
+    So it is of a step that nothing explains: from hardly any torque to one that resists what was gained. Friction that
+    holds all of a sudden is stiffer than the step can follow.
+    """
     x, s, move, rig = SX.sym("x", N), SX.sym("s", 2), SX.sym("move", MOVE_INPUTS), SX.sym("rig", RIG_INPUTS)
     touch = touch_on(rig, curved, ca.vertsplit(s))
 
@@ -53,8 +58,10 @@ def _step_function(curved: bool) -> ca.Function:
         state = ca.vertcat(moving, x[2:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_on(move, t), rig, touch))
 
-    damping = ca.jacobian(spin_acceleration(x, palms_on(move, SX(0)), rig, touch), x[Z.OMEGA0])
+    at_first = spin_acceleration(x, palms_on(move, SX(0)), rig, touch)
+    damping = ca.jacobian(at_first, x[Z.OMEGA0])
     moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
+    (at_first,) = touch.thawed(at_first)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     touch = touch_on(rig, curved, ca.vertsplit(s))  # the step's own searches are behind it
     one, two = contacts_of(after, palms.angles, touch)
@@ -64,6 +71,11 @@ def _step_function(curved: bool) -> ca.Function:
     if curved:
         turns = ca.fabs(rig[CURVATURE_INPUTS] * (ca.vertcat(*found) - s))
         forces = [ca.if_else(turns[palm] < MOST_TURN, force, -ca.inf) for palm, force in enumerate(forces)]
+    gained = moving[1] - x[Z.OMEGA0]
+    unexplained = ca.logic_and(
+        gained * motion.alpha0 < 0, ca.fabs(gained) > 2 * STEP_S * ca.fabs(at_first) + MOST_UNEXPLAINED
+    )
+    forces = [ca.if_else(unexplained, -ca.inf, force) for force in forces]
     told = ca.vertcat(moving, *forces, *found, *motion.forces, *normals)
     return ca.Function("step", [x, s, move, rig], touch.thawed(after, told))
 

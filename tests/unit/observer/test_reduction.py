@@ -132,10 +132,10 @@ def test_arrays_that_do_not_fit_are_refused():
     steps, kinds = residuals(5)
     made, does = compiled().assembled(steps, kinds), compiled()
     nothing = np.zeros(NODE)
-    with pytest.raises(ValueError, match=r"float64 \(24, 48\), not of \(48, 48\)"):
+    with pytest.raises(ValueError, match=r"float64 \(28, 56\), not of \(56, 56\)"):
         does.reduced(made.banded, nothing, made.rows, made.corner[::2])
-    with pytest.raises(ValueError, match="a multiple of 8 columns, not 46"):
-        does.reduced(made.banded, nothing, made.rows[:, :46], made.corner)
+    with pytest.raises(ValueError, match="a multiple of 8 columns, not 54"):
+        does.reduced(made.banded, nothing, made.rows[:, :54], made.corner)
     with pytest.raises(ValueError, match=r"float32 \(42, 2\)"):
         does.assembled(replace(steps, x=steps.x.astype(np.float32)), kinds)
     with pytest.raises(ValueError, match="there is room for 127 constants, not 130"):
