@@ -40,6 +40,9 @@ FIRST_LOOK_S = 0.3  # readings that tell the object's size
 PLACED_S = 0.4  # readings that orientations are first judged by
 FIRST_READINGS, ORIENTATIONS = 5, 10
 NOISE = ProcessNoise(1e-8, 1e-5)
+LED_BY_READINGS = (1e5, 1e3, 10.0)
+"""Times the process noise: between two nodes the spin may differ by 0.1 rad/s at first, then by ten times less each."""
+
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
 HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
@@ -211,12 +214,20 @@ class Search:
 
         At once to the end of the record where the model foretells it; else window by window.
         """
-        return self._at_once(guesses) or self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses)
+        return self._gone_on_from(guesses, self._at_once(guesses))
 
     def followed(self, guess: Guess) -> Minima | None:
         """As `resumed`, contacts pressed as the model has it where that foretells the readings."""
-        found = self._at_once([guess], pressed=True)
-        return found or self._grown_from(self.record.steps(len(guess.x) - 1), [guess])
+        return self._gone_on_from([guess], self._at_once([guess], pressed=True))
+
+    def _gone_on_from(self, guesses: Sequence[Guess], at_once: Minima | None) -> Minima | None:
+        """`at_once` if that has settled; else window by window from what has explained the readings so far.
+
+        It is right, so that each window is worth a second try.
+        """
+        if at_once is not None and at_once.fits[0].settled:
+            return at_once
+        return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses, loosens=True) or at_once
 
     def _at_once(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
         """What explains the whole record, from guesses of which the first foretells it; None else."""
@@ -249,31 +260,49 @@ class Search:
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
         return likely_orientations(outline, covariance, contacts, palms, self.rig, ORIENTATIONS)
 
-    def _grown_from(self, record: Record, guesses: Sequence[Guess], most_work: float = math.inf) -> Minima | None:
+    def _grown_from(
+        self, record: Record, guesses: Sequence[Guess], most_work: float = math.inf, loosens: bool = False
+    ) -> Minima | None:
+        """`loosens`: a window that is not explained is tried again with a motion that is noisier at first."""
         found = self._minima(record, guesses)
         if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
             return None
         failures = work = 0
         while len(found.record.t) < len(self.record.t):
             now, known = float(found.record.t[-1]), [fit.guess for fit in found.fits]
-            longer = self._window(self._longer(found.record, found.fits[0]), now, known)
+            longer = self._window(self._longer(found.record, found.fits[0]), now, known, loosens)
             work += longer.work
             # near an unstable equilibrium a long window ends on the wrong side of it
             while not explained(longer.fits[0], longer.record):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
                     return longer if len(longer.record.t) == len(self.record.t) else None
-                longer = self._window(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), now, known)
+                longer = self._window(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), now, known, loosens)
                 work += longer.work
             found = longer
             if work > most_work and len(found.record.t) < len(self.record.t):
                 return None
         return found
 
-    def _window(self, record: Record, now: float, known: Sequence[Guess]) -> Minima:
+    def _window(self, record: Record, now: float, known: Sequence[Guess], loosens: bool) -> Minima:
         """The minima of `record`, from what is `known` until `now`; given up soon if a shorter one can be tried."""
         last = float(record.t[-1]) - now < SHORT_GROWTH_S
-        return self._minima(record, known, MAX_ITERATIONS if last else HASTY)
+        found = self._minima(record, known, MAX_ITERATIONS if last else HASTY)
+        if not loosens or (found.fits[0].settled and explained(found.fits[0], found.record)):
+            return found
+        loosened = self._loosened(record, known)
+        return loosened if explained(loosened.fits[0], loosened.record) else found
+
+    def _loosened(self, record: Record, known: Sequence[Guess]) -> Minima:
+        """As `_minima`, of a motion that is noisier at first.
+
+        Contacts that slip faster than the palms vibrate make a path bend so sharply with its start and the constants
+        that the iteration hardly gets on along it; one that may leave the model's for a moment is led by the readings.
+        """
+        smoother, guesses = Smoother(self.library, record, self.known), list(known)
+        for times in LED_BY_READINGS:
+            guesses = [smoother.fit(guess, self.noise.noisier(times)).guess for guess in guesses]
+        return self._minima(record, guesses)
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
