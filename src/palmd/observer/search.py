@@ -273,7 +273,7 @@ class Search:
             longer = self._window(self._longer(found.record, found.fits[0]), now, known, loosens)
             work += longer.work
             # near an unstable equilibrium a long window ends on the wrong side of it
-            while not explained(longer.fits[0], longer.record):
+            while not (_settled(longer) if loosens else explained(longer.fits[0], longer.record)):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
                     return longer if len(longer.record.t) == len(self.record.t) else None
@@ -288,10 +288,10 @@ class Search:
         """The minima of `record`, from what is `known` until `now`; given up soon if a shorter one can be tried."""
         last = float(record.t[-1]) - now < SHORT_GROWTH_S
         found = self._minima(record, known, MAX_ITERATIONS if last else HASTY)
-        if not loosens or (found.fits[0].settled and explained(found.fits[0], found.record)):
+        if not loosens or _settled(found):
             return found
         loosened = self._loosened(record, known)
-        return loosened if explained(loosened.fits[0], loosened.record) else found
+        return loosened if _settled(loosened) else found
 
     def _loosened(self, record: Record, known: Sequence[Guess]) -> Minima:
         """As `_minima`, of a motion that is noisier at first.
@@ -424,6 +424,11 @@ def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
         if near and all(_difference(fit, other) > DIFFERENT_M for other in distinct):
             distinct.append(fit)
     return tuple(distinct)
+
+
+def _settled(found: Minima) -> bool:
+    best = found.fits[0]
+    return best.settled and explained(best, found.record)
 
 
 def explained(fit: Fit, record: Record) -> bool:
