@@ -223,6 +223,7 @@ class Outlook:
     rig: what the rig's constants are off by, in the order of `model.smoothing.R`; None: nothing is known of it.
     rig_spread: (40, 15) what is not known of them, as of `Improvement`: what each step moves of the outline's 25
     coefficients, then of the constants; None until a smoother vouches for the outline.
+    mass, mass_sd: as the pads feel it (kg), NaN while they do not say.
     """
 
     t: float
@@ -232,6 +233,8 @@ class Outlook:
     object_count: int
     rig: FloatArray | None = None
     rig_spread: FloatArray | None = None
+    mass: float = math.nan
+    mass_sd: float = math.nan
 
     @property
     def vouched_for(self) -> bool:

@@ -190,6 +190,8 @@ class Exploring(Explores):
     def _stand(self, exploration: Exploration, tau: float, t: float) -> None:
         """While the motion is held: once it stands, the rest of the move is dropped."""
         if not self._setpoints.moving:
+            if not self._halting:
+                self._reason = "the motion was held: it goes on from here, by another way, when it is started"
             exploration.cut(tau)
             self._setpoints.pause(False)
             self._forget(t)

@@ -26,7 +26,16 @@ from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
 from palmd.motion.roadmap import NEVER_S, Roadmap, TimeToGo
-from palmd.motion.rollout_predictor import BINS, Bools, Moves, Prediction, RolloutPredictor, goodness
+from palmd.motion.rollout_predictor import (
+    BINS,
+    Bools,
+    MostForces,
+    Moves,
+    Prediction,
+    RolloutPredictor,
+    goodness,
+    most_forces,
+)
 from palmd.motion.segments import Angles, Move
 from palmd.system.arcs import joints_of
 from palmd.system.description import RigDescription
@@ -96,6 +105,7 @@ class Explorer:
         self._random = np.random.default_rng(seed)
         self._predictor = RolloutPredictor(rig_inputs(rig))
         self._information = RigInformation(rig)
+        self._pads = rig.pads
         self._surface_limits = surface_limits(limits)
         self._t_begin = math.nan
         self._object_count = 0
@@ -114,6 +124,7 @@ class Explorer:
         if outlook.rig is not None:
             self._predictor.correct(outlook.rig)
         self._see(outlook)
+        self._weigh(outlook)
         coverage, reachable = self._coverage(outlook.touched), float(self._reach.mean())
         seen = coverage >= self._goal.coverage and self._sharp(outlook) and outlook.vouched_for
         open_rig = self._open_rig(outlook) if seen else None
@@ -122,7 +133,7 @@ class Explorer:
             return Decision("done", None, ended, coverage, reachable)
         states, touched, safe = self._after(outlook, under_way)
         if not safe:
-            return Decision("unsafe", None, "the move under way would lose a contact", coverage, reachable)
+            return Decision("unsafe", None, self._unsafe(), coverage, reachable)
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
@@ -153,6 +164,7 @@ class Explorer:
         self._steps: FloatArray = np.zeros(0)  # of the rig's constants, by the smoother's latest answer
         self._expected: FloatArray | float = 0.0  # information that no answer of a smoother has in it yet
         self._most = 0
+        self._most_forces: MostForces | None = None
         self._kept: Moves | None = None
         self._roadmap: Roadmap | None = None
 
@@ -165,6 +177,11 @@ class Explorer:
             return
         self._t_seen = outlook.t
         self._reach = reach(outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits) | outlook.touched
+
+    def _weigh(self, outlook: Outlook) -> None:
+        """What may press on the pads; after a saturated reading they do not say, and what was known counts."""
+        if self._limits.pad_forces and outlook.mass > 0.0:
+            self._most_forces = most_forces(self._limits, self._pads, outlook.mass, outlook.mass_sd)
 
     def _coverage(self, touched: Bools) -> float:
         return float((touched & self._reach).sum() / max(self._reach.sum(), 1))
@@ -213,6 +230,10 @@ class Explorer:
 
     # ---- what will be
 
+    def _unsafe(self) -> str:
+        found = "lose a contact" if self._most_forces is None else "lose a contact or press harder on a pad than it may"
+        return f"the move under way would {found}"
+
     def _after(self, outlook: Outlook, under_way: UnderWay) -> tuple[FloatArray, Bools, bool]:
         """The states when the move under way has ended, what is touched then, and whether all get there safely."""
         states = self._doubted(outlook)
@@ -238,7 +259,7 @@ class Explorer:
         """How far it is to what is wanted, None while the roadmap is being made."""
         if self._roadmap is None:
             self._roadmap = Roadmap(self._predictor, self._limits, state)
-        self._roadmap.renew(state, RENEWED if self._roadmap.complete else MADE)
+        self._roadmap.renew(state, RENEWED if self._roadmap.complete else MADE, self._most_forces)
         if not self._roadmap.complete:
             return None
         inner, depth = _inmost(wanted > 0.0, DEEPEST)
@@ -328,7 +349,7 @@ class Explorer:
         return bool(goodness[0] > 1.0 and goodness.min() > DOUBTFUL)
 
     def _goodness(self, foreseen: Prediction, moves: Moves, elapsed: float = 0.0) -> FloatArray:
-        return goodness(foreseen, moves, self._limits, elapsed)
+        return goodness(foreseen, moves, self._limits, elapsed, self._most_forces)
 
     def _goodness_of(self, states: FloatArray, move: Move) -> FloatArray:
         """How safe the move is for each of the states (N,), and standing still after it."""

@@ -116,8 +116,9 @@ class MotionLimits:
     """All limits of the palms' motion (rad, rad/s, rad/s², m); rate and acceleration hold for each angle.
 
     angles: the lowest and the highest of each joint.
-    pad_length: how far along a palm, from the hinge, a contact is felt. workspace: None while no arm has said
-    what it can do. stop_deceleration: of each angle when the motion is held; None: as much as the arm allows.
+    pad_length: how far along a palm, from the hinge, a contact is felt. pad_forces: what may press on each pad (N);
+    empty: anything. workspace: None while no arm has said what it can do. stop_deceleration: of each angle when the
+    motion is held; None: as much as the arm allows.
     """
 
     system: ClassVar[str] = TWO_PALMS
@@ -130,6 +131,7 @@ class MotionLimits:
     workspace: Workspace | None = None
     curvatures: tuple[float, ...] = FLAT
     stop_deceleration: float | None = None
+    pad_forces: tuple[float, ...] = ()
     bounds: tuple[QuantityLimit, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -164,8 +166,9 @@ class MotionLimits:
         pad_length: float,
         workspace: Workspace | None = None,
         curvatures: tuple[float, ...] = FLAT,
+        pad_forces: tuple[float, ...] = (),
     ) -> MotionLimits:
-        """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m."""
+        """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m, `pad_forces` in N."""
         stop = limits.stop_deceleration_deg_s2
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
@@ -175,6 +178,7 @@ class MotionLimits:
             workspace=workspace,
             curvatures=curvatures,
             stop_deceleration=None if stop is None else math.radians(stop),
+            pad_forces=pad_forces,
         )
 
     @property

@@ -16,6 +16,7 @@ from itertools import accumulate
 from typing import Any
 
 from palmd.config.fields import Strict
+from palmd.config.guards import pad_force_limits
 from palmd.config.plans import MAX_DURATION_S, AnyPlanSpec, ExploreSpec, HoldSpec, JointValues
 from palmd.config.two_palms import (
     SEGMENT_KINDS,
@@ -44,7 +45,7 @@ from palmd.motion.segments import (
     growing_s,
 )
 from palmd.system.arcs import joints_of
-from palmd.system.mechanism import JOINTS
+from palmd.system.mechanism import JOINTS, PALMS
 
 HOME: Angles = (
     math.radians(45.0),
@@ -473,9 +474,13 @@ def _slowing(
 
 
 def _configured(config: Config) -> MotionLimits:
-    shortest_mm = min(pad.length_mm for pad in config.pads.each())
+    pads = dict(zip(PALMS, config.pads.each(), strict=True))
+    shortest_mm = min(pad.length_mm for pad in pads.values())
     return MotionLimits.from_config(
-        config.limits, pad_length=shortest_mm * 1e-3, curvatures=config.rig.curvatures_per_m
+        config.limits,
+        pad_length=shortest_mm * 1e-3,
+        curvatures=config.rig.curvatures_per_m,
+        pad_forces=pad_force_limits(config.limits.force_n, pads),
     )
 
 

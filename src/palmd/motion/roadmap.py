@@ -21,7 +21,7 @@ from palmd.model import shape_map
 from palmd.model.rollout import THETA
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
-from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, RolloutPredictor, goodness
+from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, MostForces, RolloutPredictor, goodness
 from palmd.system.arcs import joints_of, opening_at
 from palmd.system.mechanism import PALMS
 
@@ -83,13 +83,13 @@ class Roadmap:
         """Whether all poses have been looked at once."""
         return self._made >= len(self.poses)
 
-    def renew(self, state: FloatArray, count: int) -> None:
-        """Roll the object of `state` (21,) forward on the moves from the next `count` poses."""
+    def renew(self, state: FloatArray, count: int, most: MostForces | None = None) -> None:
+        """Roll the object of `state` (21,) forward on the moves from the next `count` poses; `most`: see `goodness`."""
         for number in range(self._made, self._made + count):
-            self._renew(state, number % len(self.poses))
+            self._renew(state, number % len(self.poses), most)
         self._made += count
 
-    def _renew(self, state: FloatArray, pose: int) -> None:
+    def _renew(self, state: FloatArray, pose: int, most: MostForces | None) -> None:
         moves = np.flatnonzero(self._from == pose)
         if not len(moves):  # narrow limits may leave but one pose
             return
@@ -101,7 +101,7 @@ class Roadmap:
         rates = np.full((n, 1), RATE_SHARE * self._limits.rate)
         tried = timed(self.poses[pose], ends, rates, self._limits)
         foreseen = self._predictor.of(states, tried)
-        safe = goodness(foreseen, tried, self._limits)[:, 0] > 1.0
+        safe = goodness(foreseen, tried, self._limits, most=most)[:, 0] > 1.0
         psi = _between(np.where(safe, foreseen.psi[:, 0], np.nan).reshape(-1, ORIENTATIONS), math.tau, TORN)
         takes = np.repeat(tried.durations.reshape(-1, ORIENTATIONS), BETWEEN, axis=1)
         self._psi[moves] = np.nan_to_num(psi)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
 from palmd.model.rollout import MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
+from palmd.system.description import PadSensor
 
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
@@ -33,6 +35,7 @@ MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
 TANGENT_ROOM = math.radians(1.0)  # of a curved palm's tangent, from where it must not be
+SIGMAS = 3.0  # of a reading of a pad's force, that what is foreseen stays away from the pad's limit
 MOST_FORCE = 60.0  # m/s², between curved palms: there an object that slides is wedged where tangents are 2 atan μ apart
 
 Bools = npt.NDArray[np.bool_]
@@ -70,18 +73,42 @@ class Prediction:
     path: FloatArray
 
 
-def goodness(foreseen: Prediction, moves: Moves, limits: MotionLimits, elapsed: float = 0.0) -> FloatArray:
+class MostForces(NamedTuple):
+    """Of each palm's contact, per unit mass (m/s²): as near to the pad's limit as allowed, and at the limit."""
+
+    allowed: FloatArray
+    limit: FloatArray
+
+
+def most_forces(limits: MotionLimits, pads: Sequence[PadSensor], mass: float, mass_sd: float) -> MostForces:
+    """What an object of that `mass` (kg) may press with: allowed is what reads `SIGMAS` below the pads' limits."""
+    limit = np.array(limits.pad_forces)
+    noise = np.array([pad.force_variance(most) for pad, most in zip(pads, limits.pad_forces, strict=True)])
+    sd = np.hypot(np.sqrt(noise), limit * mass_sd / mass)
+    return MostForces((limit - SIGMAS * sd) / mass, limit / mass)
+
+
+def goodness(
+    foreseen: Prediction,
+    moves: Moves,
+    limits: MotionLimits,
+    elapsed: float = 0.0,
+    most: MostForces | None = None,
+) -> FloatArray:
     """How safe it is up to the end of each move (N, k): 1 as near to danger as allowed, 0 a contact lost or off.
 
-    `foreseen` of these `moves`, `elapsed` seconds into the first. On arcs the last tangent may come near the
-    horizontal, and the object be wedged between both, besides.
+    `foreseen` of these `moves`, `elapsed` seconds into the first. `most`: what may press on the pads, if that is known.
+    On arcs the last tangent may come near the horizontal, and the object be wedged between both, besides.
     """
     margins = np.minimum(foreseen.nearest, limits.pad_length - foreseen.farthest) / MARGIN_M
     how_safe: FloatArray = np.minimum(margins, foreseen.least_force / LEAST_FORCE)
+    forces, rooms = foreseen.path[..., MEAN_FORCES], []
+    if most is not None:
+        rooms.append(((most.limit - forces) / (most.limit - most.allowed)).min(axis=-1))
     if any(limits.curvatures):
-        room = (PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM
-        not_wedged = 2.0 - foreseen.path[..., MEAN_FORCES].max(axis=-1) / MOST_FORCE
-        so_far = np.fmin.accumulate(np.minimum(room, not_wedged), axis=1)
+        rooms += [(PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM, 2.0 - forces.max(axis=-1) / MOST_FORCE]
+    if rooms:
+        so_far = np.fmin.accumulate(np.minimum.reduce(rooms), axis=1)
         calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
         last = np.clip(calls - 1, 0, so_far.shape[1] - 1)
         how_safe = np.minimum(how_safe, np.take_along_axis(so_far, last, axis=1))

@@ -76,7 +76,7 @@ def outline_answer(
 
 def outlook(
     t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
-    random: np.random.Generator, object_count: int, rig: FloatArray | None,
+    random: np.random.Generator, object_count: int, rig: FloatArray | None, mass: MassEstimator,
 ) -> Outlook | None:  # fmt: skip
     """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
 
@@ -99,7 +99,8 @@ def outlook(
     rows = bin_rows(len(outline))
     h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
     spread = None if filters.spread is None else filters.spread[_SHAPE].copy()
-    return Outlook(t, np.vstack([state, samples]), marks.copy(), h_sd, object_count, rig, spread)
+    states = np.vstack([state, samples])
+    return Outlook(t, states, marks.copy(), h_sd, object_count, rig, spread, mass.value, mass.sd)
 
 
 @cache

@@ -257,6 +257,9 @@ class BankObserver:
         track.valid = valid
         track.vouched_for |= valid
         track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
+        if track.predictable:
+            for pad, force in zip(PALMS, _FORCES, strict=True):
+                track.likely_mass.weigh(self._contacts.last(pad), y[force])
         return answer(
             t, valid, self.name, session.object_count, y, told_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
@@ -301,7 +304,8 @@ class BankObserver:
         inflation = self._inflation(track, t)
         marks, count = track.coverage.marks, self._session.object_count
         rig = None if self._link is None else self._link.rig_off
-        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig)
+        mass = track.likely_mass
+        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig, mass)
 
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is at `t` (s), None before anything is felt or where none are stored."""

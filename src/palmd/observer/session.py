@@ -85,6 +85,7 @@ class ObjectSession:
             fusion, self._contacts, contacts, palms, start,
             radius_sd=circle_spread(rig, contacts, tangents(palms.angles, contacts, rig.curvatures)[OPENING]),
             mass=MassEstimator(rig.pads),
+            likely_mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
             riding=Riding(rig),
         )  # fmt: skip

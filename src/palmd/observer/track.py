@@ -20,6 +20,7 @@ from palmd.observer.surprise import Surprise
 class Track:
     """One object, on palms at `palms` when it was begun, with the pads' readings `first_contacts` (m).
 
+    likely_mass: as `mass`, by estimates that need not be valid.
     radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
     the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
     surprise: what its readings have lately said of the published one-sigmas; what is acted on does not ask.
@@ -33,6 +34,7 @@ class Track:
     start: BlindStart
     radius_sd: float
     mass: MassEstimator
+    likely_mass: MassEstimator
     coverage: Coverage
     riding: Riding
     valid: bool = False

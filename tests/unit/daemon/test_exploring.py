@@ -464,10 +464,12 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
     stage.setpoints.hold()
     list(stage.go(0.3))
     assert stands(stage, 2.0)
+    assert "held" in stage.reason()
     stood = stage.motions[-1]
     stage.tracking = True
     stage.setpoints.resume()
     list(stage.go(0.4))
+    assert stage.reason() == "goes on"
     begun = stage.source.questions[-1].under_way.move
     assert begun.start == pytest.approx(stood.angles)
     assert moves(stage.after(0.3))

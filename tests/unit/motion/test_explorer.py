@@ -12,12 +12,13 @@ from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import LimitsConfig
 from palmd.events import Outlook, PalmMotion
 from palmd.model import shape, shape_map
+from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, _inmost
 from palmd.motion.limits import MotionLimits, problems, ranges
-from palmd.motion.rollout_predictor import BINS
+from palmd.motion.rollout_predictor import BINS, MEAN_FORCES, Moves, RolloutPredictor
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
@@ -311,3 +312,38 @@ def test_what_its_moves_will_tell_counts_until_a_smoother_has_answered():
     assert 0.0 < counted[0] < counted[1] < counted[2]
     told = replace(ajar, rig_spread=0.002 * ajar.rig_spread, h_sd=np.full(BINS, 1e-9))
     assert mine.decide(told, STANDING).kind == "done"  # it has answered, and nothing tells more
+
+
+FORCE_LIMIT_N = 5.0
+
+
+def pressing(outlook, decision):
+    """The most that a pad is foreseen to feel on the way (N), of the object as it is believed to be."""
+    move = decision.move
+    moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
+    predicted = RolloutPredictor(rig_inputs(RigDescription())).of(outlook.states[0], moves)
+    return outlook.mass * float(np.nanmax(predicted.path[..., MEAN_FORCES]))
+
+
+def test_no_pad_is_pressed_harder_than_it_may_be():
+    """Closing palms press an object with more than its weight, which a heavy one may not be."""
+    heavy = replace(outlook(), mass=0.3, mass_sd=0.003)
+    limited = replace(LIMITS, pad_forces=(FORCE_LIMIT_N,) * 2)
+    closing = UnderWay(Move(POSE, (math.radians(60.0), math.radians(50.0)), 4.0), 0.02)
+
+    def judged(known, limits=limited):
+        mine = Explorer(RigDescription(), limits, ExploreGoal(coverage=0.95, time_limit_s=60.0))
+        return mine.decide(known, closing, choose=False)
+
+    assert judged(heavy).kind == "unsafe"
+    assert "press" in judged(heavy).reason
+    assert judged(replace(heavy, mass=0.1)).kind == "safe"
+    assert judged(replace(heavy, mass=math.nan)).kind == "safe", "nobody knows"
+    assert judged(heavy, replace(LIMITS, pad_forces=())).kind == "safe", "anything may press on these"
+
+    mine, under_way = Explorer(RigDescription(), limited, ExploreGoal(coverage=0.95, time_limit_s=60.0)), STANDING
+    for number in range(6):
+        known = heavy if number % 2 == 0 else replace(heavy, mass=math.nan)  # a moment after a reading was saturated
+        decision = mine.decide(replace(known, t=0.5 * number), under_way)
+        if decision.kind == "move":
+            assert pressing(heavy, decision) < FORCE_LIMIT_N

@@ -38,6 +38,7 @@ def test_the_likeliest_state_comes_first_and_is_the_estimates():
     assert (outlook.t, outlook.object_count) == (t, estimate.object_count)
     assert (outlook.touched.shape, outlook.h_sd.shape) == ((72,), (72,))
     assert outlook.touched.mean() == pytest.approx(estimate.touched)
+    assert abs(outlook.mass - simulated("nominal", 2, 5.0).truth.mass) < 3.0 * outlook.mass_sd
 
 
 def test_there_is_none_while_nothing_is_known():
