@@ -50,7 +50,7 @@ def test_verdicts():
 def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
     events = [PadSample(0.001 + 0.007 * k, 1 + k % 2, 0.02 + 1e-4 * k, 1.0) for k in range(40)]
     events += [PalmSample(0.016 * k, (0.7, 1.6), (0.0, 0.0), (0.0, 0.0)) for k in range(10)]
-    batched = off._batched(sorted(events, key=lambda event: event.t_sample), np.random.default_rng(0))
+    batched = off._in_batches(sorted(events, key=lambda event: event.t_sample), off._PACKET_S)
     assert len(batched) == len(events)
     assert [each.t_sample for each in batched] == sorted(each.t_sample for each in batched)
     before, after = ({e.s: e.t_sample for e in of if isinstance(e, PadSample)} for of in (events, batched))

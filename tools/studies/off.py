@@ -67,8 +67,15 @@ class Off:
     blind: bool = False
 
 
-def _batched(events: list[Event], _random: Random) -> list[Event]:
-    """A USB adapter hands over what came within 16 ms at once: the last packet has just ended, it seems."""
+def _batched(packet_s: float) -> Spoil:
+    """A USB adapter hands over what came within 16 ms at once: the last packet has just ended, it seems.
+
+    packet_s: by how much each packet is dated before the next; 0: all of a read have one stamp.
+    """
+    return lambda events, _: _in_batches(events, packet_s)
+
+
+def _in_batches(events: list[Event], packet_s: float) -> list[Event]:
     moved: list[Event] = []
     batches: dict[tuple[int, int], list[PadSample]] = {}
     for event in events:
@@ -78,7 +85,7 @@ def _batched(events: list[Event], _random: Random) -> list[Event]:
             moved.append(event)
     for (_, number), batch in batches.items():
         for k, sample in enumerate(reversed(batch)):
-            moved.append(replace(sample, t_sample=number * _BATCH_S - k * _PACKET_S))
+            moved.append(replace(sample, t_sample=number * _BATCH_S - k * packet_s))
     return sorted(moved, key=lambda event: event.t_sample)
 
 
@@ -122,7 +129,8 @@ OFF: tuple[Off, ...] = (
     Off("pad 2 15 ms late", {"pad2_lag_s": 0.015}),
     Off("stick-slip", options=PlantOptions(friction_law="coulomb")),
     Off("vibration 0.3 m/s²", vibration=0.3),
-    Off("16 ms batches", spoil=_batched, as_well=("pad1_lag_s", "pad2_lag_s")),
+    Off("16 ms batches", spoil=_batched(_PACKET_S), as_well=("pad1_lag_s", "pad2_lag_s")),
+    Off("16 ms batches of one stamp", spoil=_batched(0.0), as_well=("pad1_lag_s", "pad2_lag_s")),
     Off("5 % outliers", spoil=_each_reading(_outlier)),
     Off("30 % dropped", spoil=_each_reading(_dropped)),
     Off("Student's noise", spoil=_each_reading(_student)),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from statistics import fmean
 
 import numpy as np
 
@@ -94,6 +95,7 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
     found: list[DataSegment | None] = []
     pads: list[PadSample] = []
     palms: list[PalmSample] = []
+    at_once: list[PadSample] = []  # the last pad's readings of one stamp
 
     def close() -> None:
         found.append(_trimmed(pads, palms))
@@ -108,8 +110,11 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
             close()
             continue
         source = event.pad if isinstance(event, PadSample) else ARM
-        if event.t_sample == last[source]:
-            continue  # the same reading twice, or two that contradict each other: one counts
+        if event.t_sample == last[source]:  # twice the same, or several of one stamp
+            if isinstance(event, PadSample) and event not in at_once:
+                at_once.append(event)
+                pads[-1] = _mean(at_once)
+            continue
         if event.t_sample - min(last.values()) > shortest and any(
             event.t_sample - t > limits[key] for key, t in last.items()
         ):
@@ -118,10 +123,24 @@ def data_segments(events: Sequence[Event], pad_gap_s: float = PAD_GAP_S) -> list
         last[source] = event.t_sample
         if isinstance(event, PadSample):
             pads.append(event)
+            at_once = [event]
         else:
             palms.append(event)
     close()
     return [segment for segment in found if segment is not None]
+
+
+def _mean(readings: Sequence[PadSample]) -> PadSample:
+    """What the readings of one batch say that were stamped together.
+
+    Any one of them instead, chosen by its value, would be the latest or the earliest as the contact moves: a bias.
+    """
+    s, first = fmean(each.s for each in readings), readings[0]
+    saturated = [each.at_least for each in readings if each.at_least is not None]
+    if saturated:
+        return replace(first, s=s, force=None, at_least=max(saturated))
+    forces = [each.force for each in readings if each.force is not None]
+    return replace(first, s=s, force=fmean(forces) if forces else None)
 
 
 def longest_segment(events: Sequence[Event]) -> DataSegment | None:

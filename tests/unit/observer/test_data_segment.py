@@ -97,6 +97,20 @@ def test_order_and_repetition_do_not_matter():
         assert all(a.t_sample < b.t_sample for a, b in pairwise(samples))
 
 
+@pytest.mark.parametrize("rate", [0.02, -0.02])
+def test_readings_stamped_together_count_by_their_mean_whichever_way_the_contact_moves(rate):
+    """The smallest of them would be the latest or the earliest: an error that depends on the direction."""
+    palms = [PalmSample(0.016 * k, (0.7, 1.6)) for k in range(101)]
+    ages = (0.010, 0.004)
+    pads = [
+        PadSample(palm.t_sample, pad, 0.03 + rate * (palm.t_sample - age), 1.0 + age)
+        for palm in palms for pad in (1, 2) for age in ages
+    ]  # fmt: skip
+    for reading in longest_segment([*palms, *pads]).pads:
+        assert reading.s == pytest.approx(0.03 + rate * (reading.t_sample - 0.007), abs=1e-12)
+        assert reading.force == pytest.approx(1.007)
+
+
 def test_what_is_no_number_is_left_out():
     bad = [PadSample(1.004, 1, math.nan), PadSample(math.nan, 1, 0.02), PalmSample(1.004, (math.inf, 1.6))]
     bad += [PalmSample(1.004, (0.7, 1.6), (math.nan, 0.0)), PalmSample(1.004, (0.7, 1.6), None, (math.inf, 0.0))]
