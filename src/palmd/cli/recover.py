@@ -40,9 +40,10 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         recording = read_any_run(source)
         layout = recording.layout
-        if arguments.output is None and layout.damage.unread_bytes:
+        finished = layout.finished and layout.packed and not layout.damage.damaged
+        if arguments.output is None and (layout.damage.unread_bytes or (layout.foreign and not finished)):
             target = source.with_name(source.name.removesuffix(SUFFIX) + RECOVERED + SUFFIX)
-        elif arguments.output is None and layout.finished and layout.packed and not layout.damage.damaged:
+        elif arguments.output is None and finished:
             print(f"{source}: is whole already")
             return 0
         with Progress("packing", layout.count, "messages") as bar:
@@ -52,9 +53,14 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     say_notes(recording.damage_notes)
+    if layout.foreign:
+        added = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(layout.foreign.items()))
+        say_notes([f"{source}: messages of other programs are left out: {added}"])
     print(f"{target}: {_saved(layout)}")
     damage = layout.damage
-    return BAD_INPUT if damage.lost or damage.torn_bytes or damage.preface_bytes or damage.cut else 0
+    missing = layout.foreign or damage.lost or damage.torn_bytes or damage.preface_bytes
+    missing = missing or damage.further_bytes or damage.cut
+    return BAD_INPUT if missing else 0
 
 
 def _saved(layout: Layout) -> str:

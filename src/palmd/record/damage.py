@@ -34,7 +34,7 @@ class Damage:
     stood at a lost end or beginning is counted by the file's own statistics alone. torn_bytes: at the end of a file
     that was never finished, the part of a record that its recorder did not get to write. preface_bytes: of metadata
     and attached files. index_bytes: of what follows the messages, which costs no message. cut: the file was finished
-    once, and its end is missing.
+    once, and its end is missing. further_bytes: of another file that was appended to it.
     """
 
     lost: tuple[LostStretch, ...] = ()
@@ -43,6 +43,7 @@ class Damage:
     torn_bytes: int = 0
     preface_bytes: int = 0
     index_bytes: int = 0
+    further_bytes: int = 0
     cut: bool = False
 
     @property
@@ -58,12 +59,12 @@ class Damage:
     @property
     def damaged(self) -> bool:
         """Whether something is damaged, beyond the end of a recorder that was killed."""
-        return bool(self.lost or self.preface_bytes or self.index_bytes or self.cut)
+        return bool(self.lost or self.preface_bytes or self.index_bytes or self.further_bytes or self.cut)
 
     @property
     def unread_bytes(self) -> int:
         """All bytes that cannot be read."""
-        return self.lost_bytes + self.torn_bytes + self.preface_bytes + self.index_bytes
+        return self.lost_bytes + self.torn_bytes + self.preface_bytes + self.index_bytes + self.further_bytes
 
 
 def described(damage: Damage, begin_ns: int) -> str:
@@ -77,6 +78,9 @@ def described(damage: Damage, begin_ns: int) -> str:
         parts.append(f"{damage.preface_bytes:,} bytes of its metadata or attached files cannot be read")
     if damage.index_bytes:
         parts.append(f"{damage.index_bytes:,} bytes of its index cannot be read, which costs no message")
+    if damage.further_bytes:
+        further = f"its last {damage.further_bytes:,} bytes are another recording"
+        parts.append(f"{further}, which is not read: `tail -c {damage.further_bytes}` takes it out")
     if damage.cut:
         parts.append("its end is missing")
     return "the file is damaged: " + "; ".join(parts)
@@ -91,4 +95,6 @@ def _missing(damage: Damage, begin_ns: int) -> str:
     end = "its end" if last.before_ns is None else f"{(last.before_ns - begin_ns) * 1e-9:.2f} s"
     between = f"between {begin} and {end}"
     lasting = f" of {damage.seconds:.2f} s" if damage.seconds else ""
+    if damage.exact and not damage.messages:
+        count = "no message is"
     return f"{count} missing, {damage.lost_bytes:,} bytes in {places}{lasting}, {between}"

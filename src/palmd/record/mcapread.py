@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import mmap
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,6 +58,8 @@ _FAMILIES = {
     topic: tuple(each.name[:-1] for each in told.quantities if each.name.endswith("*"))
     for topic, told in BY_NAME.items()
 }
+FOREIGN_ENCODINGS = frozenset(("ros1", "cdr", "protobuf", "flatbuffer", "cbor", "json"))
+"""Of messages that other programs add (the MCAP format's registry)."""
 _STAMPED = frozenset(each.name for each in STAMP)
 _TIMES = 1001
 FOOTER_BYTES = 1 + 8 + 20 + len(MAGIC)  # opcode, length, content of the last record, and the magic bytes that follow
@@ -71,6 +73,7 @@ class Layout:
     channel. finished: it has the end of a finished file. packed: its messages are in compressed chunks. ours: of this
     version of palmd. config: the first `palm/config`,
     empty for none. usual_ns: the median of its first messages' arrivals. begin_ns, end_ns: first and last arrival.
+    foreign: how many messages other programs have added, in another encoding, by topic; they are not read.
     """
 
     spans: tuple[tuple[int, int], ...]
@@ -85,6 +88,7 @@ class Layout:
     begin_ns: int
     end_ns: int
     config: Fields
+    foreign: Mapping[str, int]
     damage: Damage
 
 
@@ -135,6 +139,8 @@ def layout_of(data: Buffer) -> Layout | None:
     """What a file holds, None where it is no MCAP file; reads all of it. Never raises."""
     look = _Scan()
     for item in records(data):
+        if look.ends_before(data, item.begin):
+            break
         look.take(data, item)
     if not look.spans and not look.known and data[: len(MAGIC)] != MAGIC:
         return None
@@ -229,9 +235,21 @@ class _Scan:
         self._begin_ns = self._last_ns = self._prefaced_ns = -1
         self._config: Fields = {}
         self._configured: set[int] = set()  # channels
+        self._foreign_channels: dict[int, str] = {}
+        self._foreign: Counter[str] = Counter()
+        self._latest: deque[int] = deque(maxlen=_TIMES)
         self._begun = self._after_data = self._finished = False
         self._plain = self._compressed = False
         self._tail: Gap | None = None
+        self._end = -1  # of the finished file
+        self._further_bytes = 0
+
+    def ends_before(self, data: Buffer, at: int) -> bool:
+        """Whether the file has ended at `at`, and another one follows that was appended to it."""
+        if at != self._end or data[at : at + len(MAGIC)] != MAGIC:
+            return False
+        self._further_bytes = len(data) - at
+        return True
 
     def take(self, data: Buffer, item: FileRecord | Gap) -> None:
         """The next stretch of the file."""
@@ -263,7 +281,8 @@ class _Scan:
             case Opcode.STATISTICS:
                 self._statistics = parsed(Statistics, content)
             case Opcode.FOOTER:
-                self._finished |= data[item.end : item.end + len(MAGIC)] == MAGIC
+                if data[item.end : item.end + len(MAGIC)] == MAGIC:
+                    self._finished, self._end = True, item.end + len(MAGIC)
         self._after_data |= item.opcode in SUMMARY or item.opcode == Opcode.DATA_END
 
     def _chunk(self, item: FileRecord, content: bytes) -> None:
@@ -278,10 +297,12 @@ class _Scan:
         for opcode, each in framed(inner):
             if opcode == Opcode.CHANNEL:
                 self._channel(each)
-            elif opcode == Opcode.MESSAGE:
+            elif opcode == Opcode.MESSAGE and not self._is_foreign(each):
                 self._heard(item, each)
 
     def _bare(self, item: FileRecord, content: bytes) -> None:
+        if self._is_foreign(content):
+            return
         channel = MESSAGE_HEAD.unpack_from(content)[0]
         names = self._names.get(channel)
         named = {channel: names.most_common(1)[0][0] if names else ""}
@@ -291,13 +312,23 @@ class _Scan:
         self._after_data = False
         self._heard(item, content)
 
+    def _is_foreign(self, content: bytes) -> bool:
+        """Whether another program has added a message, which is counted then."""
+        channel = MESSAGE_HEAD.unpack_from(content)[0]
+        if channel not in self._foreign_channels:
+            return False
+        self._foreign[self._foreign_channels[channel]] += 1
+        return True
+
     @property
     def _ours(self) -> bool:
         return self._metadata.get(METADATA, {}).get("palmd") == __version__
 
     def _channel(self, content: bytes) -> None:
         channel = parsed(Channel, content)
-        if channel is not None:
+        if channel is not None and channel.message_encoding in FOREIGN_ENCODINGS:
+            self._foreign_channels[channel.id] = channel.topic
+        elif channel is not None:
             self._names[channel.id][channel.topic] += 1
             if channel.topic == CONFIG.name:
                 self._configured.add(channel.id)
@@ -310,6 +341,7 @@ class _Scan:
         self._count += 1
         if len(self._times) < _TIMES:
             self._times.append(log_ns)
+        self._latest.append(log_ns)
         if self._begin_ns < 0:
             self._begin_ns = log_ns
         if self._waiting:
@@ -342,6 +374,9 @@ class _Scan:
         """Of all that was taken."""
         spans = sorted(self.spans, key=lambda span: span[2]) if self._broken else self.spans
         topics = {channel: names.most_common(1)[0][0] for channel, names in self._names.items()}
+        usual_ns = median_low(self._times) if self._times else 0
+        begin_ns = next((t for t in self._times if abs(t - usual_ns) < DAY_NS), self._begin_ns)
+        end_ns = next((t for t in reversed(self._latest) if abs(t - usual_ns) < DAY_NS), self._last_ns)
         found = Layout(
             spans=tuple((begin, end) for begin, end, _ in spans),
             broken=self._broken and len(spans) > 1,
@@ -351,10 +386,11 @@ class _Scan:
             packed=self._compressed and not self._plain,
             ours=self._ours,
             count=self._count,
-            usual_ns=median_low(self._times) if self._times else 0,
-            begin_ns=self._begin_ns,
-            end_ns=self._last_ns,
+            usual_ns=usual_ns,
+            begin_ns=begin_ns,
+            end_ns=end_ns,
             config=self._config,
+            foreign=dict(self._foreign),
             damage=Damage(),
         )
         return replace(found, **self._judged(data, found))
@@ -366,7 +402,7 @@ class _Scan:
         if self._tail is not None and not once_finished and lost and lost[-1].end == len(data):
             torn, lost = lost[-1].end - lost[-1].begin, lost[:-1]
         count, missing = (_counted(data, found, lost)) if lost else (self._count, 0)
-        total = self._statistics.message_count if self._statistics is not None else None
+        total = self._statistics.message_count - self._foreign.total() if self._statistics is not None else None
         known = total is not None and total >= count
         damage = Damage(
             lost=tuple(lost),
@@ -375,6 +411,7 @@ class _Scan:
             torn_bytes=torn,
             preface_bytes=self._preface_bytes,
             index_bytes=self._index_bytes,
+            further_bytes=self._further_bytes,
             cut=once_finished and not self._finished,
         )
         return {"count": count, "damage": damage}

@@ -2,7 +2,8 @@
 
 A record is accepted if its fields fill it exactly and the next record begins where it ends. Where that fails, its
 contents decide: a checksum, or lengths inside that fit. After a damaged stretch the next record is searched for by the
-form of its head (opcode and length), and accepted by its contents alone.
+form of its head (opcode and length), and accepted by its contents alone. A chunk of which only the head is damaged is
+read all the same.
 """
 
 from __future__ import annotations
@@ -100,6 +101,12 @@ def records(data: Buffer, begin: int = 0, end: int | None = None) -> Iterator[Fi
     while at < size:
         record = _record_at(data, at, size)
         if record is None or not _accepted(data, record, size):
+            chunk = _headless_chunk(data, at, size)
+            if chunk is not None:
+                yield Gap(at, at + HEAD.size)
+                yield chunk
+                at = chunk.end
+                continue
             gap = Gap(at, _next(data, at + 1, size))
             yield gap
             at = gap.end
@@ -157,6 +164,16 @@ def _accepted(data: Buffer, record: FileRecord, size: int) -> bool:
         return False
     followed = record.end == size or _record_at(data, record.end, size) is not None
     return followed or record.opcode == Opcode.FOOTER or _sound(data, record)
+
+
+def _headless_chunk(data: Buffer, at: int, size: int) -> FileRecord | None:
+    """The chunk at `at` whose head is damaged: its own lengths say where it ends, its checksum that it is one."""
+    begin = at + HEAD.size
+    length = _chunk_length(data, begin, size)
+    if length is None or length > RECORD_BYTES_MAX or begin + length > size:
+        return None
+    chunk = FileRecord(Opcode.CHUNK, at, begin + length)
+    return chunk if unpacked_chunk(chunk.content(data)) else None
 
 
 def _next(data: Buffer, at: int, size: int) -> int:

@@ -51,18 +51,22 @@ def preface(config: AnyConfig, started: str, continues: str = "", gap_s: float =
 
 
 def preface_of(layout: Layout) -> Preface:
-    """What a file says before its messages; what of it is damaged is told by `palm/config`, where that was recorded."""
+    """What a file says before its messages; what of it is missing is told by `palm/config`, where that was recorded.
+
+    The rig's description follows from the configuration.
+    """
     preface, told = layout.preface, layout.config
-    if not told or ({CONFIG, RIG} <= preface.attachments.keys() and METADATA in preface.metadata):
-        return preface
-    text = str(told.get("yaml"))
-    attachments = {CONFIG: text.encode(), **preface.attachments}
-    with contextlib.suppress(ConfigError, yaml.YAMLError):
-        config = recorded_config(yaml.safe_load(text))
-        rig = load_part(LIVE[config.system].description)(config)
-        attachments = {RIG: json.dumps(asdict(rig)).encode(), **attachments}
-    metadata = {"schema": str(told.get("v")), "config_hash": str(told.get("config_hash"))}
-    return Preface({METADATA: metadata, **preface.metadata}, attachments)
+    attachments, metadata = dict(preface.attachments), dict(preface.metadata)
+    if told:
+        attachments.setdefault(CONFIG, str(told.get("yaml")).encode())
+        said = {"schema": str(told.get("v")), "config_hash": str(told.get("config_hash"))}
+        metadata.setdefault(METADATA, said)
+    if RIG not in attachments and CONFIG in attachments:
+        with contextlib.suppress(ConfigError, yaml.YAMLError, UnicodeDecodeError):
+            config = recorded_config(yaml.safe_load(attachments[CONFIG]))
+            rig = load_part(LIVE[config.system].description)(config)
+            attachments[RIG] = json.dumps(asdict(rig)).encode()
+    return Preface(metadata, attachments)
 
 
 def _outlines(path: Path | None) -> dict[str, bytes]:

@@ -80,7 +80,7 @@ class Recheck:
             raise RunError(f"{self._run.path}: begins with tick {begins}; what the observer knew by then is not in it")
 
     def elsewhere(self) -> list[str]:
-        """In what the run's making differs from this program and machine, so that last bits may differ too."""
+        """In what the run's making, as far as that is known, differs from here, so that last bits may differ too."""
         here = {
             "palmd": __version__,
             "python": platform.python_version(),
@@ -92,7 +92,7 @@ class Recheck:
         loop = next(iter(self._run.messages(LOOP.name)), None)
         if loop is not None:
             told["backend"], here["backend"] = str(loop.fields.get("backend")), self._observer.backend
-        return [f"{name} {told.get(name)}, here {now}" for name, now in here.items() if told.get(name) != now]
+        return [f"{name} {told[name]}, here {now}" for name, now in here.items() if told.get(name, now) != now]
 
 
 def differences(number: int, recorded: Fields, now: Fields) -> Iterator[Difference]:

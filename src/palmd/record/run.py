@@ -310,8 +310,9 @@ def read_any_run(path: Path) -> AnyRun:
     if metadata.get("schema") != str(SCHEMA):
         raise RunError(f"{path}: has messages of schema {metadata.get('schema')}; this palmd reads schema {SCHEMA}")
     if empty:
-        why = "the recording was finished before any came" if complete else "it is cut off before the first"
-        raise RunError(f"{path}: holds no messages: {why}")
+        damage = described(layout.damage, layout.begin_ns)
+        why = damage or ("the recording was finished before any came" if complete else "it is cut off before the first")
+        raise RunError(f"{path}: holds no messages{' that can be read' * bool(damage)}: {why}")
     values = _config_values(path, preface)
     rig = values.get("rig")
     named = str(rig.get("system", TWO_PALMS)) if isinstance(rig, dict) else TWO_PALMS
@@ -323,12 +324,14 @@ def read_any_run(path: Path) -> AnyRun:
 
 
 def _config_values(path: Path, preface: Preface) -> dict[str, Any]:
+    if CONFIG not in preface.attachments:
+        raise RunError(f"{path}: holds no configuration: neither the attached file {CONFIG} nor a palm/config")
     try:
         values = yaml.safe_load(preface.attachments[CONFIG])
         if not isinstance(values, dict):
             raise TypeError("it is no map")
         return values
-    except (KeyError, TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except (TypeError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise RunError(f"{path}: its configuration cannot be read: {str(error).splitlines()[0]}") from None
 
 

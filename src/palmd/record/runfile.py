@@ -106,9 +106,9 @@ def _created(directory: Path, begin: datetime) -> tuple[Path, int]:
 def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None) -> Layout:
     """Write what can be read of `source` to `target` as a finished file of compressed chunks, and rename it into place.
 
-    Both may be the same path, unless something in it cannot be read. It belongs to whom `source` belongs to, as far as
-    we may give it away. `at` is told the number of messages that are done. Returns what `source` holds. Raises OSError,
-    RunError, and leaves no part of a file then.
+    Both may be the same path, unless something in it cannot be read or is another program's. It belongs to whom
+    `source` belongs to, as far as we may give it away. `at` is told the number of messages that are done.
+    Returns what `source` holds. Raises OSError, RunError, and leaves no part of a file then.
     """
     layout = read_layout(source)
     if layout.damage.unread_bytes and target.exists() and target.samefile(source):
@@ -116,6 +116,8 @@ def pack(source: Path, target: Path, at: Callable[[int], None] = lambda _: None)
             f"{source}: {layout.damage.unread_bytes:,} bytes of it cannot be read, and would be lost in its place; "
             "write to another file"
         )
+    if layout.foreign and target.exists() and target.samefile(source):
+        raise RunError(f"{source}: holds messages of other programs, which would be lost; write to another file")
     if target.exists() and not target.is_file():
         raise RunError(f"{target}: is no file; write to a file")
     part = target.with_name(f".{target.name}.part")

@@ -85,11 +85,13 @@ def felt_points(series: Series, numbers: Iterable[int]) -> FloatArray:
 
 
 def frames(series: Series, most: int) -> tuple[int, ...]:
-    """Numbers of up to `most` valid estimates, spread as evenly over what was touched as over the time.
+    """Numbers of up to `most` valid and finite estimates, spread as evenly over what was touched as over the time.
 
     Between them grows the mean of both shares: where the outline grows fast there are more frames.
     """
-    valid = np.flatnonzero(series.valid)
+    names = ("psi_rad", *(f"{name}_rad" for name in JOINTS), *(f"{name}_m" for name in (*RADII, *CONTACTS)))
+    finite = np.all([np.isfinite(series.estimate[name]) for name in names], axis=0)  # a foreign observer's may not be
+    valid = np.flatnonzero(series.valid & finite)
     if not len(valid):
         return ()
     t, touched = series.estimate.t[valid], np.nan_to_num(series.estimate["touched"][valid])

@@ -79,7 +79,7 @@ def errors_of(series: Series) -> Errors | None:
     error = {name: series.estimate[name] - values for name, values in true.items()}
     for name in (f"{joint}_rad" for joint in JOINTS):
         error[name] = _wrapped(error[name])
-    error["psi_rad"], gauge = _without_gauge(series, error["psi_rad"])
+    error["psi_rad"], gauge = without_gauge(series, error["psi_rad"])
     true["psi_rad"] = true["psi_rad"] + gauge
     return Errors(true, error)
 
@@ -154,7 +154,7 @@ def _likeliest_turn(outline: OutlineAt, body: TrueBody) -> float:
     return float(exactly.x)
 
 
-def _without_gauge(series: Series, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+def without_gauge(series: Series, off: FloatArray) -> tuple[FloatArray, FloatArray]:
     """ψ's errors less the gauge of their object, and that gauge (rad); NaN for objects that were never valid."""
     number, gauge = series.estimate["object"], np.full(len(off), math.nan)
     for each in np.unique(number):

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import FigureBase
 
+from palmd.events import FloatArray
 from palmd.quantities import Quantity
 from palmd.report.axes import BLACK, BLUE, GREY, band, in_view, invalid_shaded, line, over_time, panels
-from palmd.report.errors import SDS
+from palmd.report.errors import SDS, without_gauge
 from palmd.report.motion_figure import draw_states
 from palmd.report.series import SD, Series
 
 COMMANDED = "_cmd_"
+TURN = "psi_rad"  # of the object, from an arbitrary zero
 
 
 def estimated(series: Series) -> tuple[Quantity, ...]:
@@ -39,13 +41,23 @@ def draw_estimate(figure: FigureBase, series: Series, quantities: Sequence[Quant
         band(axes, t, value - reach, value + reach, BLUE, f"±{SDS:g} sd")
         line(axes, t, np.where(series.valid, np.nan, told), color=GREY, linewidth=0.5, label="not valid")
         line(axes, t, value, color=BLUE, linewidth=1.3, label="estimate")
-        true = series.truth[quantity.name] * factor
+        true = truth_of(series, quantity.name) * factor
         line(axes, series.truth.t, true, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), label="truth")
         in_view(axes, value if series.valid.any() else told, true)
         invalid_shaded(axes, series)
         axes.set_ylabel(quantity.label)
         over_time(axes, series, last=axes in grid[-2:])
     grid[0].legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=4, borderaxespad=0.0)
+
+
+def truth_of(series: Series, name: str) -> FloatArray:
+    """What the emulated rig told of a quantity at `series.truth.t`; the object's angle from the estimate's own zero."""
+    true, t = series.truth[name], series.estimate.t
+    if name != TURN or not len(true) or not len(t):
+        return true
+    _, zero = without_gauge(series, series.estimate[name] - np.interp(t, series.truth.t, true))
+    nearest: FloatArray = zero[np.searchsorted(t, series.truth.t).clip(0, len(t) - 1)]
+    return true + nearest
 
 
 def draw_moved(figure: FigureBase, series: Series, rows: int) -> None:

@@ -2,18 +2,23 @@
 
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import recorded
 from damaged import chunks, damage, intact_messages
 from damaged import pack as pack_small
+from mcap.opcode import Opcode
+from mcap.writer import Writer
 
 from palmd.cli import main
 from palmd.quantities import CONFIG
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.mcapread import layout_of, messages_of, read_layout, read_messages
-from palmd.record.metadata import preface
+from palmd.record.mcapscan import records
+from palmd.record.metadata import CONFIG as CONFIG_FILE
+from palmd.record.metadata import RIG, preface, preface_of
 from palmd.record.run import RunError, read_any_run
 from palmd.record.runfile import pack
 from palmd.rig.world import default_config
@@ -148,3 +153,81 @@ def test_a_file_of_nothing_is_refused(tmp_path):
     path.write_bytes(bytes(100_000))
     with pytest.raises(RunError, match="is no MCAP file"):
         read_any_run(path)
+
+
+def chunk_heads(data):
+    """Where the heads of a packed file's chunks begin."""
+    return [item.begin for item in records(data) if item.opcode == Opcode.CHUNK]
+
+
+@pytest.mark.parametrize("head", [bytes(9), b"\x06" + bytes(8), b"\x06" + b"\xff" * 8])
+def test_chunks_of_which_only_the_heads_are_damaged_are_read(packed, head):
+    data = bytearray(packed.read_bytes())
+    for begin in chunk_heads(bytes(data)):
+        data[begin : begin + 9] = head
+    layout = layout_of(bytes(data))
+    assert layout.count == sum(1 for _ in messages_of(bytes(data), layout)) == read_layout(packed).count
+    assert layout.damage.damaged
+    assert layout.damage.messages == 0
+
+
+def test_of_two_recordings_in_one_file_the_first_is_read_and_the_second_is_not_lost(packed, tmp_path, capsys):
+    path = tmp_path / "both.mcap"
+    whole = packed.read_bytes()
+    path.write_bytes(whole + whole)
+    assert main(["runs", "recover", str(path)]) == 1
+    assert f"{len(whole):,}" in capsys.readouterr().err
+    assert path.read_bytes() == whole + whole
+    assert read_any_run(tmp_path / "both.recovered.mcap").layout.count == read_layout(packed).count
+
+
+@pytest.mark.parametrize("chunking", [True, False])
+def test_messages_of_other_programs_are_no_damage_and_are_not_lost(packed, tmp_path, capsys, chunking):
+    """As after a filter: without metadata and attached files, with a channel of another encoding."""
+    path = tmp_path / "run.mcap"
+    source = read_layout(packed)
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunking)
+        writer.start("")
+        for name, values in source.preface.metadata.items():
+            writer.add_metadata(name, dict(values))
+        for name, content in source.preface.attachments.items():
+            writer.add_attachment(0, 0, name, "text/plain", content)
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {}
+        for message in read_messages(packed):
+            if message.topic not in channels:
+                channels[message.topic] = writer.register_channel(message.topic, "msgpack", schema)
+                channels.setdefault("note", writer.register_channel("camera/note", "json", schema))
+            t = message.log_time_ns
+            writer.add_message(channels[message.topic], t, message.payload, t, message.sequence)
+            writer.add_message(channels["note"], t, b'{"seen": 1}', t, 0)
+        writer.finish()
+    before = path.read_bytes()
+    run = read_any_run(path)
+    assert not run.damage.damaged
+    assert run.layout.count == source.count
+    assert run.layout.foreign == {"camera/note": source.count}
+    assert main(["export", str(path), "-o", str(tmp_path / "csv"), "--as", "csv"]) == 0
+    assert main(["runs", "recover", str(path)]) == (0 if chunking else 1)  # it is whole, or packed beside it
+    assert chunking or "camera/note" in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+def test_the_first_message_dated_1970_does_not_stretch_the_run(packed, tmp_path):
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = RunWriter(stream, read_layout(packed).preface, 0, compressed=False)
+        for number, one in enumerate(read_messages(packed)):
+            t = one.log_time_ns if number else 1
+            writer.write(RawMessage(one.topic, t, one.publish_time_ns, one.sequence, one.payload))
+        writer.finish()
+    layout = read_layout(path)
+    assert 0 < layout.end_ns - layout.begin_ns < 60e9
+
+
+def test_the_rig_follows_from_the_configuration(packed):
+    layout = read_layout(packed)
+    attachments = {CONFIG_FILE: layout.preface.attachments[CONFIG_FILE]}
+    found = preface_of(replace(layout, preface=Preface(layout.preface.metadata, attachments)))
+    assert json.loads(found.attachments[RIG]) == json.loads(layout.preface.attachments[RIG])
