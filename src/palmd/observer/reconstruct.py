@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -68,10 +68,15 @@ BEFORE_OTHERS = 1 + len(LATER)  # of the blind searches, before what else an obj
 WHOLE = 0.95  # of a segment
 RUBS = 3.0  # sigmas of the coefficient of friction, from which there is some
 MOST_PARTS = 20  # segments of one log that are looked at
+MOST_SEARCHES = 40
+"""Blind searches in the segments besides the longest, of all together (budget: 0.3 to 2.2 s of processor time each,
+measured 2026-11-29, so about 40 s; counted rather than timed, so that every machine comes to the same answer)."""
 MOST_RIDDEN_S = 60.0  # of these together, where rides of all of them are read
 DEAR = 18.0  # of the cost, by the prior: dearer objects, one in seven of the right ones, are looked for again,
 LATER_S = (0.5, 1.0)  # without these readings of the beginning
 SAME = 100.0  # in sigmas squared, of some 45 constants
+ROUNDS = (slice(0, 2), slice(2, BEFORE_OTHERS), slice(BEFORE_OTHERS, None))
+"""Of the searches in several segments: each has the first two, a result and its second opinion, before any has more."""
 Numbered = Sequence[tuple[int, Attempt]]
 _OUTLINE = slice(C.SHAPE, CONSTANTS)
 NO_SUCH_RIG = "the readings are explained only by a rig that is nothing like its description: calibrate it first"
@@ -79,7 +84,10 @@ STICKS = (
     "sticks: the palms do not vibrate, and no sequence of sticking and slipping explains the readings; vibrate the"
     " palms, or turn them slowly and by more"
 )
-NO_ANSWER = "no motion of an object was found that explains the readings"
+NO_ANSWER = (
+    "no motion of an object was found that explains the readings; check sign, zero and order of the pads and the rig's"
+    " lengths, then record it again while the palms turn more slowly"
+)
 NO_NUMBERS = "the readings lead beyond the range of numbers: check the log's units, and record the run again"
 
 
@@ -123,6 +131,7 @@ def _of_segments(
         return _nothing("there is no second in which both pads and the arm report", begun)
     search = _search(found[0], rig)
     attempts = attempts_on(search)
+    elsewhere: list[_Part] = []
     main = _part(search, seed, attempts[:BEFORE_OTHERS])
     if not rig.vibration.vibrates and not still(search.record) and (main is None or main.reason or _rubs(main)):
         dry = dry_reconstruction(search, seed, begun)
@@ -134,7 +143,8 @@ def _of_segments(
         unlike = _Unlike(search, found, rig, seed, begun, say, wanted)
         told = _in_doubt(search, main, attempts[BEFORE_OTHERS:], apart, unlike, seed)
         if told is None or (told.reason and told.reason != AMBIGUOUS):
-            told, found = _elsewhere(found[:MOST_PARTS], rig, seed) or (told, found)
+            elsewhere = _parts_of(found[1:MOST_PARTS], rig, seed, say)
+            told = elsewhere[0] if elsewhere else told
         if isinstance(told, Reconstruction):
             return told
         main = told
@@ -145,18 +155,33 @@ def _of_segments(
     main = _found_again(main, seed)
     if main.reason:
         return _result(main, (), rig, begun)
-    parts = [main, *(_part_of(_search(segment, rig), seed) for segment in found[1:MOST_PARTS])]
-    main, others = _longest_together([part for part in parts if part is not None and not part.reason])
-    return _result(main, others, rig, begun)
+    others = elsewhere[1:] if elsewhere else _parts_of(found[1:MOST_PARTS], rig, seed, say)
+    main, joined = _longest_together([main, *others])
+    return _result(main, joined, rig, begun)
 
 
-def _elsewhere(segments: list[DataSegment], rig: RigDescription, seed: int) -> tuple[_Part, list[DataSegment]] | None:
-    """What explains the longest segment but the first that something explains, and from this one on the segments."""
-    for number, segment in enumerate(segments[1:], 1):
-        part = _part_of(_search(segment, rig), seed)
-        if part is not None and not part.reason:
-            return part, segments[number:]
-    return None
+def _parts_of(
+    segments: Sequence[DataSegment], rig: RigDescription, seed: int, say: Callable[[str], None] | None
+) -> list[_Part]:
+    """What explains each of these segments, the longest first, as far as `MOST_SEARCHES` go."""
+    left, found = MOST_SEARCHES, list[_Part]()
+    searches = [(search, attempts_on(search)) for search in (_search(segment, rig) for segment in segments)]
+    waiting: list[tuple[Search, Numbered, _Part | None]] = [(*each, None) for each in searches]
+    for turn in ROUNDS:
+        rejected = []
+        for search, attempts, best in waiting:
+            if say is not None:
+                say(f"looking in {len(segments)} other segments, {len(found)} explained")
+            allowed = attempts[turn][:left]
+            untried = iter(allowed)
+            part = _part(search, seed, untried, best)
+            left -= len(allowed) - sum(1 for _ in untried)
+            if part is not None and not part.reason:
+                found.append(part)
+            else:
+                rejected.append((search, attempts, part))
+        waiting = rejected
+    return sorted(found, key=lambda part: part.segment.lasts, reverse=True)
 
 
 def _rubs(part: _Part) -> bool:
@@ -306,7 +331,9 @@ def _part_of(search: Search, seed: int) -> _Part | None:
     return _part(search, seed, attempts_on(search))
 
 
-def _part(believing: Search, seed: int, attempts: Numbered, best: _Part | None = None) -> _Part | None:
+def _part(
+    believing: Search, seed: int, attempts: Iterable[tuple[int, Attempt]], best: _Part | None = None
+) -> _Part | None:
     """The best that any attempt, or one before (`best`), finds in a segment; None when nothing is, or moves."""
     if (best is not None and not best.reason) or still(believing.record):
         return best

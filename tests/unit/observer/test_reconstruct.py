@@ -12,6 +12,7 @@ from simulated import Run, is_pad, pads_changed, palms_changed, simulated, swapp
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.model.smoothing import R
 from palmd.observer import criticism
+from palmd.observer import reconstruct as reconstructing
 from palmd.observer.data_segment import data_segments
 from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
 from palmd.observer.reconstruction import Reconstruction
@@ -233,6 +234,24 @@ def test_where_nothing_explains_the_longest_segment_a_shorter_one_counts():
     assert found.converged, found.reason
     assert found.t[0] - begin > 7.0
     assert score_outline(found.theta, found.h, found.touched, run.truth.h).e_h < 1e-4
+
+
+def test_a_rejected_log_of_many_segments_costs_a_limited_number_of_searches(monkeypatch):
+    """Each segment has its first two before any has more; what is left goes to the longest."""
+    seen = []
+    monkeypatch.setattr(Search, "blind", lambda self, attempt, seed: seen.append(self.segment.start))
+    for other in ("dry_reconstruction", "sharp_reconstruction"):
+        monkeypatch.setattr(reconstructing, other, lambda *_: None)
+    monkeypatch.setattr(reconstructing, "MOST_SEARCHES", 9)
+    run = simulated("nominal", 1, 8.0)
+    begin = run.events[0].t_sample
+    pauses = (3.0, 4.8, 6.4)  # longest first
+    events = [event for event in run.events if not any(0.0 < event.t_sample - begin - t < 0.5 for t in pauses)]
+    answer = reconstruct(events, run.rig)
+    assert not answer.converged
+    first, *others = dict.fromkeys(seen)
+    assert seen.count(first) > 5
+    assert [seen.count(each) for each in others] == [5, 2, 2]
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(0.6, "no second"), (1.05, "too little of the outline")])

@@ -11,7 +11,7 @@ from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import read_run
 
-FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless")
+FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless", "unconfigured")
 TOLD = {
     "schema": "has messages of schema 7; this palmd reads schema 1",
     "truncated": "is cut off before its first message: there is nothing left in it",
@@ -22,6 +22,7 @@ TOLD = {
     "none": "no such file; `palmd runs FOLDER` lists what has been recorded there",
     "foreign": "is an MCAP file, but no recording of palmd",
     "eventless": "holds no palm/events",
+    "unconfigured": "holds no configuration",
 }
 COMMANDS = {
     "estimate": ["-o", "OUT"],
@@ -31,11 +32,11 @@ COMMANDS = {
 }
 
 
-def written(path, topics=(), **metadata):
+def written(path, topics=(), attached=True, **metadata):
     run = read_run(lived.path())
     said = {METADATA: {**run.metadata, **metadata}} if metadata != {"none": True} else {}
     with path.open("wb") as stream:
-        writer = RunWriter(stream, Preface(said, run.preface.attachments), 0, compressed=False)
+        writer = RunWriter(stream, Preface(said, run.preface.attachments if attached else {}), 0, compressed=False)
         for message in run.messages(*topics):
             writer.write(message)
         writer.finish()
@@ -47,6 +48,7 @@ def folder(tmp_path_factory):
     written(folder / "schema.mcap", schema="7")
     written(folder / "foreign.mcap", none=True)
     written(folder / "eventless.mcap", topics=(ESTIMATE.name, "palm/info"))
+    written(folder / "unconfigured.mcap", attached=False)
     (folder / "truncated.mcap").write_bytes(lived.path().read_bytes()[:60])
     (folder / "prose.mcap").write_text("a run of last week\n")
     (folder / "empty.mcap").touch()

@@ -57,6 +57,14 @@ def test_frames_are_valid_rising_and_reach_from_the_first_to_the_last(series):
     assert (np.diff(numbers) > 0).all()
 
 
+@pytest.mark.parametrize("name", ["r1_m", "phi2_rad", "psi_rad"])
+def test_what_is_called_valid_but_is_not_finite_is_no_frame(series, name):
+    series.estimate[name][60:200] = np.nan
+    numbers = np.array(frames(series, 12))
+    assert len(numbers) > 5
+    assert not ((numbers >= 60) & (numbers < 200)).any()
+
+
 def test_frames_are_closer_where_the_outline_grows(series):
     touched = series.estimate["touched"]
     touched[:] = np.clip((series.estimate.t - 1.0) * 2, 0.0, 0.8)  # all of it between 1 s and 1.4 s
