@@ -239,7 +239,7 @@ def test_where_nothing_explains_the_longest_segment_a_shorter_one_counts():
 def test_a_rejected_log_of_many_segments_costs_a_limited_number_of_searches(monkeypatch):
     """Each segment has its first two before any has more; what is left goes to the longest."""
     seen = []
-    monkeypatch.setattr(Search, "blind", lambda self, attempt, seed: seen.append(self.segment.start))
+    monkeypatch.setattr(Search, "blind", lambda self, *_: seen.append(self.segment.start))
     for other in ("dry_reconstruction", "sharp_reconstruction"):
         monkeypatch.setattr(reconstructing, other, lambda *_: None)
     monkeypatch.setattr(reconstructing, "MOST_SEARCHES", 9)

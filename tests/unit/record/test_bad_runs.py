@@ -22,7 +22,7 @@ TOLD = {
     "none": "no such file; `palmd runs FOLDER` lists what has been recorded there",
     "foreign": "is an MCAP file, but no recording of palmd",
     "eventless": "holds no palm/events",
-    "unconfigured": "holds no configuration",
+    "unconfigured": "holds no configuration: neither the attached file config.yaml nor a palm/config",
 }
 COMMANDS = {
     "estimate": ["-o", "OUT"],
