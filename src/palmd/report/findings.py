@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palmd.daemon.journal import LOST_S
 from palmd.events import FloatArray
 from palmd.observer.validity import NIS_RANGE
 from palmd.report.errors import SDS, Errors, inside
@@ -93,8 +94,8 @@ def _of_estimate(series: Series) -> Iterator[RunFinding]:
     since = int(np.argmax(valid))
     share = float(np.mean(valid[since:]))
     losses = int(np.sum(valid[:-1] & ~valid[1:]))
-    if not valid[-1]:
-        lasted = series.estimate.t[-1] - series.estimate.t[np.flatnonzero(valid)[-1]]
+    lasted = float(series.estimate.t[-1] - series.estimate.t[np.flatnonzero(valid)[-1]])
+    if lasted > LOST_S:
         yield RunFinding(
             BAD, f"the object is lost at the end: no valid estimate for the last {lasted:.1f} s ({reasons})",
             f"palmd reconstruct {run}; palmd why {run} where the motion was held",

@@ -47,9 +47,16 @@ def test_no_valid_estimate_is_a_failed_run_with_its_reasons(series) -> None:
     assert "palmd reconstruct" in verdict.findings[0].action
 
 
+def test_a_moment_without_a_valid_estimate_at_the_end_is_no_loss(series) -> None:
+    valid = np.ones(len(series.estimate.t))
+    valid[-10:] = 0.0
+    verdict = verdict_of(changed(good(series), "estimate", valid=valid))
+    assert not any("lost at the end" in each.what for each in verdict.findings)
+
+
 def test_an_object_lost_at_the_end_outweighs_a_hold(series) -> None:
     valid = np.ones(len(series.estimate.t))
-    valid[-50:] = 0.0
+    valid[-70:] = 0.0
     hold = FaultSpell("pad1-lifted", "hold", "put the object back", 0.5, 0.7)
     verdict = verdict_of(replace(changed(good(series), "estimate", valid=valid), faults=(hold, hold)))
     first, *others = verdict.findings
