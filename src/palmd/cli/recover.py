@@ -1,7 +1,8 @@
 """Make a whole, compressed recording of one that was cut off or damaged.
 
-What was only never finished is finished in place. Where something cannot be read, RUN stays as it is, and what can be
-read goes to RUN.recovered.mcap beside it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if
+What was only never finished is finished in place. Where something cannot be read, or other programs have added messages
+to a run that is not packed, RUN stays as it is, and palmd's messages that can be read go to RUN.recovered.mcap beside
+it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if
 something is missing, which is said.
 """
 

@@ -99,8 +99,9 @@ def reconstruct(
 
     Deterministic for a given seed. Takes about a second for ten seconds of readings; where no smooth outline explains
     them one with flat sides and corners is looked for, in other segments too, which takes some ten to forty seconds
-    more. Never raises for what the readings say: a record that tells too little, or contradicts the model, comes back
-    with `converged` False and the reason. `say` is told how far a long search has come.
+    more, and then smooth ones in the other segments, as far as `MOST_SEARCHES` go. Never raises for what the readings
+    say: a record that tells too little, or contradicts the model, comes back with `converged` False and the reason.
+    `say` is told how far a long search has come.
     """
     begun = time.perf_counter()
     rigs = with_each_relation(rig)
