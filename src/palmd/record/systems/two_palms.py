@@ -73,7 +73,7 @@ def summary(answer: Reconstruction) -> str:
         f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",
         f"mass {answer.mass * 1e3:.1f} ± {answer.mass_sd * 1e3:.1f} g" if math.isfinite(answer.mass) else "no mass",
         *(f"flat side, or dent bridged, of {1e3 * s:.1f} ± {1e3 * sd:.1f} mm" for _, s, sd in answer.sides.tolist()),
-        *([f"of the part from {answer.t[0]:.1f} to {answer.t[-1]:.1f} s"] if len(answer.sides) else []),
+        f"explains {answer.lasts:.1f} s between {answer.t[0]:.1f} and {answer.t[-1]:.1f} s",
         f"{answer.seconds:.1f} s",
     ]
     return ", ".join(parts)
