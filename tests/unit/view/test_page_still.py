@@ -349,6 +349,16 @@ def test_state_and_stop_are_in_view_wherever_one_looks(still, bus, size):
         assert still.script("return document.getElementById('scene').getBoundingClientRect().bottom") <= size[1]
 
 
+@pytest.mark.parametrize("size", [LAPTOP, PHONE], ids=str)
+def test_longer_words_move_nothing_below_or_beside_them(still, bus, size):
+    still.resize(*size)
+    opened(still, bus, rig_of(2))
+    where = "return JSON.stringify(['#reason', '#validity', '#take', '.tabs', '#control'].map((name) => {"
+    where += " const { x, y } = document.querySelector(name).getBoundingClientRect(); return [x, y]; }))"
+    told = "for (const id of ['words', 'control']) document.getElementById(id).textContent = arguments[0]; " + where
+    assert still.script(told, "brief") == still.script(told, "at length, in more words than fit into one line " * 3)
+
+
 HINTS = [
     "loop-overrun", "estimate-inconsistent", "pad1-batched", "pad2-batched", "rig-contradicted", "samples-too-late",
     "recorder-silent", "pad1-silent",
@@ -390,6 +400,7 @@ def test_nothing_moves_while_hints_arrive_and_a_jog_is_held(still, bus, size):
             "hints": ["what to do about it, in some more words " * (1 + i % 3) for i in range(len(codes))],
             "exploring": bool(step // 8 % 2), "explored_s": float(step), "coverage": step % 100 / 100,
             "coverage_goal": 0.95, "reachable": 0.9, "reason": "the reason for all that " * (step % 5),
+            "unattended": bool(step // 3 % 2),
         }  # fmt: skip
         messages["palm/rig"] = {"off": [f"pad {i}'s zero seems off: do something" for i in range(step % 4)]}
         entry = (step, now, "fault", "loop-overrun", "note", "", "the control loop missed a deadline " * (1 + step % 4))
