@@ -25,7 +25,7 @@ from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.reach import arcs, reach, surface_limits, why_not
 from palmd.motion.rig_information import RigCost, RigInformation, rig_cost
-from palmd.motion.roadmap import NEVER_S, Roadmap, TimeToGo
+from palmd.motion.roadmap import HOP_S, NEVER_S, Roadmap, TimeToGo
 from palmd.motion.rollout_predictor import (
     BINS,
     Bools,
@@ -34,6 +34,7 @@ from palmd.motion.rollout_predictor import (
     Prediction,
     RolloutPredictor,
     goodness,
+    may_hop,
     most_forces,
 )
 from palmd.motion.segments import Angles, Move
@@ -317,6 +318,7 @@ class Explorer:
         one; a first move that stays where it is leads nowhere.
         """
         time_s, brings = np.cumsum(tried.durations, axis=1) + DECISION_S, foreseen.touched @ wanted
+        time_s += HOP_S * may_hop(foreseen, tried)
         score = brings / time_s
         if roads is not None:
             goes = np.abs(tried.ends[:, :1] - tried.start).max(axis=-1) > AWAY
@@ -330,7 +332,7 @@ class Explorer:
         """By which share of its square each beginning lowers `cost` in a second (N, k), −inf where it is not safe."""
         if not np.array_equal(cost.steps, self._steps):
             self._steps, self._expected = cost.steps, 0.0
-        time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S
+        time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S + HOP_S * may_hop(foreseen, tried)
         information = self._information.of(outlook, cost, foreseen.path, tried.durations)
         told = cost.share_told(information, self._expected)
         return np.where(self._goodness(foreseen, tried) > 1.0, told / time_s, -np.inf)

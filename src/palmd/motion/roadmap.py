@@ -21,7 +21,16 @@ from palmd.model import shape_map
 from palmd.model.rollout import THETA
 from palmd.motion.candidates import POSE_MARGIN, RATE_SHARE, range_of, timed
 from palmd.motion.limits import MotionLimits
-from palmd.motion.rollout_predictor import BINS, MARGIN_M, MOST_FORCE, Bools, MostForces, RolloutPredictor, goodness
+from palmd.motion.rollout_predictor import (
+    BINS,
+    MARGIN_M,
+    MOST_FORCE,
+    Bools,
+    MostForces,
+    RolloutPredictor,
+    goodness,
+    may_hop,
+)
 from palmd.system.arcs import joints_of, opening_at
 from palmd.system.mechanism import PALMS
 
@@ -32,6 +41,7 @@ ORIENTATIONS, BETWEEN = 36, 4  # that are rolled forward, and how many each stan
 TORN = math.radians(20.0)  # between where neighbours end: with a barrier between them nobody knows
 NEAR = 2  # orientations on either side for which the same is learnt
 AGAIN_S = 0.3  # that it takes longer each time one has been there in vain
+HOP_S = 5.0  # what a hop costs: palms that are held until both pads are touched, and an object that is known again
 SAME = 1e-9  # rad
 FARTHEST = math.radians(50.0)  # that a move between poses turns an angle
 NEVER_S = 60.0
@@ -103,7 +113,8 @@ class Roadmap:
         foreseen = self._predictor.of(states, tried)
         safe = goodness(foreseen, tried, self._limits, most=most)[:, 0] > 1.0
         psi = _between(np.where(safe, foreseen.psi[:, 0], np.nan).reshape(-1, ORIENTATIONS), math.tau, TORN)
-        takes = np.repeat(tried.durations.reshape(-1, ORIENTATIONS), BETWEEN, axis=1)
+        takes = (tried.durations + HOP_S * may_hop(foreseen, tried)).reshape(-1, ORIENTATIONS)
+        takes = np.repeat(takes, BETWEEN, axis=1)
         self._psi[moves] = np.nan_to_num(psi)
         self._seconds[moves] = np.where(np.isfinite(psi), takes, np.inf)
         theta = np.where(safe[:, None, None], foreseen.path[..., THETA], 0.0)

@@ -27,6 +27,8 @@ from palmd.system.description import PadSensor
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
 
+LEAST_FORCES = slice(2, 4)  # of `TOLD`
+
 BINS = rollout.BINS
 _BIN_RAD = 2 * np.pi / BINS
 
@@ -108,11 +110,26 @@ def goodness(
     if any(limits.curvatures):
         rooms += [(PHI12_MAX - tangents(foreseen.path)[1]) / TANGENT_ROOM, 2.0 - forces.max(axis=-1) / MOST_FORCE]
     if rooms:
-        so_far = np.fmin.accumulate(np.minimum.reduce(rooms), axis=1)
-        calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
-        last = np.clip(calls - 1, 0, so_far.shape[1] - 1)
-        how_safe = np.minimum(how_safe, np.take_along_axis(so_far, last, axis=1))
+        how_safe = np.minimum(how_safe, _so_far(np.minimum.reduce(rooms), moves, elapsed))
     return how_safe
+
+
+def may_hop(foreseen: Prediction, moves: Moves) -> Bools:
+    """Whether a contact may hop up to the end of each move (N, k), though it is pressed at each instant.
+
+    A pad's mount swings about where a change of force leads it, by as much again at most: a force that falls to less
+    than half its mean within a vibration may be gone for a moment.
+    """
+    path = foreseen.path
+    swung = 2.0 * path[..., LEAST_FORCES] - path[..., MEAN_FORCES]
+    return _so_far(swung.min(axis=-1), moves, 0.0) < LEAST_FORCE
+
+
+def _so_far(room: FloatArray, moves: Moves, elapsed: float) -> FloatArray:
+    """The least of what is told along a path (N, T), up to the end of each move (N, k)."""
+    least = np.fmin.accumulate(room, axis=1)
+    calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
+    return np.take_along_axis(least, np.clip(calls - 1, 0, least.shape[1] - 1), axis=1)
 
 
 def tangents(path: FloatArray) -> tuple[FloatArray, FloatArray]:

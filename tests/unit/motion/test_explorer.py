@@ -18,7 +18,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, _inmost
 from palmd.motion.limits import MotionLimits, problems, ranges
-from palmd.motion.rollout_predictor import BINS, MEAN_FORCES, Moves, RolloutPredictor
+from palmd.motion.rollout_predictor import BINS, MEAN_FORCES, Moves, RolloutPredictor, may_hop
 from palmd.motion.segments import Move
 from palmd.rig.plant import Hinge, Plant, random_surface, stable_poses
 from palmd.rig.shapes import random_body
@@ -347,3 +347,28 @@ def test_no_pad_is_pressed_harder_than_it_may_be():
         decision = mine.decide(replace(known, t=0.5 * number), under_way)
         if decision.kind == "move":
             assert pressing(heavy, decision) < FORCE_LIMIT_N
+
+
+def hopping(mu):
+    """In how many of some decisions the move may make a contact hop, by the likeliest state."""
+    mine, under_way, states, found = explorer(), STANDING, lying(mu=mu), 0
+    predictor = RolloutPredictor(rig_inputs(RigDescription()))
+    for number in range(8):
+        decision = mine.decide(outlook(0.5 * number, states=states), under_way)
+        if decision.kind == "move":
+            move = decision.move
+            moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
+            predicted = predictor.of(states[0], moves)
+            states = states.copy()
+            states[:, [shape_map.Z.PSI, shape_map.Z.OMEGA0]] = predicted.psi[0, 0], predicted.omega0[0, 0]
+            found += bool(may_hop(predicted, moves)[0, 0])
+            under_way = UnderWay(move, move.duration)
+    return found
+
+
+def test_moves_in_which_contacts_may_hop_are_made_only_where_others_bring_nothing(monkeypatch):
+    careful = hopping(0.2)
+    monkeypatch.setattr("palmd.motion.explorer.HOP_S", 0.0)
+    monkeypatch.setattr("palmd.motion.roadmap.HOP_S", 0.0)
+    assert careful <= 1
+    assert hopping(0.2) > careful + 1

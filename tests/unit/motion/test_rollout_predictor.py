@@ -17,8 +17,11 @@ from palmd.motion.rollout_predictor import (
     CALL_S,
     MOST_MOVES,
     Moves,
+    Prediction,
     RolloutPredictor,
     goodness,
+    may_hop,
+    most_forces,
     tangents,
 )
 from palmd.motion.segments import Move
@@ -245,3 +248,39 @@ def test_more_moves_than_there_is_room_for_are_refused():
     moves = Moves(START, np.zeros((1, MOST_MOVES + 1, 2)), np.ones((1, MOST_MOVES + 1)))
     with pytest.raises(ValueError, match="of 1 to 16 moves, not 17"):
         predictor("arc").of(np.zeros(shape_map.N), moves)
+
+
+def pressed(least, mean):
+    """A prediction of one sequence of two moves of two calls each, its contacts pressed so (m/s²) after each call."""
+    path = np.zeros((1, 4, 10))
+    path[0, :, 2:4], path[0, :, 6:8] = np.array(least)[:, None], np.array(mean)[:, None]
+    fine = {"least_force": np.full((1, 2), 9.0), "nearest": np.full((1, 2), 0.02), "farthest": np.full((1, 2), 0.03)}
+    nothing = {"touched": np.zeros((1, 2, BINS), dtype=np.bool_), "psi": np.zeros((1, 2)), "omega0": np.zeros((1, 2))}
+    return Prediction(**fine, **nothing, path=path)
+
+
+TWO_MOVES = Moves(np.array(START), np.tile(np.array(START), (1, 2, 1)), np.full((1, 2), 2 * CALL_S))
+
+
+def test_a_contact_may_hop_once_its_least_force_falls_below_half_the_mean_by_a_margin():
+    assert may_hop(pressed([5.0, 5.0, 5.0, 5.0], [6.0] * 4), TWO_MOVES).tolist() == [[False, False]]
+    assert may_hop(pressed([5.0, 5.0, 3.2, 5.0], [6.0] * 4), TWO_MOVES).tolist() == [[False, True]]
+    assert may_hop(pressed([3.2, 5.0, 5.0, 5.0], [6.0] * 4), TWO_MOVES).tolist() == [[True, True]]
+
+
+def test_what_presses_as_hard_as_a_pad_may_feel_is_unsafe_and_what_stays_three_sigmas_below_is_safe():
+    pads = (PadSensor(), PadSensor())
+    limits = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555, pad_forces=(5.0, 5.0))
+    most = most_forces(limits, pads, 0.2, 0.0)
+    sd = math.sqrt(pads[0].force_variance(5.0))
+    assert most.limit == pytest.approx([25.0, 25.0])
+    assert most.allowed == pytest.approx([(5.0 - 3.0 * sd) / 0.2] * 2)
+    assert most_forces(limits, pads, 0.2, 0.01).allowed[0] < most.allowed[0], "a mass that is not known well"
+
+    def how_safe(second):
+        mean = [6.0, 6.0, second, 6.0]
+        return goodness(pressed(mean, mean), TWO_MOVES, limits, most=most)[0]
+
+    assert how_safe(most.allowed[0] - 1e-6)[1] > 1.0
+    assert how_safe(0.5 * (most.allowed[0] + most.limit[0])) == pytest.approx([how_safe(6.0)[0], 0.5])
+    assert how_safe(most.limit[0] + 1e-6)[1] < 0.0
