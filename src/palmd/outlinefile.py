@@ -126,7 +126,7 @@ def _text(path: Path) -> str:
 
 def _from_json(stem: str, text: str) -> Outline:
     told = _object(text)
-    if told.get("converged") is False:
+    if told.get("converged") is False and told.get("verdict") != "partial":
         raise _RefusalError("is the result of a reconstruction that has not converged: it tells no outline")
     theta, h = _column(told, "theta_rad"), _column(told, "h_m")
     _same_length("h_m", h, theta)

@@ -50,16 +50,20 @@ class EstimatedRun:
 class SmoothedRun:
     """What a whole run tells; SI units, NaN where there is no value.
 
-    converged: False rather than wrong, then `reason` says why, and outline and trajectory may be missing. chi2: per
-    reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg:
-    mass as weighed while the object lay still, which needs no outline. `…_sd…`: one-sigma. rig: what the run tells of
-    the rig's own constants, `{name: {value, sd}}`, empty where it had nothing to find. looks_like: the simple form that
-    the outline is of, with its sizes, empty where it is none or cannot be told. surface: of a body between three palms,
-    instead of an outline. told: everything, under the names of `palmd reconstruct`; of another `system` than two palms,
-    what the fields here have no place for.
+    verdict: `accepted`, `partial` (less than a tenth of the normals touched: a part is told, no object claimed) or
+    `rejected`. converged: of an accepted one; else `reason` says why, and outline and trajectory may be missing.
+    coverage: share of the normals touched. chi2: per reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`.
+    rho_m: radius of gyration. mu: friction. mass_rest_kg: mass as weighed while the object lay still, which needs
+    no outline. `…_sd…`: one-sigma. rig: what the run tells of the rig's own constants, `{name: {value, sd}}`, empty
+    where it had nothing to find. looks_like: the simple form that the outline is of, with its sizes, empty where it
+    is none or cannot be told. surface: of a body between three palms, instead of an outline. told: everything,
+    under the names of `palmd reconstruct`; of another `system` than two palms, what the fields here have no place
+    for.
     """
 
     converged: bool
+    verdict: str
+    coverage: float
     reason: str
     chi2: float
     outline: OutlineData | None
@@ -130,6 +134,8 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
         system=run.system.name,
         told=line,
         converged=line["converged"],
+        verdict=line["verdict"],
+        coverage=line["coverage"],
         reason=line["reason"] or "",
         outline=None if answer.mesh is not None or line.get("h_m") is None else outline_of(line, math.nan),
         trajectory=_trajectory(line["trajectory"]),

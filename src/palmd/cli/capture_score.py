@@ -12,6 +12,7 @@ from palmd.cli.logs import has_a_place, opened, read_any
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.calipers import TRUTH, CaliperError, Measured, Score, read_table, scored
+from palmd.record.verdict import is_told
 
 SURE = 3.0
 """Standard deviations that an estimate may be off by."""
@@ -42,7 +43,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def _row(measured: Measured, result: Mapping[str, Any]) -> dict[str, Any]:
-    scores = scored(result, measured) if result["converged"] or result.get("verdict") == "partial" else {}
+    scores = scored(result, measured) if is_told(result) else {}
     touched = result.get("touched")
     return {
         "object": measured.name,

@@ -10,6 +10,7 @@ from palmd.observer.likeness import as_json
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
+from palmd.record.verdict import verdict
 from palmd.system.mechanism import RADII
 from palmd.system.rig_constants import RIG_NAMES
 
@@ -20,8 +21,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
     `at_rest` is what the object weighed while it lay still, which needs no outline.
     """
     return {
-        "converged": bool(answer.converged),
-        "reason": answer.reason or None,
+        **verdict(answer.converged, answer.touched, answer.reason),
         "chi2": or_none(answer.chi2),
         "theta_rad": column(answer.theta),
         "h_m": column(answer.h),

@@ -12,6 +12,7 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.record.meshfile import Mesh
+from palmd.record.verdict import is_told
 from palmd.report.axes import BLUE, GREEN, ORANGE
 from palmd.report.sections import Plate, Report, Section
 from palmd.report.surface_figure import FeltBody, draw_surface
@@ -20,7 +21,7 @@ from palmd.report.surface_figure import FeltBody, draw_surface
 def body_report(name: str, told: Mapping[str, Any]) -> Report:
     """Of a result as `palmd reconstruct` writes it for three palms; one that did not converge is told, not drawn."""
     sections: list[Section] = []
-    if told["converged"]:
+    if is_told(told):
         track = {key: np.array(values, dtype=np.float64) for key, values in told["trajectory"].items()}
         touched = np.array(told["touched"], dtype=bool)
         mesh = Mesh(np.array(told["points_m"]), np.array(told["triangles"]), np.array(told["h_sd_m"]), touched)
@@ -49,7 +50,7 @@ def _under_surface(told: Mapping[str, Any], touched: FloatArray) -> str:
 
 def _facts(told: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     facts = [("outcome", "converged" if told["converged"] else f"not converged: {told['reason']}")]
-    if not told["converged"]:
+    if not is_told(told):
         return tuple(facts)
     t = told["trajectory"]["t"]
     facts += [

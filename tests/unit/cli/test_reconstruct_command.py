@@ -22,7 +22,21 @@ from palmd.system.rig_constants import RIG_NAMES
 
 SECONDS = 2.5
 FIELDS = {
-    *("converged", "reason", "chi2", "theta_rad", "h_m", "h_sd_m", "touched", "rho_m", "rho_sd_m", "mu", "mu_sd"),
+    *(
+        "verdict",
+        "converged",
+        "coverage",
+        "reason",
+        "chi2",
+        "theta_rad",
+        "h_m",
+        "h_sd_m",
+        "touched",
+        "rho_m",
+        "rho_sd_m",
+        "mu",
+        "mu_sd",
+    ),
     *("visits", "kept_paper", "kept_band", "mass_rest_kg", "mass_rest_sd_kg"),
     *("mass_kg", "mass_sd_kg", "trajectory", "seconds", "rig", "contradicted", "sides", "chords", "looks_like"),
 }
@@ -96,7 +110,7 @@ def test_what_is_not_there_is_null():
     line = as_line(nothing(), unweighed())
     assert set(line) == FIELDS
     assert (line["converged"], line["reason"], len(line["theta_rad"])) == (False, "too little", 360)
-    absent = FIELDS - {"converged", "reason", "theta_rad", "seconds"}
+    absent = FIELDS - {"verdict", "coverage", "converged", "reason", "theta_rad", "seconds"}
     assert [line[name] for name in absent] == [None] * len(absent)
     json.dumps(line, allow_nan=False)
     spoilt = as_line(answer(h=np.full(360, math.nan), chi2=math.inf), unweighed())

@@ -15,7 +15,19 @@ from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotRig
 
 FIELDS = {
-    *("converged", "chi2", "theta_rad", "hP_m", "hP_sd_m", "touched", "mu", "mu_sd", "com_from_pivot_m"),
+    *(
+        "verdict",
+        "converged",
+        "coverage",
+        "chi2",
+        "theta_rad",
+        "hP_m",
+        "hP_sd_m",
+        "touched",
+        "mu",
+        "mu_sd",
+        "com_from_pivot_m",
+    ),
     *("com_from_pivot_sd_m", "inertia_pivot_m2", "inertia_pivot_sd_m2", "trajectory", "seconds"),
 }
 

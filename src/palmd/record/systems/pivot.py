@@ -17,6 +17,7 @@ from palmd.observer.pivot.observer import pivot_observer
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline
 from palmd.pivot_messages import estimate_fields, shape_fields
+from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.outline_curves import drawing_of
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
@@ -106,9 +107,10 @@ class Pivot(PivotForm):
         """Outline about the pivot, motion and friction; `seed` is of no use: all starts are tried."""
         del seed, say
         answer = reconstruct(log.events, log.rig)
-        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        line = as_line(answer, log.rig)
+        told = verdict.told(line, summary(answer) if answer.converged else "")
         drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
-        return Reconstructed(as_line(answer, log.rig), told, drawing, answer.reason)
+        return Reconstructed(line, told, drawing, line["reason"] or "")
 
     def tick_count(self, log: PivotLog) -> int:
         """As `estimate` gives them."""
@@ -144,8 +146,7 @@ def as_line(answer: PivotReconstruction, rig: PivotRig) -> Line:
     trajectory = {"t": answer.t, "psi_rad": answer.psi, "omega0_rad_s": answer.omega0}
     return {
         "system": SYSTEM.name,
-        "converged": bool(answer.converged),
-        "reason": answer.reason or None,
+        **verdict.verdict(answer.converged, answer.touched, answer.reason),
         "chi2": or_none(answer.chi2),
         "theta_rad": answer.theta.tolist(),
         "hP_m": column(answer.h),

@@ -18,6 +18,7 @@ from palmd.observer.three_palms.path import JointPath, joint_path
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.observer.three_palms.record import PadReadings
 from palmd.outlinefile import Outline
+from palmd.record import verdict
 from palmd.record.logline import BadLineError, Line, block, not_negative, number, optional, positive, shown
 from palmd.record.meshfile import Mesh
 from palmd.record.replay import TICKS_PER_SHAPE, Said, fed, tick_count
@@ -115,15 +116,17 @@ class ThreePalms:
         joints, readings = laid_out(log)
         if joints is None:
             reason = "the joints never report"
-            return Reconstructed({"converged": False, "reason": reason}, f"not converged: {reason}", None, reason)
+            nothing = verdict.verdict(False, None, reason)
+            return Reconstructed(nothing, verdict.told(nothing, ""), None, reason)
         answer = reconstruct(joints, readings, log.rig)
-        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        line = as_line(answer)
+        told = verdict.told(line, summary(answer) if answer.converged else "")
         mesh = (
             Mesh(answer.points, answer.triangles, answer.h_sd, answer.touched)
             if answer.converged and answer.points is not None
             else None
         )
-        return Reconstructed(as_line(answer), told, None, answer.reason, mesh)
+        return Reconstructed(line, told, None, line["reason"] or "", mesh)
 
     def tick_count(self, log: ThreePalmsLog) -> int:
         """As `estimate` gives them."""
@@ -199,8 +202,7 @@ def as_line(answer: BodyReconstruction) -> Line:
     """The result as `palmd reconstruct` writes it: SI units, the unit in each name, None where there is no value."""
     shape = answer.h is not None
     return {
-        "converged": answer.converged,
-        "reason": answer.reason or None,
+        **verdict.verdict(answer.converged, answer.touched, answer.reason),
         "chi2": or_none(answer.chi2),
         "directions": answer.directions.round(9).tolist(),
         "triangles": answer.triangles.tolist(),

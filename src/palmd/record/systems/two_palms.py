@@ -11,6 +11,7 @@ import numpy as np
 
 from palmd.events import ObserverName
 from palmd.outlinefile import Outline
+from palmd.record import verdict
 from palmd.record.eventlog import EventLog, TwoPalmsForm
 from palmd.record.outline_curves import drawing_of
 from palmd.record.systems import NotYetError, Reconstructed
@@ -36,11 +37,12 @@ class TwoPalms(TwoPalmsForm):
 
         answer = reconstruct(log.events, log.rig, seed, say)
         at_rest = mass_at_rest(log.events, log.rig)
-        told = summary(answer) if answer.converged else f"not converged: {answer.reason}"
+        line = as_line(answer, at_rest)
+        told = verdict.told(line, summary(answer) if answer.converged else "")
         if math.isfinite(at_rest.value):
             told += f"; at rest {at_rest.value * 1e3:.1f} ± {at_rest.sd * 1e3:.1f} g"
         drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, rho_m=answer.rho, mass_kg=answer.mass)
-        return Reconstructed(as_line(answer, at_rest), told, drawing, answer.reason)
+        return Reconstructed(line, told, drawing, line["reason"] or "")
 
     def tick_count(self, log: EventLog) -> int:
         from palmd.record.replay import tick_count

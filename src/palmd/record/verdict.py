@@ -1,0 +1,42 @@
+"""Whether a result tells the object: `accepted`, `partial` or `rejected`. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from palmd.observer.visits import Marks
+
+ACCEPTED, PARTIAL, REJECTED = "accepted", "partial", "rejected"
+LEAST_COVERAGE = 0.10
+"""The share of the normals that an accepted result has touched at least (convention: a claim about an object)."""
+
+
+def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, Any]:
+    """The fields `verdict`, `converged`, `coverage` (0 to 1) and `reason` of a result.
+
+    explained: whether the readings are explained to their noise. touched: of each normal, None where nothing is known.
+    `converged` is True of an accepted result only.
+    """
+    coverage = 0.0 if touched is None else float(np.mean(touched))
+    said = (ACCEPTED if coverage >= LEAST_COVERAGE else PARTIAL) if explained else REJECTED
+    if said == PARTIAL:
+        reason = (
+            f"only {coverage:.1%} of the normals were touched, of which it tells; less than {LEAST_COVERAGE:.0%} is no"
+            " claim about an object: turn the palms so that the object rolls farther"
+        )
+    return {"verdict": said, "converged": said == ACCEPTED, "coverage": coverage, "reason": reason or None}
+
+
+def told(line: Mapping[str, Any], summary: str) -> str:
+    """A result in one line for people; `summary`: of what it tells, if it tells anything."""
+    if line["verdict"] == REJECTED:
+        return f"not converged: {line['reason']}"
+    return summary if line["verdict"] == ACCEPTED else f"partial: {line['reason']}; {summary}"
+
+
+def is_told(line: Mapping[str, Any]) -> bool:
+    """Whether a result, of this version or an older one, tells at least a part of an object."""
+    return bool(line.get("converged")) or line.get("verdict") == PARTIAL

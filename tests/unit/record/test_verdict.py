@@ -1,0 +1,38 @@
+"""What a result claims: an object, a part of it, or nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palmd.record.verdict import is_told, told, verdict
+
+
+@pytest.mark.parametrize(
+    ("explained", "share", "said"),
+    [(True, 0.3, "accepted"), (True, 0.1, "accepted"), (True, 0.075, "partial"), (False, 0.3, "rejected")],
+)
+def test_an_object_is_claimed_of_which_enough_was_touched(explained: bool, share: float, said: str) -> None:
+    touched = np.arange(360) < 360 * share
+    line = verdict(explained, touched, "" if explained else "it slid away")
+    assert line["verdict"] == said
+    assert line["converged"] is (said == "accepted")
+    assert line["coverage"] == pytest.approx(share, abs=1e-9)
+    assert (line["reason"] is None) == (said == "accepted")
+    assert is_told(line) == explained
+
+
+def test_a_part_is_told_with_the_reason_and_what_to_do() -> None:
+    line = verdict(True, np.arange(360) < 20, "")
+    assert "5.6%" in line["reason"]
+    assert told(line, "outline 9 um").endswith("outline 9 um")
+
+
+def test_a_run_without_any_outline_is_rejected() -> None:
+    line = verdict(False, None, "too little")
+    assert (line["verdict"], line["coverage"], line["converged"]) == ("rejected", 0.0, False)
+
+
+def test_results_of_older_versions_have_converged_alone() -> None:
+    assert is_told({"converged": True})
+    assert not is_told({"converged": False})
