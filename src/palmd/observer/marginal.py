@@ -66,7 +66,13 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     for direction in (-1, 1):
         last, bent = steps[0], steps[-1].bent  # much the same on both sides, and from one step to the next
         for number in range(1, MOST_STEPS + 1):
-            last = _step(smoother, prior, last.fit, middle + direction * number * stride, bent)
+            try:
+                found = _step(smoother, prior, last.fit, middle + direction * number * stride, bent)
+            except np.linalg.LinAlgError:
+                break
+            if not math.isfinite(found.log_weight):
+                break  # there is no minimum there, so nothing to weigh; what lies nearer counts
+            last = found
             steps.append(last)
             bent = last.bent
             if last.log_weight < max(step.log_weight for step in steps) - NEGLIGIBLE_NATS:

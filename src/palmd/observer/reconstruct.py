@@ -405,7 +405,10 @@ def _refined(search: Search, finding: Minima) -> _Part:
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
     record = smoother.judged(fit.guess)
     if record.left_open.any():
-        fit = Smoother(search.library, record, prior).fit(fit.guess, fit.noise)
+        judged = Smoother(search.library, record, prior)
+        fit = judged.fit(fit.guess, fit.noise)
+        if not fit.settled:  # freer now, it may have farther to go than a fit is given
+            fit = judged.fit(fit.guess, fit.noise)
     reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
     return _Part(search, prior, fit, record, belief, as_described, reason)

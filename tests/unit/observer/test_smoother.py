@@ -171,6 +171,25 @@ def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
     assert told.mu_sd == pytest.approx(wanted.mu_sd, rel=0.02)
 
 
+@pytest.mark.parametrize("fails", [np.linalg.LinAlgError, None], ids=["raises", "without-a-number"])
+def test_a_step_over_the_dither_speed_without_a_minimum_is_left_out(problem, monkeypatch, fails):
+    prior = replace(problem.prior, sd=np.where(np.arange(CONSTANTS) == C.SATURATION, 0.3, problem.prior.sd))
+    fit = Smoother(problem.library, problem.measured, prior).fit(problem.guess, NOISE)
+    middle, step = -0.5 * np.log(fit.guess.p[C.SATURATION]), marginal._step
+
+    def fails_above(smoother, known, start, value, bent):
+        if value < middle + 1e-9:
+            return step(smoother, known, start, value, bent)
+        if fails is not None:
+            raise fails
+        return replace(step(smoother, known, start, middle, bent), log_weight=np.nan)
+
+    monkeypatch.setattr(marginal, "_step", fails_above)
+    told = marginalised(problem.library, problem.measured, prior, fit)
+    assert np.isfinite(told.covariance).all()
+    assert told.mean.p[C.SATURATION] >= fit.guess.p[C.SATURATION]
+
+
 def test_of_what_no_reading_tells_the_average_is_what_was_believed(problem):
     """Steps over the dither speed are weighed in (μ, ln u_d), though the smoother goes by μ/u_d and 1/u_d²."""
     spread = 0.3
