@@ -72,6 +72,10 @@ class PadBase(Strict):
     """By how much the pad's surface may lie off the hinge line, one sigma; only what rolls tells it, in part."""
     sagitta_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 2, or_zero=True)] = 0.03
     """By how much the pad's middle may be higher than its ends, one sigma."""
+    map_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 1, or_zero=True)] = 0.0
+    """What is left of the pad's smooth error of place, one sigma: 0.07 after a calibration, 0 for none at all."""
+    map_length_mm: Annotated[FiniteFloat, Field(gt=0, le=100), Plausible(0.5, 30)] = 3.0
+    """Correlation length of that error, about a sixth of its wavelength."""
     lag_sd_ms: Annotated[NotNegative, Field(le=100), Plausible(0.05, 50, or_zero=True)] = 2.0
     """How well the time of a reading is known, one sigma."""
     force_sd_mm_per_n: Annotated[NotNegative, Field(le=10), Plausible(0.0005, 2, or_zero=True)] = 0.05
@@ -360,6 +364,8 @@ def pad_sensor(pad: PadConfig, curvature: float) -> PadSensor:
         scale_sd=pad.scale_sd,
         standoff_sd=pad.standoff_sd_mm * 1e-3,
         sagitta_sd=pad.sagitta_sd_mm * 1e-3,
+        map_sd=pad.map_sd_mm * 1e-3,
+        map_length=pad.map_length_mm * 1e-3,
         lag_sd=pad.lag_sd_ms * 1e-3,
         force_sd=pad.force_sd_mm_per_n * 1e-3,
     )

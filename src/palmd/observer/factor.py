@@ -80,7 +80,7 @@ class Prior:
         miss /= sd
         cost, matrix, side = float(miss @ miss), rows.T @ rows, -(rows.T @ miss)
         if self.told is not None:
-            told = self.told.moved(p)
+            told = self.told.moved(p[:CONSTANTS])
             cost += told.cost - self.told.cost
             matrix[:CONSTANTS, :CONSTANTS] += told.matrix
             side[:CONSTANTS] += told.side

@@ -84,14 +84,15 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     x = sum(weight * step.posterior.beyond.x for weight, step in zip(weights, steps, strict=True))
     p = sum(weight * step.posterior.beyond.p for weight, step in zip(weights, steps, strict=True))
     mean = np.concatenate([p, x[-1]])
-    covariance = np.zeros((CONSTANTS + NODE, CONSTANTS + NODE))
+    covariance = np.zeros((len(mean), len(mean)))
     for weight, step in zip(weights, steps, strict=True):
         miss = np.concatenate([step.posterior.beyond.p, step.posterior.beyond.x[-1]]) - mean
         covariance += weight * (step.posterior.covariance + np.outer(miss, miss))
     between = max(stride**2 - sd**2, 0.0) / 12  # sums over steps no longer than the one-sigma are exact
     covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION]) ** 2 * between
     mu, mu_sd = _friction(steps, weights, between)
-    return Marginal(Guess(x, p), covariance, mu, mu_sd, evidence)
+    told = np.append(np.arange(CONSTANTS), len(p) + np.arange(NODE))  # without the pads' maps
+    return Marginal(Guess(x, p[:CONSTANTS]), covariance[np.ix_(told, told)], mu, mu_sd, evidence)
 
 
 def _friction(steps: Sequence[_Step], weights: FloatArray, between: float) -> tuple[float, float]:

@@ -208,7 +208,8 @@ class Residuals:
     def __init__(self, library: Library, record: Record):
         self.record = record
         _, constants = library.signatures["step_batch"].inputs[1]
-        self._p = np.zeros(constants)
+        self._p, maps = np.zeros(constants), record.contact_map.shape[1]
+        self.constants = constants + maps
         rows = _padded(len(record.dt))
         self._step_inputs = record.step_inputs(rows)
         self._a = np.zeros((rows, NODE))
@@ -218,9 +219,11 @@ class Residuals:
         self._now, self._then, self._u = np.zeros(NODE), np.zeros(NODE), np.zeros(self._step_inputs.shape[1])
         self._one_step = library.bind("advance", [self._now, self._p, self._u], [self._then])
         contacts = record.contact_inputs(_padded(len(record.contact_step)))
-        self._contacts = _Readings(library, "contact_batch", record.contact_step, contacts, self._p)
+        self._contacts = _Readings(library, "contact_batch", record.contact_step, contacts, self._p, maps)
+        self._contacts.wide[: len(record.contact_step), 2 * NODE + constants :] = record.contact_map
         forces = record.force_inputs(_padded(len(record.force_step)))
-        self._forces = _Readings(library, "force_batch", record.force_step, forces, self._p)
+        self._forces = _Readings(library, "force_batch", record.force_step, forces, self._p, maps)
+        self._wide_jacobian = np.zeros((rows, NODE + self.constants, NODE)) if maps else self._step_jacobian
         self._library = library
 
     def completed(self, guess: Guess) -> Guess:
@@ -230,7 +233,7 @@ class Residuals:
             return guess
         x = np.empty((wanted, NODE))
         x[:known] = guess.x
-        self._p[:] = guess.p
+        self._take(guess)
         for k in range(known - 1, wanted - 1):
             self._now[:], self._u[:] = x[k], self._step_inputs[k]
             self._one_step()
@@ -239,29 +242,37 @@ class Residuals:
 
     def forces(self, guess: Guess) -> FloatArray:
         """Predicted force (N) of each force reading."""
-        self._p[:] = guess.p
+        self._take(guess)
         return self._forces.predicted(guess.x)
 
     def pressing(self, guess: Guess) -> FloatArray:
         """Predicted force (N) on each contact that is read, whether its pad tells forces or not."""
         record = self.record
         inputs = record.pressing_inputs(_padded(len(record.contact_step)))
-        self._p[:] = guess.p
+        self._take(guess)
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
     def hopping(self, guess: Guess) -> FloatArray:
         """How uncertain ω0 becomes in each step as contacts hop within a vibration ((rad/s)²/s)."""
         steps, found = len(self.record.dt), np.zeros(len(self._a) + 1)
-        self._p[:], self._a[:steps] = guess.p, guess.x[:-1]
+        self._take(guess)
+        self._a[:steps] = guess.x[:-1]
         self._library.bind("hopping_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
         found[steps:] = 0.0
         return np.minimum(np.nan_to_num(found[: steps + 1], nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
 
     def contacts(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""
-        self._p[:] = guess.p
         record = self.record
-        return (record.contact_value - self._contacts.predicted(guess.x)) / np.sqrt(record.contact_variance)
+        return (record.contact_value - self.places(guess)) / np.sqrt(record.contact_variance)
+
+    def _take(self, guess: Guess) -> None:
+        self._p[:] = guess.p[: len(self._p)]
+
+    def places(self, guess: Guess) -> FloatArray:
+        """Predicted contact readings (m), the pads' maps included."""
+        self._take(guess)
+        return self._contacts.predicted(guess.x) + self.record.contact_map @ guess.p[len(self._p) :]
 
     def linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
         """The normal equations at `guess`; where anything overflows the cost is infinite and the rest is void."""
@@ -273,11 +284,11 @@ class Residuals:
     def _linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
         record, x, does = self.record, guess.x, arithmetic()
         steps = len(record.dt)
-        self._p[:] = guess.p
+        self._take(guess)
         self._a[:steps] = x[:-1]
         self._steps()
         contacts = does.weighed(
-            self._contacts.predicted(x), record.contact_value, record.contact_variance, record.contact_weight
+            self.places(guess), record.contact_value, record.contact_variance, record.contact_weight
         )
         forces = does.weighed(self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight)
         density = np.stack([np.full(steps, noise.psi), noise.omega0 + record.left_open[:-1]], axis=1)
@@ -286,12 +297,14 @@ class Residuals:
         root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
         root[record.torn] = 0.0
         readings = [self._contacts.rows(contacts), self._forces.rows(forces)]
-        steps_rows = StepRows(x, self._end[:steps], self._step_jacobian[:steps], root)
+        if self._wide_jacobian is not self._step_jacobian:
+            self._wide_jacobian[:, : self._step_jacobian.shape[1]] = self._step_jacobian
+        steps_rows = StepRows(x, self._end[:steps], self._wide_jacobian[:steps], root)
         made = does.assembled(steps_rows, readings)
         slack = made.slack + blows
         return NormalEquations(
             contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
-            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, len(self._p),
+            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, self.constants,
         )  # fmt: skip
 
 
@@ -333,11 +346,15 @@ def _below(banded: FloatArray, at: int) -> FloatArray:
 class _Readings:
     """Readings of one kind, bound to their kernel."""
 
-    def __init__(self, library: Library, kernel: str, step: IntArray, inputs: FloatArray, p: FloatArray):
+    def __init__(
+        self, library: Library, kernel: str, step: IntArray, inputs: FloatArray, p: FloatArray, further: int = 0
+    ):
+        """further: constants that the kernel does not know of, which follow its own."""
         rows = len(inputs)
         self.step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
         self._value, self._gradient = np.zeros(rows), np.zeros((rows, 2 * NODE + len(p)))
+        self.wide = np.zeros((rows, 2 * NODE + len(p) + further)) if further else self._gradient
         self._call = library.bind(kernel, [self._a, self._b, p, inputs], [self._value, self._gradient])
 
     def predicted(self, x: FloatArray) -> FloatArray:
@@ -348,7 +365,9 @@ class _Readings:
 
     def rows(self, weighed: Weighed) -> ReadingRows:
         """As last `predicted`, linearised."""
-        return ReadingRows(self.step, self._gradient[: len(self.step)], weighed.residual, weighed.root)
+        if self.wide is not self._gradient:
+            self.wide[:, : self._gradient.shape[1]] = self._gradient
+        return ReadingRows(self.step, self.wide[: len(self.step)], weighed.residual, weighed.root)
 
 
 def _padded(count: int) -> int:

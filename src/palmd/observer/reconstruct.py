@@ -30,8 +30,10 @@ from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import with_scatter
+from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
+from palmd.observer.pad_map import has_map, with_map, without_map
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lasting, lay_out
 from palmd.observer.relations import mixture, with_each_relation
@@ -51,6 +53,7 @@ from palmd.observer.search import (
     minima,
     overfits,
     still,
+    unfit,
 )
 from palmd.observer.seeker import attempts_for
 from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
@@ -311,7 +314,7 @@ def _by_length(found: Sequence[DataSegment], rig: RigDescription) -> list[DataSe
 
 
 def _search(segment: DataSegment, rig: RigDescription) -> Search:
-    return Search(segment, with_scatter(rig, segment.pads))
+    return Search(segment, without_map(with_scatter(rig, segment.pads)))
 
 
 def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:
@@ -367,7 +370,7 @@ def _found_again(part: _Part, seed: int) -> _Part:
         segment = part.segment.since(part.segment.start + later_s)
         if segment.lasts < LEAST_S:
             break
-        other = _part(_search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
+        other = _part(Search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
         there = from_zero(part.fit.guess.on(part.record.t, other.record.t))
@@ -405,13 +408,16 @@ def _refined(search: Search, finding: Minima) -> _Part:
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
     record = smoother.judged(fit.guess)
     if record.left_open.any():
-        judged = Smoother(search.library, record, prior)
-        fit = judged.fit(fit.guess, fit.noise)
-        if not fit.settled:  # freer now, it may have farther to go than a fit is given
-            fit = judged.fit(fit.guess, fit.noise)
+        fit = _fitted(Smoother(search.library, record, prior), fit.guess, fit.noise)
     reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
     return _Part(search, prior, fit, record, belief, as_described, reason)
+
+
+def _fitted(smoother: Smoother, guess: Guess, noise: ProcessNoise) -> Fit:
+    """The fit of a problem that is freer than the one that `guess` is of: it may have farther to go than one fit."""
+    fit = smoother.fit(guess, noise)
+    return fit if fit.settled else smoother.fit(fit.guess, noise)
 
 
 def _longest_together(parts: Sequence[_Part]) -> tuple[_Part, list[_Joined]]:
@@ -453,10 +459,17 @@ def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
 
 def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
     fit, record, library, reason = main.fit, main.record, main.search.library, main.reason
+    prior = main.known
+    if has_map(rig):
+        places = Smoother(library, record, prior).places(fit.guess)
+        record, prior, guess = with_map(record, places, prior, fit.guess, rig)
+        fit = _fitted(Smoother(library, record, prior), guess, fit.noise)
+        of_maps = len(guess.p) - CONSTANTS  # which cost as much on average, however likely the object is
+        reason = reason or unfit(replace(fit, strain=fit.strain - of_maps), record)
     if reason and not explained(fit, record):
         reason += _if_concave(rig)
     try:
-        answered = marginalised(library, record, main.known, fit)
+        answered = marginalised(library, record, prior, fit)
     except np.linalg.LinAlgError:
         return _nothing(reason or "the fit is not a minimum", begun, fit.chi2)
     x, by_prior = answered.mean.x, (answered.mean.p[RIG], answered.covariance[RIG, RIG])

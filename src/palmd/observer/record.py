@@ -36,7 +36,8 @@ class Record:
     `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
     pads that tell no force; `contact_told`: where the pad tells a force, which it does not beyond its scale. `torn`:
     steps over which nothing is said of the motion (`within`). left_open (K + 1): what the model leaves open of ω0
-    besides the process noise ((rad/s)²/s) in the step that begins there, at first nothing.
+    besides the process noise ((rad/s)²/s) in the step that begins there, at first nothing. contact_map: how much (m)
+    each constant of the pads' maps (`observer.pad_map`), which follow those of the kernels, adds to each contact.
     """
 
     t: FloatArray
@@ -61,11 +62,14 @@ class Record:
     force_weight: FloatArray
     torn: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     left_open: FloatArray = field(default_factory=lambda: np.zeros(0))
+    contact_map: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        """Nothing is left open unless it is said."""
+        """Nothing is left open, and pads have no map, unless it is said."""
         if not len(self.left_open):
             object.__setattr__(self, "left_open", np.zeros(len(self.t)))
+        if not len(self.contact_map):
+            object.__setattr__(self, "contact_map", np.zeros((len(self.contact_step), 0)))
 
     @property
     def dt(self) -> FloatArray:
@@ -107,6 +111,7 @@ class Record:
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
             self.torn[(self.torn >= first) & (self.torn < last)] - first, self.left_open[first : last + 1],
+            self.contact_map[c],
         )  # fmt: skip
 
     @property

@@ -169,6 +169,10 @@ class Smoother:
         """The record, its steps as uncertain as contacts that hop make them at `guess`."""
         return replace(self._residuals.record, left_open=self._residuals.hopping(guess))
 
+    def places(self, guess: Guess) -> FloatArray:
+        """What each contact reading would be without noise (m)."""
+        return self._residuals.places(guess)
+
     def residuals(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""
         return self._residuals.contacts(guess)

@@ -30,6 +30,7 @@ _ANGLES, _RATES, _ACCELERATIONS = (
     for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
 )
 _CURVATURE = "palm{}_curvature_per_m"
+MAP_SD, MAP_LENGTH = "map_m", "map_length_m"  # in `calibration_sd`, of the pads' smooth error of place
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +177,7 @@ def _curvature(rig: Line, palm: int, length: float) -> float:
 
 def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
     """A pad's sensor, its reach and noise from the block `pad`, the rest from `line`."""
+    known = _calibration_sd(line)
     return replace(
         default,
         length=positive(pad, "length_m"),
@@ -184,6 +186,8 @@ def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
         force_scale_std=positive(line, "force_scale_std"),
         force_gain_std=not_negative(line, "force_gain_std", default.force_gain_std),
         force_resolution=not_negative(line, "force_resolution_n", default.force_resolution),
+        map_sd=not_negative(known, MAP_SD, default.map_sd),
+        map_length=positive(known, MAP_LENGTH, default.map_length),
     )
 
 
@@ -235,6 +239,7 @@ def header_line(rig: RigDescription) -> Line:
     pads = [_pad_line(pad) for pad in rig.pads]
     worst = {key: (min if key == "length_m" else max)(pad[key] for pad in pads) for key in pads[0]}
     sds = {key: _told_sd(rig, name) for name, key in CALIBRATION_KEYS.items()}
+    sds |= _map_line(max(rig.pads, key=lambda pad: pad.map_sd))
     described: Line = {
         "gravity_m_s2": rig.gravity,
         "hinge": hinge,
@@ -251,7 +256,7 @@ def header_line(rig: RigDescription) -> Line:
     if any(replace(pad, curvature=rig.pads[0].curvature) != rig.pads[0] for pad in rig.pads):
         of_pad = {name: key for name, key in CALIBRATION_KEYS.items() if hasattr(rig.pads[0], name)}
         described["pads"] = [
-            line | {"calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()}}
+            line | {"calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()} | _map_line(pad)}
             for line, pad in zip(pads, rig.pads, strict=True)
         ]
     return {"palmd_log": VERSION, "rig": described}
@@ -266,6 +271,10 @@ def _pad_line(pad: PadSensor) -> Line:
         "force_gain_std": pad.force_gain_std,
         "force_resolution_n": pad.force_resolution,
     }
+
+
+def _map_line(pad: PadSensor) -> Line:
+    return {MAP_SD: pad.map_sd, MAP_LENGTH: pad.map_length} if pad.map_sd else {}
 
 
 def _told_sd(rig: RigDescription, name: str) -> float:

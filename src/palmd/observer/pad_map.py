@@ -1,0 +1,101 @@
+"""A pad's smooth error of place as a few more constants of a record: eigenfunctions of its prior over what was touched.
+
+The error m(s) is a Gaussian process of covariance a² exp(−Δ²/2l²) without its constant and linear part over the whole
+pad, which are its zero and scale. Its strongest eigenfunctions over the touched span are constants of prior one-sigma
+1; what they leave of it is white noise, as much larger as readings share the same error. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.observer.factor import Prior
+from palmd.observer.normal_equations import Guess
+from palmd.observer.record import Record
+from palmd.system.description import PadSensor, RigDescription
+from palmd.system.mechanism import PALMS
+
+LEFT = 0.1  # of the readings' variance, that what the functions leave may come to
+MOST_FUNCTIONS = 24  # of each pad, where one of 55 mm was touched everywhere
+BEYOND_M = 2e-3  # of the touched span, on either side
+GRID_M = 2.5e-4
+SEARCHED = 10.0
+"""Times the map's variance, by which readings are less certain as long as a search has no map (study: by once, one of
+twelve logs of 70 µm was not explained; by 40 times one did not settle; some 150 readings share an error)."""
+
+
+def has_map(rig: RigDescription) -> bool:
+    """Whether any pad has a smooth error of place."""
+    return any(pad.map_sd > 0.0 for pad in rig.pads)
+
+
+def without_map(rig: RigDescription) -> RigDescription:
+    """The rig for a search, which knows of maps as of noise only."""
+    pads = (replace(pad, noise=float(np.sqrt(pad.noise**2 + _searched(pad)))) for pad in rig.pads)
+    return replace(rig, pads=tuple(pads))
+
+
+def with_map(
+    record: Record, places: FloatArray, prior: Prior, guess: Guess, rig: RigDescription
+) -> tuple[Record, Prior, Guess]:
+    """The problem of a record `without_map` with the pads' maps among its constants, after all others.
+
+    places: of the contacts as a fit predicts them (m). At their readings instead a map would follow the noise: at the
+    ends of what was touched a reading is farthest out because its noise points there.
+    """
+    variance, of_pads = record.contact_variance.copy(), list[FloatArray]()
+    for number, pad in zip(PALMS, rig.pads, strict=True):
+        mine = record.contact_pad == number
+        if pad.map_sd == 0.0 or not mine.any():
+            continue
+        variance[mine] -= _searched(pad)
+        basis, left = _functions(pad, places[mine], float(variance[mine].min()))
+        variance[mine] += left
+        of_pads.append(np.zeros((len(mine), basis.shape[1])))
+        of_pads[-1][mine] = basis
+    columns = np.concatenate([np.zeros((len(places), 0)), *of_pads], axis=1)
+    further = columns.shape[1]
+    mean, sd = np.concatenate([prior.mean, np.zeros(further)]), np.concatenate([prior.sd, np.ones(further)])
+    mapped = replace(record, contact_map=columns, contact_variance=variance)
+    return mapped, replace(prior, mean=mean, sd=sd), Guess(guess.x, np.concatenate([guess.p, np.zeros(further)]))
+
+
+def _searched(pad: PadSensor) -> float:
+    return SEARCHED * pad.map_sd**2
+
+
+def _functions(pad: PadSensor, places: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
+    """The eigenfunctions (m) at these places, and what they leave there, as noise of each reading (m²)."""
+    low, high = min(float(places.min()), 0.0), max(float(places.max()), pad.length)
+    grid = np.arange(low - BEYOND_M, high + BEYOND_M + GRID_M, GRID_M)
+    covariance = pad.map_sd**2 * np.exp(-0.5 * np.subtract.outer(grid, grid) ** 2 / pad.map_length**2)
+    linear, _ = np.linalg.qr(np.stack([np.ones_like(grid), grid], axis=1))
+    covariance -= linear @ (linear.T @ covariance)
+    covariance -= (covariance @ linear) @ linear.T
+    touched = (grid > places.min() - BEYOND_M) & (grid < places.max() + BEYOND_M)
+    covariance, grid = covariance[np.ix_(touched, touched)], grid[touched]
+    alike = _alike(places, pad.map_length)
+    functions, left = np.zeros((len(grid), 0)), np.diagonal(covariance).copy()
+    for each in _strongest_first(covariance):
+        functions, left = np.column_stack([functions, each]), left - each**2
+        noise = alike * np.interp(places, grid, np.maximum(left, 0.0))
+        if functions.shape[1] == MOST_FUNCTIONS or noise.mean() < LEFT * variance:
+            break
+    return np.stack([np.interp(places, grid, each) for each in functions.T], axis=1), noise
+
+
+def _strongest_first(covariance: FloatArray) -> Iterator[FloatArray]:
+    values, vectors = np.linalg.eigh(covariance)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        yield vector * np.sqrt(max(value, 0.0))
+
+
+def _alike(places: FloatArray, length: float) -> FloatArray:
+    """How many readings have about the same error as each: those within half a correlation `length`."""
+    ordered = np.sort(places)
+    first, last = (np.searchsorted(ordered, places + side * length / 2) for side in (-1, 1))
+    return np.asarray(np.maximum(last - first, 1), dtype=np.float64)
