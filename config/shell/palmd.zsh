@@ -447,7 +447,7 @@ _shtab_palmd_estimate_options=(
   {-o,--output}"[- for standard output]:OUT.jsonl:_files"
   "--observer[default\: shape]:shape|extended|quasistatic:"
   "--shape[the object is that of the stored outline, or one of those in the folder, or none]:OUTLINE|FOLDER:_files"
-  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
+  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
 )
 
@@ -574,7 +574,7 @@ _shtab_palmd_reconstruct_options=(
   {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
   "--mesh[write the surface of a body in space too\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
   "--seed[of the blind start (default\: 0)]:N:"
-  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n]:KEY=VALUE:"
+  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
   ":an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture:_files"
 )
 

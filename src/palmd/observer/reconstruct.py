@@ -258,10 +258,25 @@ class _Unlike:
 
 
 @dataclass(frozen=True, slots=True)
+class _Mapped:
+    """A fit with the pads' maps among its constants."""
+
+    record: Record
+    known: Prior
+    fit: Fit
+
+    @property
+    def judged(self) -> Fit:
+        """The fit without what its maps cost on average, which says nothing of the object."""
+        return replace(self.fit, strain=self.fit.strain - (len(self.fit.guess.p) - CONSTANTS))
+
+
+@dataclass(frozen=True, slots=True)
 class _Part:
     """A segment, what is known of the object before it, and the best fit of it; `reason`: why that is in doubt.
 
-    as_described: whether the rig was left as it is believed to be: else a worse minimum may have made it fit.
+    as_described: whether the rig was left as it is believed to be: else a worse minimum may have made it fit. mapped:
+    the fit with the pads' maps, where they have any.
     """
 
     search: Search
@@ -271,6 +286,7 @@ class _Part:
     belief: RigBelief
     as_described: bool
     reason: str
+    mapped: _Mapped | None = None
 
     @property
     def segment(self) -> DataSegment:
@@ -280,7 +296,8 @@ class _Part:
     @property
     def deviance(self) -> float:
         """−2 log-likelihood up to a constant: fits go by forces of different noise."""
-        return self.fit.cost + float(np.log(self.record.force_variance).sum())
+        fit = self.fit if self.mapped is None else self.mapped.fit
+        return fit.cost + float(np.log(self.record.force_variance).sum())
 
     @property
     def blind(self) -> Prior:
@@ -370,7 +387,7 @@ def _found_again(part: _Part, seed: int) -> _Part:
         segment = part.segment.since(part.segment.start + later_s)
         if segment.lasts < LEAST_S:
             break
-        other = _part(Search(segment, part.search.rig), seed + 1, [(0, AGAIN)])
+        other = _part(Search(segment, with_scatter(part.search.rig, segment.pads)), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
         there = from_zero(part.fit.guess.on(part.record.t, other.record.t))
@@ -409,9 +426,18 @@ def _refined(search: Search, finding: Minima) -> _Part:
     record = smoother.judged(fit.guess)
     if record.left_open.any():
         fit = _fitted(Smoother(search.library, record, prior), fit.guess, fit.noise)
-    reason = OVERFITTED if overfits(fit) else doubt(fit, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
+    mapped = _mapped(search, record, prior, fit) if has_map(rig) else None
+    judged = fit if mapped is None else mapped.judged
+    reason = OVERFITTED if overfits(judged) else doubt(judged, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
-    return _Part(search, prior, fit, record, belief, as_described, reason)
+    return _Part(search, prior, fit, record, belief, as_described, reason, mapped)
+
+
+def _mapped(search: Search, record: Record, prior: Prior, fit: Fit) -> _Mapped:
+    """A fit again, the pads' errors of place being estimated."""
+    places = Smoother(search.library, record, prior).places(fit.guess)
+    record, prior, guess = with_map(record, places, prior, fit.guess, search.rig)
+    return _Mapped(record, prior, _fitted(Smoother(search.library, record, prior), guess, fit.noise))
 
 
 def _fitted(smoother: Smoother, guess: Guess, noise: ProcessNoise) -> Fit:
@@ -454,18 +480,16 @@ def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
     if not fit.settled:
         return None
     nodes = part.fit.guess.x
-    return replace(main, known=known, fit=fit), _Joined(part.record, nodes[:, 0] + found.turn, nodes[:, 1])
+    return replace(main, known=known, fit=fit, mapped=None), _Joined(part.record, nodes[:, 0] + found.turn, nodes[:, 1])
 
 
 def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: float) -> Reconstruction:
     fit, record, library, reason = main.fit, main.record, main.search.library, main.reason
     prior = main.known
     if has_map(rig):
-        places = Smoother(library, record, prior).places(fit.guess)
-        record, prior, guess = with_map(record, places, prior, fit.guess, rig)
-        fit = _fitted(Smoother(library, record, prior), guess, fit.noise)
-        of_maps = len(guess.p) - CONSTANTS  # which cost as much on average, however likely the object is
-        reason = reason or unfit(replace(fit, strain=fit.strain - of_maps), record)
+        mapped = main.mapped or _mapped(main.search, record, prior, fit)
+        record, prior, fit = mapped.record, mapped.known, mapped.fit
+        reason = reason or unfit(mapped.judged, record)
     if reason and not explained(fit, record):
         reason += _if_concave(rig)
     try:

@@ -30,11 +30,9 @@ def read(path: Path, lines: list[dict[str, object]]) -> EventLog:
 
 def error_of_place(rng: np.random.Generator) -> Callable[[float], float]:
     """Two waves, `A_M` in the mean square."""
-    phase, share = rng.uniform(0, math.tau, 2), rng.standard_normal(2)
-    share *= A_M / math.sqrt(np.sum(share**2) / 2)
-    return lambda s: float(
-        sum(c * math.cos(math.tau * s / w + p) for c, w, p in zip(share, WAVES_M, phase, strict=True))
-    )
+    waves = [(length, rng.uniform(0, math.tau), rng.standard_normal()) for length in WAVES_M]
+    size = A_M / math.sqrt(sum(share**2 for *_, share in waves) / 2)
+    return lambda s: size * sum(share * math.cos(math.tau * s / length + phase) for length, phase, share in waves)
 
 
 @pytest.fixture(scope="module")
