@@ -189,7 +189,8 @@ def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
 # ------------------------------------------------------------------------------------------ logs, configurations
 
 
-OF_VIBRATION = {"vibration_kappa", "vibration_transmission"}  # told under `vibration`, no constants to be off by
+# told under `vibration`, no constants to be off by
+OF_VIBRATION = {"vibration_kappa", "vibration_transmission", "vibration_period"}
 
 
 def test_a_log_tells_how_well_its_rig_is_known_and_its_truth_what_it_is_off_by(tmp_path):
