@@ -50,7 +50,7 @@ class EstimatedRun:
 class SmoothedRun:
     """What a whole run tells; SI units, NaN where there is no value.
 
-    verdict: `accepted`, `partial` (less than a tenth of the normals touched: a part is told, no object claimed) or
+    verdict: `accepted`, `partial` (less than a tenth of the normals touched: the estimate holds for these) or
     `rejected`. converged: of an accepted one; else `reason` says why, and outline and trajectory may be missing.
     coverage: share of the normals touched. chi2: per reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`.
     rho_m: radius of gyration. mu: friction. mass_rest_kg: mass as weighed while the object lay still, which needs
@@ -138,7 +138,7 @@ def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> Smoothe
         coverage=line["coverage"],
         reason=line["reason"] or "",
         outline=None if answer.mesh is not None or line.get("h_m") is None else outline_of(line, math.nan),
-        trajectory=_trajectory(line["trajectory"]),
+        trajectory=_trajectory(line.get("trajectory")),
         rig=line.get("rig") or {},
         looks_like=(line.get("looks_like") or {}).get("said") or "",
         surface=answer.mesh,

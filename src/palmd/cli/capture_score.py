@@ -12,7 +12,7 @@ from palmd.cli.logs import has_a_place, opened, read_any
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.calipers import TRUTH, CaliperError, Measured, Score, read_table, scored
-from palmd.record.verdict import is_told
+from palmd.record.verdict import has_estimate
 
 SURE = 3.0
 """Standard deviations that an estimate may be off by."""
@@ -43,13 +43,12 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def _row(measured: Measured, result: Mapping[str, Any]) -> dict[str, Any]:
-    scores = scored(result, measured) if is_told(result) else {}
-    touched = result.get("touched")
+    scores = scored(result, measured) if has_estimate(result) else {}
     return {
         "object": measured.name,
         "run": measured.run,
-        "verdict": result.get("verdict") or ("accepted" if result["converged"] else "rejected"),
-        "coverage": sum(touched) / len(touched) if touched else 0.0,
+        "verdict": result["verdict"],
+        "coverage": result["coverage"],
         "reason": result.get("reason"),
         "scores": {name: _numbers(score) for name, score in scores.items()},
     }

@@ -52,6 +52,8 @@ def _calibration_sd(text: str) -> tuple[str, float]:
         sd = math.nan
     if not 0.0 <= sd < math.inf:
         raise argparse.ArgumentTypeError(f"{key} must be a number from 0, got {value!r}")
+    if key == MAP_LENGTH and sd == 0.0:
+        raise argparse.ArgumentTypeError(f"{key} must be more than 0")
     return names[key], sd
 
 

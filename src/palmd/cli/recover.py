@@ -2,8 +2,7 @@
 
 What was only never finished is finished in place. Where something cannot be read, or other programs have added messages
 to a run that is not packed, RUN stays as it is, and palmd's messages that can be read go to RUN.recovered.mcap beside
-it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if
-something is missing, which is said.
+it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if something is missing, which is said.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def vibrated_of(dither: SX, rig: SX) -> Vibrated:
 
 
 def half_period_of(rig: SX) -> SX:
-    """1/(2f) (s) of the palms' vibration by what the kernels are told of the rig; 0 at least."""
+    """1/(2f) (s) of the palms' vibration, by the kernels' rig inputs; 0 at least."""
     return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + rig[VIBRATION_OFF_INPUTS.stop - 1], 0)
 
 

@@ -20,12 +20,18 @@ LEAST_DETERMINANT = 0.02  # of that without friction; less and the body is wedge
 LEAST_FORCE = 1e-9  # m/s², so that 0/0 of a contact that is never loaded is 0
 LEAST_RIPPLE = 1e-7  # m/s, so that a ripple has a derivative at 0
 LEAST_DIRECTION = 1e-6  # so that a bound on a mean direction has a derivative at 0
-LEAST_DRIVE = 0.3  # of V: where signs drive a slip by less, contacts stick for so little that the smooth kink hides it
-RELAXED = 0.7  # from the second of the steps on to the ripple that agrees with the shares that it makes
+LEAST_DRIVE = 0.3
+"""Of V: ripple below which sticking is left out (derivation: a_ii is 0.08 V at most, and sticking lasts for less of the
+period than the smooth kink rounds off)."""
+RELAXED = 0.7
+"""Share of the way of each step but the first towards the ripple that agrees with its shares (numerics: whole steps
+overshoot, as a larger ripple makes for more equal shares)."""
 RIPPLE_NOISE_S = 0.02
-"""Of the ripple's effect on α0 a part is wrong: as noise of this times its square (median of resolved vibrations)."""
+"""Process noise (s) of ω0 over the square of the ripple's effect on α0 (study of resolved vibrations, 2026-11-29:
+median of the law's error)."""
 HOP_NOISE_S = 2.0
-"""The same of what a contact would have to pull for part of a vibration, where it hops instead."""
+"""The same over the square of what would pull where a contact hops (same study: order of magnitude, as logs differ by
+more than ten times)."""
 BRIEF = KINK / 2  # share of time that the smooth kink leaves to the other sign at a slip of 1.2 V
 SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 SLOPE = math.pi / 2
@@ -90,8 +96,8 @@ def normal_forces(
 
     The determinant is that of a body which is not wedged: at least `LEAST_DETERMINANT` of the one without friction.
     """
-    (m11, m12), (m21, m22) = _with(A, B, friction)
-    determinant = xp.fmax(m11 * m22 - m12 * m21, LEAST_DETERMINANT * (A[0][0] * A[1][1] - A[0][1] * A[1][0]))
+    (m11, m12), (m21, m22) = matrix = _with(A, B, friction)
+    determinant = xp.fmax(_determinant(matrix), LEAST_DETERMINANT * _determinant(A))
     return (b[0] * m22 - b[1] * m12) / determinant, (m11 * b[1] - m21 * b[0]) / determinant
 
 
@@ -99,10 +105,13 @@ def _with(A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], friction: Sequ
     return [[a - c * s for a, c, s in zip(*rows, friction, strict=True)] for rows in zip(A, B, strict=True)]
 
 
+def _determinant(matrix: Sequence[Sequence[Any]]) -> Any:
+    return matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0]
+
+
 def wedged(A: Sequence[Sequence[Any]], B: Sequence[Sequence[Any]], friction: Sequence[Any]) -> Any:
     """Whether this friction holds the body whatever presses it: no forces that press solve the equations."""
-    (m11, m12), (m21, m22) = _with(A, B, friction)
-    return m11 * m22 - m12 * m21 < LEAST_DETERMINANT * (A[0][0] * A[1][1] - A[0][1] * A[1][0])
+    return _determinant(_with(A, B, friction)) < LEAST_DETERMINANT * _determinant(A)
 
 
 def sign_pair_forces(
@@ -165,24 +174,24 @@ def drives(
     return one, two
 
 
-def _swung(x: Any, share: Any, xp: Any) -> Any:
+def _swung(x: SX, share: SX) -> SX:
     """∫(s − σ) of a sign that is forward for a `share` of the period about x = 0; x and the integral in periods."""
-    x = x - xp.floor(x + 0.5)
+    x = x - ca.floor(x + 0.5)
     rising, falling, fallen = 2 * (1 - share) * x, share * (1 - 2 * x), share * (1 + 2 * x)
-    return xp.fmax(xp.fmin(rising, falling), -fallen)
+    return ca.fmax(ca.fmin(rising, falling), -fallen)
 
 
-def _beyond(room: Any, stray: Any, drive: Any, xp: Any) -> Any:
+def _beyond(room: SX, stray: SX, drive: SX) -> SX:
     """√(1 − 4 room/drive): the least mean direction where there is so much `room` (m/s), ± `stray`, for the ripple."""
     one, other = (
-        xp.sqrt(xp.fmax(1 - 4 * xp.fmax(each, 0) / drive, LEAST_DIRECTION**2)) for each in (room + stray, room - stray)
+        ca.sqrt(ca.fmax(1 - 4 * ca.fmax(each, 0) / drive, LEAST_DIRECTION**2)) for each in (room + stray, room - stray)
     )
     return (one + other) / 2 - 2 * LEAST_DIRECTION  # below 0 where nothing sticks, so that no maximum is between equals
 
 
 def rippled_directions(
-    slips: Sequence[Any], speed: Any, drive: Sequence[Sequence[Any]], kappa: Any, steps: int = 1, xp: Any = ca
-) -> tuple[tuple[Any, Any], Any]:
+    slips: Sequence[SX], speed: SX, drive: Sequence[Sequence[SX]], kappa: SX, steps: int = 1
+) -> tuple[tuple[SX, SX], SX]:
     """Mean direction of each slip, and the lag (periods) of slip 1 behind slip 2, the body's own ripple included.
 
     Each sign that alternates makes the body turn to and fro, so that a slip is not u_i + V cos τ but has triangles
@@ -193,9 +202,9 @@ def rippled_directions(
     contact sticks for part of the period, so that |a_ii| is V − |u_i| and σ_i² = 1 − 4 (V − |u_i|)/|D_ii|, 1 from V on.
     drive: `drives`.
     """
-    together, antiphase = xp.fabs(kappa), xp.fmax(xp.sign(kappa), 0)
+    together, antiphase = ca.fabs(kappa), ca.fmax(ca.sign(kappa), 0)
     apart, shift = 1 - together, (1 - antiphase) / 2
-    sigma, lags = [mean_direction(u / speed, xp) for u in slips], [0.0, 0.0]
+    sigma, lags = [mean_direction(u / speed) for u in slips], [SX(0), SX(0)]
     for step in range(steps):
         part = RELAXED if step else 1.0
         shares = [(1 + each) / 2 for each in sigma]
@@ -204,21 +213,21 @@ def rippled_directions(
         for i, u in enumerate(slips):
             j = 1 - i
             own, other = drive[i][i] * tips[i], drive[i][j] * tips[j]
-            stray = apart * xp.fabs(other) / math.sqrt(3)
-            spread = apart * xp.sqrt(own**2 + other**2 / 3 + LEAST_RIPPLE**2)
+            stray = apart * ca.fabs(other) / math.sqrt(3)
+            spread = apart * ca.sqrt(own**2 + other**2 / 3 + LEAST_RIPPLE**2)
             away = lags[i] - lags[j] + shift
             backward, forward = (
-                together * drive[i][j] * _swung(away + side * shares[i] / 2, shares[j], xp) for side in (1, -1)
+                together * drive[i][j] * _swung(away + side * shares[i] / 2, shares[j]) for side in (1, -1)
             )
             alone = together * own - spread
-            ends = [xp.fmax(xp.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
-            end, begin = (mean_direction((u + each) / speed, xp) for each in ends)
+            ends = [ca.fmax(ca.fmin(each, speed), -speed) for each in (backward + alone, forward - alone)]
+            end, begin = (mean_direction((u + each) / speed) for each in ends)
             mean, least = (end + begin) / 2, LEAST_DRIVE * speed
-            damping = xp.fmax(-drive[i][i], least)
-            sticking = 1 / (1 + (least / xp.fmax(-drive[i][i], LEAST_RIPPLE)) ** 4)
+            damping = ca.fmax(-drive[i][i], least)
+            sticking = 1 / (1 + (least / ca.fmax(-drive[i][i], LEAST_RIPPLE)) ** 4)
             mean = mean + sticking * (
-                xp.fmax(_beyond(speed - u - forward, stray, damping, xp) - xp.fmax(mean, 0), 0)
-                - xp.fmax(_beyond(speed + u + backward, stray, damping, xp) - xp.fmax(-mean, 0), 0)
+                ca.fmax(_beyond(speed - u - forward, stray, damping) - ca.fmax(mean, 0), 0)
+                - ca.fmax(_beyond(speed + u + backward, stray, damping) - ca.fmax(-mean, 0), 0)
             )
             found.append(sigma[i] + part * (mean - sigma[i]))
             late.append(lags[i] + part * ((end - begin) / 8 - lags[i]))

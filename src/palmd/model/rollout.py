@@ -24,8 +24,10 @@ STEP_S = 0.01
 MOVE_INPUTS = 6  # φ1, φ2 at the start and at the end, duration, time since the start
 BINS = 72  # of outward normals, bin 0 beginning at θ = 0
 TOLD = 10  # ψ, ω0, f1, f2 at their least within a vibration, s1, s2, f1, f2 in the mean, θ1, θ2
-S, MEAN_FORCES, THETA = slice(4, 6), slice(6, 8), slice(8, 10)  # in it
-MOST_UNEXPLAINED = 0.05  # rad/s gained in a step against the torque: more is the step's own error
+LEAST_FORCES, S, MEAN_FORCES, THETA = slice(2, 4), slice(4, 6), slice(6, 8), slice(8, 10)  # in it
+MOST_UNEXPLAINED = 0.05
+"""rad/s that a step may gain against the torque (derivation: 1 mm/s of slip at a radius of 20 mm, little beside V);
+more is the step's own error."""
 MOST_TURN = 0.2  # rad, of a curved palm's tangent at the contact within a step: beyond it the contact has jumped
 
 

@@ -19,15 +19,13 @@ from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
 from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
+from palmd.model.rollout import LEAST_FORCES, MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.system.description import PadSensor
 
 CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
-
-LEAST_FORCES = slice(2, 4)  # of `TOLD`
 
 BINS = rollout.BINS
 _BIN_RAD = 2 * np.pi / BINS
@@ -37,7 +35,7 @@ MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
 TANGENT_ROOM = math.radians(1.0)  # of a curved palm's tangent, from where it must not be
-SIGMAS = 3.0  # of a reading of a pad's force, that what is foreseen stays away from the pad's limit
+SIGMAS = 3.0  # of a reading of a pad's force, by which predicted forces stay below the pad's limit (convention)
 MOST_FORCE = 60.0  # m/s², between curved palms: there an object that slides is wedged where tangents are 2 atan μ apart
 
 Bools = npt.NDArray[np.bool_]
@@ -126,7 +124,7 @@ def may_hop(foreseen: Prediction, moves: Moves) -> Bools:
 
 
 def _so_far(room: FloatArray, moves: Moves, elapsed: float) -> FloatArray:
-    """The least of what is told along a path (N, T), up to the end of each move (N, k)."""
+    """The least value along a path (N, T), up to the end of each move (N, k)."""
     least = np.fmin.accumulate(room, axis=1)
     calls = np.ceil((np.cumsum(moves.durations, axis=1) - elapsed) / CALL_S - 1e-9).astype(np.intp)
     return np.take_along_axis(least, np.clip(calls - 1, 0, least.shape[1] - 1), axis=1)

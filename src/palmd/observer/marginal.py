@@ -91,8 +91,8 @@ def marginalised(library: Library, record: Record, prior: Prior, fit: Fit) -> Ma
     between = max(stride**2 - sd**2, 0.0) / 12  # sums over steps no longer than the one-sigma are exact
     covariance[C.SATURATION, C.SATURATION] += (2.0 * p[C.SATURATION]) ** 2 * between
     mu, mu_sd = _friction(steps, weights, between)
-    told = np.append(np.arange(CONSTANTS), len(p) + np.arange(NODE))  # without the pads' maps
-    return Marginal(Guess(x, p[:CONSTANTS]), covariance[np.ix_(told, told)], mu, mu_sd, evidence)
+    kept = np.append(np.arange(CONSTANTS), len(p) + np.arange(NODE))  # the pads' maps are marginalised
+    return Marginal(Guess(x, p[:CONSTANTS]), covariance[np.ix_(kept, kept)], mu, mu_sd, evidence)
 
 
 def _friction(steps: Sequence[_Step], weights: FloatArray, between: float) -> tuple[float, float]:

@@ -19,13 +19,18 @@ from palmd.observer.record import Record
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import PALMS
 
-LEFT = 0.1  # of the readings' variance, that what the functions leave may come to
-MOST_FUNCTIONS = 24  # of each pad, where one of 55 mm was touched everywhere
-BEYOND_M = 2e-3  # of the touched span, on either side
-GRID_M = 2.5e-4
+LEFT = 0.1  # of the readings' variance, that what the functions leave may come to (convention)
+MOST_FUNCTIONS = 24
+"""Of each pad (derivation: 55 mm are 18 correlation lengths of 3 mm, with about one function each)."""
+FINEST_M = 1e-4
+"""Least correlation length (m): below a reading's own noise an error of place is white noise, and is taken for it."""
+STEPS = 12  # of the grid in a correlation length (derivation: linear interpolation is then off by 1/1000 of the error)
+BEYOND = (
+    8  # of these steps that the functions reach beyond the touched span on either side, where a fit may move contacts
+)
 SEARCHED = 10.0
-"""Times the map's variance, by which readings are less certain as long as a search has no map (study: by once, one of
-twelve logs of 70 µm was not explained; by 40 times one did not settle; some 150 readings share an error)."""
+"""Times the map's variance, by which readings are less certain as long as a search has no map (study 2026-11-29, seeds
+9001 to 9003 and 9200 to 9211: by once, a log of 70 µm was not explained; by 40 times, one did not settle)."""
 
 
 def has_map(rig: RigDescription) -> bool:
@@ -53,6 +58,9 @@ def with_map(
         if pad.map_sd == 0.0 or not mine.any():
             continue
         variance[mine] -= _searched(pad)
+        if pad.map_length < FINEST_M:
+            variance[mine] += pad.map_sd**2
+            continue
         basis, left = _functions(pad, places[mine], float(variance[mine].min()))
         variance[mine] += left
         of_pads.append(np.zeros((len(mine), basis.shape[1])))
@@ -71,12 +79,14 @@ def _searched(pad: PadSensor) -> float:
 def _functions(pad: PadSensor, places: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
     """The eigenfunctions (m) at these places, and what they leave there, as noise of each reading (m²)."""
     low, high = min(float(places.min()), 0.0), max(float(places.max()), pad.length)
-    grid = np.arange(low - BEYOND_M, high + BEYOND_M + GRID_M, GRID_M)
+    step = pad.map_length / STEPS
+    beyond = BEYOND * step
+    grid = np.arange(low - beyond, high + beyond + step, step)
     covariance = pad.map_sd**2 * np.exp(-0.5 * np.subtract.outer(grid, grid) ** 2 / pad.map_length**2)
     linear, _ = np.linalg.qr(np.stack([np.ones_like(grid), grid], axis=1))
     covariance -= linear @ (linear.T @ covariance)
     covariance -= (covariance @ linear) @ linear.T
-    touched = (grid > places.min() - BEYOND_M) & (grid < places.max() + BEYOND_M)
+    touched = (grid > places.min() - beyond) & (grid < places.max() + beyond)
     covariance, grid = covariance[np.ix_(touched, touched)], grid[touched]
     alike = _alike(places, pad.map_length)
     functions, left = np.zeros((len(grid), 0)), np.diagonal(covariance).copy()

@@ -41,7 +41,8 @@ PLACED_S = 0.4  # readings that orientations are first judged by
 FIRST_READINGS, ORIENTATIONS = 5, 10
 NOISE = ProcessNoise(1e-8, 1e-5)
 LED_BY_READINGS = (1e5, 1e3, 10.0)
-"""Times the process noise: between two nodes the spin may differ by 0.1 rad/s at first, then by ten times less each."""
+"""Times the process noise, one fit after the other (derivation: at first the spin may differ by 0.1 rad/s from node to
+node, more than any friction changes it there, then by ten times less each)."""
 
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12

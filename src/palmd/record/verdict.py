@@ -1,4 +1,4 @@
-"""Whether a result tells the object: `accepted`, `partial` or `rejected`. Pure."""
+"""The verdict on a result: `accepted`, `partial` or `rejected`. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from palmd.observer.visits import Marks
 
 ACCEPTED, PARTIAL, REJECTED = "accepted", "partial", "rejected"
 LEAST_COVERAGE = 0.10
-"""The share of the normals that an accepted result has touched at least (convention: a claim about an object)."""
+"""Least share of the normals that an accepted result covers (convention)."""
 
 
 def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, Any]:
@@ -21,22 +21,22 @@ def verdict(explained: bool, touched: Marks | None, reason: str) -> dict[str, An
     `converged` is True of an accepted result only.
     """
     coverage = 0.0 if touched is None else float(np.mean(touched))
-    said = (ACCEPTED if coverage >= LEAST_COVERAGE else PARTIAL) if explained else REJECTED
-    if said == PARTIAL:
+    found = (ACCEPTED if coverage >= LEAST_COVERAGE else PARTIAL) if explained else REJECTED
+    if found == PARTIAL:
         reason = (
-            f"only {coverage:.1%} of the normals were touched, of which it tells; less than {LEAST_COVERAGE:.0%} is no"
-            " claim about an object: turn the palms so that the object rolls farther"
+            f"only {coverage:.1%} of the normals were touched, and the estimate holds for these; an object is accepted"
+            f" from {LEAST_COVERAGE:.0%} on: turn the palms so that the object rolls farther"
         )
-    return {"verdict": said, "converged": said == ACCEPTED, "coverage": coverage, "reason": reason or None}
+    return {"verdict": found, "converged": found == ACCEPTED, "coverage": coverage, "reason": reason or None}
 
 
-def told(line: Mapping[str, Any], summary: str) -> str:
-    """A result in one line for people; `summary`: of what it tells, if it tells anything."""
+def in_one_line(line: Mapping[str, Any], summary: str) -> str:
+    """A result in one line for people; `summary`: of its estimate, if it has one."""
     if line["verdict"] == REJECTED:
         return f"not converged: {line['reason']}"
     return summary if line["verdict"] == ACCEPTED else f"partial: {line['reason']}; {summary}"
 
 
-def is_told(line: Mapping[str, Any]) -> bool:
-    """Whether a result, of this version or an older one, tells at least a part of an object."""
+def has_estimate(line: Mapping[str, Any]) -> bool:
+    """Whether a result, of this version or an older one, holds an estimate of at least a part of an object."""
     return bool(line.get("converged")) or line.get("verdict") == PARTIAL

@@ -12,7 +12,7 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.record.meshfile import Mesh
-from palmd.record.verdict import is_told
+from palmd.record.verdict import has_estimate
 from palmd.report.axes import BLUE, GREEN, ORANGE
 from palmd.report.sections import Plate, Report, Section
 from palmd.report.surface_figure import FeltBody, draw_surface
@@ -21,7 +21,7 @@ from palmd.report.surface_figure import FeltBody, draw_surface
 def body_report(name: str, told: Mapping[str, Any]) -> Report:
     """Of a result as `palmd reconstruct` writes it for three palms; one that did not converge is told, not drawn."""
     sections: list[Section] = []
-    if is_told(told):
+    if has_estimate(told):
         track = {key: np.array(values, dtype=np.float64) for key, values in told["trajectory"].items()}
         touched = np.array(told["touched"], dtype=bool)
         mesh = Mesh(np.array(told["points_m"]), np.array(told["triangles"]), np.array(told["h_sd_m"]), touched)
@@ -50,7 +50,7 @@ def _under_surface(told: Mapping[str, Any], touched: FloatArray) -> str:
 
 def _facts(told: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     facts = [("outcome", "converged" if told["converged"] else f"not converged: {told['reason']}")]
-    if not is_told(told):
+    if not has_estimate(told):
         return tuple(facts)
     t = told["trajectory"]["t"]
     facts += [

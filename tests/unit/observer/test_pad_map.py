@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palmd.events import PadSample
+from palmd.events import FloatArray, PadSample, PalmSample
+from palmd.model.smoothing import CONSTANTS
+from palmd.observer.factor import Prior
+from palmd.observer.normal_equations import Guess
+from palmd.observer.pad_map import with_map, without_map
+from palmd.observer.palm_path import smoothed_path
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.record import Record, lay_out
 from palmd.record.eventlog import EventLog, header_line, read_log
 from palmd.rig.simulate import simulate_log
-from palmd.system.description import AS_CALIBRATED
+from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
 from tools.studies.scoring import Truth, outline_errors, truth_of
 
 A_M = 7e-5
@@ -83,3 +89,53 @@ def test_a_log_says_what_is_left_of_the_error_of_place(tmp_path: Path) -> None:
     differing = replace(rig, pads=(rig.pads[0], replace(rig.pads[1], map_sd=2 * A_M)))
     again = read(tmp_path / "own.jsonl", [header_line(differing), *lines[1:]])
     assert [pad.map_sd for pad in again.rig.pads] == [A_M, 2 * A_M]
+
+
+def laid(rig: RigDescription, places: FloatArray) -> Record:
+    """Readings of pad 1 at these places, of which pad 2 has one here and there."""
+    times = 0.01 * np.arange(len(places))
+    samples = [PadSample(float(t), 1, float(s), 1.0) for t, s in zip(times, places, strict=True)]
+    samples += [PadSample(float(t) + 0.001, 2, 0.02, 1.0) for t in times[::5]]
+    palms = [PalmSample(0.01 * k, (0.7, 1.6), (0.0, 0.0), (0.0, 0.0)) for k in range(-4, len(places) + 5)]
+    ordered = sorted(samples, key=lambda sample: sample.t_sample)
+    return lay_out(ordered, smoothed_path(palms, 2e-4), rig, 0.0, 0.01 * len(places), 0.01)
+
+
+def problem(rig: RigDescription, places: FloatArray) -> tuple[Record, Record]:
+    """The record of a search, and that of the fit with maps."""
+    record = laid(without_map(rig), places)
+    prior = Prior(np.zeros(CONSTANTS), np.ones(CONSTANTS), 1.0)
+    guess = Guess(np.zeros((len(record.t), 2)), np.ones(CONSTANTS))
+    mapped, wider, longer = with_map(record, record.contact_value, prior, guess, rig)
+    assert len(wider.mean) == len(wider.sd) == len(longer.p) == CONSTANTS + mapped.contact_map.shape[1]
+    return record, mapped
+
+
+def test_the_map_has_the_covariance_of_the_error_of_place() -> None:
+    places, length = np.linspace(0.02, 0.026, 40), 3e-3
+    _, mapped = problem(RigDescription().with_pads(map_sd=A_M, map_length=length), places)
+    mine = mapped.contact_pad == 1
+    found = mapped.contact_map[mine] @ mapped.contact_map[mine].T
+    wanted = A_M**2 * np.exp(-0.5 * np.subtract.outer(places, places) ** 2 / length**2)
+    # the pad's zero and scale take a part of it
+    assert found == pytest.approx(wanted, abs=0.3 * A_M**2)
+    picked, contrast = (
+        np.ix_([5, 20, 35], [5, 20, 35]),
+        np.array([1.0, -2.0, 1.0]),
+    )  # of no zero, no scale
+    missing = contrast @ (wanted - found)[picked] @ contrast
+    left = mapped.contact_variance[mine].max() - PadSensor().reading_variance
+    assert 0.0 <= missing <= contrast @ contrast * left
+    assert left < 0.2 * PadSensor().reading_variance
+
+
+@pytest.mark.parametrize("length", [1e-7, 5e-5, 5e-4, 3e-3, 0.5])
+def test_any_length_of_correlation_leaves_a_problem_that_can_be_solved(length: float) -> None:
+    rig = RigDescription().with_pads(map_sd=A_M, map_length=length)
+    searched, mapped = problem(rig, np.linspace(0.02, 0.03, 40))
+    assert np.isfinite(mapped.contact_map).all()
+    assert (mapped.contact_variance >= rig.pads[0].reading_variance * (1 - 1e-9)).all()
+    if length < 1e-4:
+        assert mapped.contact_map.size == 0
+        assert mapped.contact_variance == pytest.approx(rig.pads[0].reading_variance + A_M**2)
+    assert (searched.contact_variance > mapped.contact_variance.min()).all()

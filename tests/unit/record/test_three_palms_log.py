@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+import palmd
 from palmd.cli import main
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms.path import joint_path
@@ -80,6 +81,12 @@ def test_what_tells_nothing_is_not_converged(log, tmp_path, capsys):
     assert "all three pads" in told["reason"]
     assert main(["reconstruct", str(path), "-o", str(tmp_path / "out.stl")]) == 1
     assert "there is no surface to write" in capsys.readouterr().err
+
+
+def test_without_joints_the_library_gives_the_reason_too(log):
+    answer = palmd.reconstruct(log({"t": 0.0, "pad": 1, "a_m": 0.01, "b_m": 0.01}))
+    assert (answer.verdict, answer.coverage, len(answer.trajectory["t_s"])) == ("rejected", 0.0, 0)
+    assert "joints" in answer.reason
 
 
 def test_what_cannot_be_done_yet_is_refused_in_one_sentence(log, tmp_path, capsys):

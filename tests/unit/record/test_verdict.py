@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palmd.record.verdict import is_told, told, verdict
+from palmd.record.verdict import has_estimate, in_one_line, verdict
 
 
 @pytest.mark.parametrize(
@@ -19,13 +19,13 @@ def test_an_object_is_claimed_of_which_enough_was_touched(explained: bool, share
     assert line["converged"] is (said == "accepted")
     assert line["coverage"] == pytest.approx(share, abs=1e-9)
     assert (line["reason"] is None) == (said == "accepted")
-    assert is_told(line) == explained
+    assert has_estimate(line) == explained
 
 
-def test_a_part_is_told_with_the_reason_and_what_to_do() -> None:
+def test_a_part_comes_with_the_reason_and_what_to_do() -> None:
     line = verdict(True, np.arange(360) < 20, "")
     assert "5.6%" in line["reason"]
-    assert told(line, "outline 9 um").endswith("outline 9 um")
+    assert in_one_line(line, "outline 9 um").endswith("outline 9 um")
 
 
 def test_a_run_without_any_outline_is_rejected() -> None:
@@ -34,5 +34,5 @@ def test_a_run_without_any_outline_is_rejected() -> None:
 
 
 def test_results_of_older_versions_have_converged_alone() -> None:
-    assert is_told({"converged": True})
-    assert not is_told({"converged": False})
+    assert has_estimate({"converged": True})
+    assert not has_estimate({"converged": False})

@@ -108,7 +108,7 @@ class Pivot(PivotForm):
         del seed, say
         answer = reconstruct(log.events, log.rig)
         line = as_line(answer, log.rig)
-        told = verdict.told(line, summary(answer) if answer.converged else "")
+        told = verdict.in_one_line(line, summary(answer) if answer.converged else "")
         drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, mass_kg=answer.mass)
         return Reconstructed(line, told, drawing, line["reason"] or "")
 

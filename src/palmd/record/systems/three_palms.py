@@ -117,10 +117,10 @@ class ThreePalms:
         if joints is None:
             reason = "the joints never report"
             nothing = verdict.verdict(False, None, reason)
-            return Reconstructed(nothing, verdict.told(nothing, ""), None, reason)
+            return Reconstructed(nothing, verdict.in_one_line(nothing, ""), None, reason)
         answer = reconstruct(joints, readings, log.rig)
         line = as_line(answer)
-        told = verdict.told(line, summary(answer) if answer.converged else "")
+        told = verdict.in_one_line(line, summary(answer) if answer.converged else "")
         mesh = (
             Mesh(answer.points, answer.triangles, answer.h_sd, answer.touched)
             if answer.converged and answer.points is not None

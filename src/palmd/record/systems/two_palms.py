@@ -38,7 +38,7 @@ class TwoPalms(TwoPalmsForm):
         answer = reconstruct(log.events, log.rig, seed, say)
         at_rest = mass_at_rest(log.events, log.rig)
         line = as_line(answer, at_rest)
-        told = verdict.told(line, summary(answer) if answer.converged else "")
+        told = verdict.in_one_line(line, summary(answer) if answer.converged else "")
         if math.isfinite(at_rest.value):
             told += f"; at rest {at_rest.value * 1e3:.1f} ± {at_rest.sd * 1e3:.1f} g"
         drawing = drawing_of(answer.theta, answer.h, answer.h_sd, answer.touched, rho_m=answer.rho, mass_kg=answer.mass)
