@@ -196,6 +196,16 @@ def test_truth_in_the_log_changes_nothing(log, result, tmp_path):
     assert without_seconds(json.loads(out.read_text())) == without_seconds(result)
 
 
+@pytest.mark.parametrize("given", ["map_length_m=0", "map_length_m=-1", "map_m=nan", "map_mm=0.07"])
+def test_an_error_of_place_that_cannot_be_is_refused(log, tmp_path, given, capsys):
+    out = tmp_path / "out.json"
+    with pytest.raises(SystemExit) as stopped:
+        main(["reconstruct", str(log), "-o", str(out), "--calibration-sd", given])
+    assert stopped.value.code == 2
+    assert given.partition("=")[0] in capsys.readouterr().err
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("source", ["pad", "palms"])
 def test_a_log_that_tells_too_little_is_no_fault(log, source, tmp_path, capsys):
     header, *events = log.read_text().splitlines()
