@@ -12,7 +12,7 @@ import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -257,7 +257,8 @@ def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfec
             off = replace(off, friction=value)
         else:
             pad, told = name.removeprefix("pad").split("_", 1)
-            pads[int(pad) - 1] = replace(pads[int(pad) - 1], **{fields_of[told]: value})
+            changed: dict[str, Any] = {fields_of[told]: value}
+            pads[int(pad) - 1] = replace(pads[int(pad) - 1], **changed)
     return replace(off, angles=(angles[0], angles[1]), pads=tuple(pads))
 
 

@@ -18,7 +18,7 @@ from palmd.console.notes import say_notes
 from palmd.console.output import strict_output
 from palmd.console.progress import working
 from palmd.record import RunError, is_recording
-from palmd.record.eventlog import MAP_LENGTH, MAP_SD, EventLog, LogError
+from palmd.record.eventlog import MAP_LENGTH, EventLog, LogError
 from palmd.record.systems import NotYetError, System, read_log_of_any, system_of
 from palmd.system.description import CALIBRATION_KEYS
 
@@ -38,7 +38,7 @@ def add_calibration_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _names() -> dict[str, str]:
-    return {key: name for name, key in CALIBRATION_KEYS.items()} | {MAP_SD: "map_sd", MAP_LENGTH: "map_length"}
+    return {key: name for name, key in CALIBRATION_KEYS.items()} | {MAP_LENGTH: "map_length"}
 
 
 def _calibration_sd(text: str) -> tuple[str, float]:

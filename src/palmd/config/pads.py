@@ -72,8 +72,8 @@ class PadBase(Strict):
     """By how much the pad's surface may lie off the hinge line, one sigma; only what rolls tells it, in part."""
     sagitta_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 2, or_zero=True)] = 0.03
     """By how much the pad's middle may be higher than its ends, one sigma."""
-    map_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 1, or_zero=True)] = 0.0
-    """What is left of the pad's smooth error of place, one sigma: some 0.07 after a calibration; 0: not looked for."""
+    map_sd_mm: Annotated[NotNegative, Field(le=5), Plausible(0.001, 1, or_zero=True)] = 0.07
+    """What is left of the pad's smooth error of place, one sigma; 0: there is none."""
     map_length_mm: Annotated[FiniteFloat, Field(gt=0, le=100), Plausible(0.5, 30)] = 3.0
     """Correlation length of that error, about a sixth of its wavelength."""
     lag_sd_ms: Annotated[NotNegative, Field(le=100), Plausible(0.05, 50, or_zero=True)] = 2.0

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
 from palmd.events import ObserverName
+from palmd.observer.noise import map_as_noise
 from palmd.observer.observer import Observer
 from palmd.observer.smoothing import Smoothing
 from palmd.system.description import RigDescription
@@ -51,6 +52,7 @@ def make(
     """
     if rig.curved and (reason := flat_only(name)):
         raise ValueError(reason)
+    rig = map_as_noise(rig)
     # each is loaded where it is wanted
     if name == "quasistatic":
         from palmd.observer.quasistatic import QuasistaticObserver

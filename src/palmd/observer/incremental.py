@@ -21,6 +21,7 @@ from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
 from palmd.observer.follower import TAIL_S, Answer, Follower
 from palmd.observer.matching import Felt
+from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
 from palmd.observer.seeker import Seeker
@@ -52,7 +53,7 @@ class IncrementalSmoother:
 
     def __init__(self, rig: RigDescription, seed: int = 0):
         """`seed` draws where blind searches start."""
-        self._rig = rig
+        self._rig = map_as_noise(rig)
         self._seed = seed
         self._session = NO_SESSION
         self._hint: FloatArray | None = None
@@ -60,7 +61,7 @@ class IncrementalSmoother:
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
         self._frame = 1
         self._unexplained = False  # by the last answer
-        self._seeker = Seeker(rig, seed)
+        self._seeker = Seeker(self._rig, seed)
         self._found: Answer | None = None
         self._follower: Follower | None = None
 

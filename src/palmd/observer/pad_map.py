@@ -28,9 +28,6 @@ STEPS = 12  # of the grid in a correlation length (derivation: linear interpolat
 BEYOND = (
     8  # of these steps that the functions reach beyond the touched span on either side, where a fit may move contacts
 )
-SEARCHED = 10.0
-"""Times the map's variance, by which readings are less certain as long as a search has no map (study 2026-11-29, seeds
-9001 to 9003 and 9200 to 9211: by once, a log of 70 µm was not explained; by 40 times, one did not settle)."""
 
 
 def has_map(rig: RigDescription) -> bool:
@@ -38,26 +35,21 @@ def has_map(rig: RigDescription) -> bool:
     return any(pad.map_sd > 0.0 for pad in rig.pads)
 
 
-def without_map(rig: RigDescription) -> RigDescription:
-    """The rig for a search, which knows of maps as of noise only."""
-    pads = (replace(pad, noise=float(np.sqrt(pad.noise**2 + _searched(pad)))) for pad in rig.pads)
-    return replace(rig, pads=tuple(pads))
-
-
 def with_map(
     record: Record, places: FloatArray, prior: Prior, guess: Guess, rig: RigDescription
 ) -> tuple[Record, Prior, Guess]:
-    """The problem of a record `without_map` with the pads' maps among its constants, after all others.
+    """The problem of a record with the pads' maps among its constants, after all others.
 
-    places: of the contacts as a fit predicts them (m). At their readings instead a map would follow the noise: at the
-    ends of what was touched a reading is farthest out because its noise points there.
+    rig: that the record was laid out by, maps being noise or nothing. places: of the contacts as a fit predicts them
+    (m). At their readings instead a map would follow the noise: at the ends of what was touched a reading is farthest
+    out because its noise points there.
     """
     variance, of_pads = record.contact_variance.copy(), list[FloatArray]()
     for number, pad in zip(PALMS, rig.pads, strict=True):
         mine = record.contact_pad == number
         if pad.map_sd == 0.0 or not mine.any():
             continue
-        variance[mine] -= _searched(pad)
+        variance[mine] -= pad.map_noise**2
         if pad.map_length < FINEST_M:
             variance[mine] += pad.map_sd**2
             continue
@@ -70,10 +62,6 @@ def with_map(
     mean, sd = np.concatenate([prior.mean, np.zeros(further)]), np.concatenate([prior.sd, np.ones(further)])
     mapped = replace(record, contact_map=columns, contact_variance=variance)
     return mapped, replace(prior, mean=mean, sd=sd), Guess(guess.x, np.concatenate([guess.p, np.zeros(further)]))
-
-
-def _searched(pad: PadSensor) -> float:
-    return SEARCHED * pad.map_sd**2
 
 
 def _functions(pad: PadSensor, places: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:

@@ -29,11 +29,11 @@ from palmd.observer.likeness import UNTOLD, likeness, root_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
-from palmd.observer.noise import with_scatter
+from palmd.observer.noise import map_as_noise, with_scatter, without_map
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
-from palmd.observer.pad_map import has_map, with_map, without_map
+from palmd.observer.pad_map import has_map, with_map
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lasting, lay_out
 from palmd.observer.relations import mixture, with_each_relation
@@ -48,10 +48,11 @@ from palmd.observer.search import (
     Search,
     beyond_question,
     consistent,
-    doubt,
+    different,
     explained,
     minima,
     overfits,
+    rivals_of,
     still,
     unfit,
 )
@@ -267,8 +268,9 @@ class _Mapped:
 
     @property
     def judged(self) -> Fit:
-        """The fit without what its maps cost on average, which says nothing of the object."""
-        return replace(self.fit, strain=self.fit.strain - (len(self.fit.guess.p) - CONSTANTS))
+        """The fit without what its maps cost, which says nothing of the object."""
+        maps = self.fit.guess.p[CONSTANTS:]
+        return replace(self.fit, strain=self.fit.strain - float(maps @ maps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,6 +294,11 @@ class _Part:
     def segment(self) -> DataSegment:
         """What it is the motion of."""
         return self.search.segment
+
+    @property
+    def judged(self) -> Fit:
+        """The fit that tells whether the part is explained, and how likely its object is."""
+        return self.fit if self.mapped is None else self.mapped.judged
 
     @property
     def deviance(self) -> float:
@@ -331,7 +338,7 @@ def _by_length(found: Sequence[DataSegment], rig: RigDescription) -> list[DataSe
 
 
 def _search(segment: DataSegment, rig: RigDescription) -> Search:
-    return Search(segment, without_map(with_scatter(rig, segment.pads)))
+    return Search(segment, map_as_noise(with_scatter(rig, segment.pads)))
 
 
 def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:
@@ -345,7 +352,8 @@ def attempts_on(search: Search) -> Numbered:
     """What is tried on a record: what is hard from the beginning is easy from later on, where enough is left then."""
     live, lasts = attempts_for(search.rig), float(search.record.t[-1] - search.record.t[0])
     later = [each for each in LATER if each.later_s + each.seconds <= lasts]  # others would be no second opinion
-    return tuple(enumerate((live[0], *later, *live[1:])))
+    exact = [live[0]._replace(exact=True)] if has_map(search.rig) else []
+    return tuple(enumerate((*exact, live[0], *later, *live[1:])))
 
 
 def _part_of(search: Search, seed: int) -> _Part | None:
@@ -362,7 +370,7 @@ def _part(
     for number, attempt in attempts:
         search = doubting if attempt.free else believing
         try:
-            finding = search.blind(attempt, seed)
+            finding = (_exact(search) if attempt.exact else search).blind(attempt, seed)
             part = None if finding is None else _refined(search, finding)
         except NUMERICAL_FAILURES:  # of this attempt alone
             continue
@@ -375,19 +383,24 @@ def _part(
     return best
 
 
+def _exact(search: Search) -> Search:
+    """The same segment, searched as if its pads had no smooth error of place."""
+    return Search(search.segment, without_map(search.rig), belief=search.belief)
+
+
 def _found_again(part: _Part, seed: int) -> _Part:
     """`part`, unless it claims an unlikely object that the rest of its readings, without the first, tell otherwise.
 
     How an object moves at first nothing foretells: where it is let go in haste the search may begin in a valley next to
     the right one, which an unlikely object and rig explain. Where the rest tells of another it stands for the whole.
     """
-    if part.reason or part.fit.strain <= DEAR:
+    if part.reason or part.judged.strain <= DEAR:
         return part
     for later_s in LATER_S:
         segment = part.segment.since(part.segment.start + later_s)
         if segment.lasts < LEAST_S:
             break
-        other = _part(Search(segment, with_scatter(part.search.rig, segment.pads)), seed + 1, [(0, AGAIN)])
+        other = _part(_search(segment, without_map(part.search.rig)), seed + 1, [(0, AGAIN)])
         if other is None or other.reason:
             continue
         there = from_zero(part.fit.guess.on(part.record.t, other.record.t))
@@ -401,19 +414,42 @@ def _found_again(part: _Part, seed: int) -> _Part:
 
 
 def _refined(search: Search, finding: Minima) -> _Part:
-    """The best fit again on finer nodes, forces on contacts and forces' noise taken from the model, not from readings.
+    """The best of what was found, made finer; where pads have maps, the best of it and its rivals.
+
+    Outlines that look alike under the wider noise of a search without maps the readings may well tell apart.
+    """
+    best, rivals = _finer(search, finding, finding.fits[0]), rivals_of(finding)
+    if best.reason not in ("", NO_SUCH_RIG) or not rivals:
+        return best
+    if best.mapped is None:
+        return replace(best, reason=AMBIGUOUS)
+    parts = [best]
+    for rival in rivals:
+        try:
+            part = _finer(search, finding, rival)
+        except NUMERICAL_FAILURES:  # it explains nothing, then
+            continue
+        if all(different(part.fit, other.fit) for other in parts):
+            parts.append(part)
+    first, *others = sorted(parts, key=lambda part: part.deviance)
+    ambiguous = any(other.deviance < first.deviance + DOUBT for other in others)
+    return replace(first, reason=AMBIGUOUS if ambiguous else first.reason)
+
+
+def _finer(search: Search, finding: Minima, found: Fit) -> _Part:
+    """A fit of `finding` again on finer nodes, contacts' forces and forces' noise taken from the model, not readings.
 
     Constants of the rig that the readings contradict are given free. Last of all steps in which contacts hop are
     uncertain: before, that would favour bodies that hop.
     """
-    best, prior, belief = finding.fits[0], search.prior, search.belief
+    prior, belief = search.prior, search.belief
     segment, rig = search.segment, search.rig
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
-    guess = best.guess.on(finding.record.t, record.t)
+    guess = found.guess.on(finding.record.t, record.t)
     smoother = Smoother(search.library, record, prior)
     level = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
     record = replace(smoother.pressed(guess), force_variance=rig.force_variances(level, record.force_pad))
-    finer = minima(search.library, record, prior, [guess], best.noise)
+    finer = minima(search.library, record, prior, [guess], found.noise)
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):
@@ -428,7 +464,8 @@ def _refined(search: Search, finding: Minima) -> _Part:
         fit = _fitted(Smoother(search.library, record, prior), fit.guess, fit.noise)
     mapped = _mapped(search, record, prior, fit) if has_map(rig) else None
     judged = fit if mapped is None else mapped.judged
-    reason = OVERFITTED if overfits(judged) else doubt(judged, finding) or NO_SUCH_RIG * belief.beyond_all(fit.guess)
+    reason = OVERFITTED if overfits(judged) else unfit(judged, finding.record)
+    reason = reason or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
     return _Part(search, prior, fit, record, belief, as_described, reason, mapped)
 

@@ -91,7 +91,8 @@ class Attempt(NamedTuple):
 
     `free`: nothing that is believed of the rig's constants is taken at its word. `later_s`: seconds from the record's
     beginning that are sought last, from what the rest of it tells. `work`: iterations times nodes of the windows
-    after the first, beyond which a search that has not come to the end of the record is given up.
+    after the first, beyond which a search that has not come to the end of the record is given up. `exact`: pads' smooth
+    errors of place are not thought of.
     """
 
     seconds: float
@@ -100,6 +101,7 @@ class Attempt(NamedTuple):
     free: bool = False
     later_s: float = 0.0
     work: float = math.inf
+    exact: bool = False
 
 
 class Likeliest(NamedTuple):
@@ -422,7 +424,7 @@ def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
     distinct: list[Fit] = []
     for fit in ordered:
         near = fit.cost < ordered[0].cost + RIVAL or not distinct
-        if near and all(_difference(fit, other) > DIFFERENT_M for other in distinct):
+        if near and all(different(fit, other) for other in distinct):
             distinct.append(fit)
     return tuple(distinct)
 
@@ -486,7 +488,17 @@ def unfit(fit: Fit, record: Record) -> str:
 
 def rivalled(finding: Minima) -> bool:
     """Whether other outlines explain the readings as well as the best: later ones will tell."""
-    return any(rival.cost < finding.fits[0].cost + DOUBT for rival in finding.fits[1:])
+    return bool(rivals_of(finding))
+
+
+def rivals_of(finding: Minima) -> list[Fit]:
+    """The other outlines that explain the readings as well as the best."""
+    return [rival for rival in finding.fits[1:] if rival.cost < finding.fits[0].cost + DOUBT]
+
+
+def different(one: Fit, other: Fit) -> bool:
+    """Whether two fits are of different outlines."""
+    return _difference(one, other) > DIFFERENT_M
 
 
 def agree(one: Minima | None, other: Minima | None) -> bool:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from palmd.events import DECIDED
 
-NIS_RANGE = (0.2, 2.0)  # of the running mean, to be called consistent
+MOST_NIS = 2.0  # of the running mean, to be called consistent; noise that does not show is no reason for doubt
 RESUMED_FOR_S = 0.05  # of readings after a silence, by which it shows whether they are of the same object
 SURE = 0.99  # the probability from which on an object is identified, until it falls below `DECIDED`
 LOST_NIS = 3.0
@@ -73,8 +73,7 @@ def _over(what: str, value_m: float, limit_m: float) -> str:
 
 
 def _inconsistent(_evidence: Evidence, _least: Thresholds, nis: float) -> str:
-    low, high = NIS_RANGE
-    return "the contacts lie outside the pads" if consistent(nis) else f"NIS {nis:.2f} (limits {low:g} to {high:g})"
+    return "the contacts lie outside the pads" if consistent(nis) else f"NIS {nis:.2f} (limit {MOST_NIS:g})"
 
 
 _CONDITIONS = (
@@ -129,12 +128,12 @@ def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:
 
 def consistent(nis: float) -> bool:
     """Whether a filter's running mean of the normalised innovation squared is that of a right model."""
-    return bool(NIS_RANGE[0] < nis < NIS_RANGE[1])
+    return bool(nis < MOST_NIS)
 
 
 def surprised(nis: float) -> bool:
     """Whether the readings are beyond what any filter foresees."""
-    return bool(nis > NIS_RANGE[1])
+    return bool(nis > MOST_NIS)
 
 
 def identified(probability: float, before: bool) -> bool:

@@ -20,7 +20,7 @@ from palmd.record.logline import BadLineError, Line, block, not_negative, number
 from palmd.record.logreader import VERSION, LogForm, read_log_as
 from palmd.record.logreader import LogError as LogError
 from palmd.record.vibration_line import read_vibration
-from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, PadSensor, RigDescription
+from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 from palmd.system.vibration import vibration_line
 
@@ -30,7 +30,7 @@ _ANGLES, _RATES, _ACCELERATIONS = (
     for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
 )
 _CURVATURE = "palm{}_curvature_per_m"
-MAP_SD, MAP_LENGTH = "map_m", "map_length_m"  # in `calibration_sd`, of the pads' smooth error of place
+MAP_LENGTH = "map_length_m"  # in `calibration_sd`, of the pads' smooth error of place
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def _rig(rig: Line) -> RigDescription:
         raise BadLineError(f"hinge.mode must be fixed or arc, got {shown(mode)}")
     length = positive(hinge, "palm1_length_m") if mode == "arc" else default.palm1_length
     sds = _sds(rig, _default_sds(rig))
-    common = _sensor(rig, block(rig, "pad"), PadSensor())
+    common = _sensor(rig, block(rig, "pad"), PadSensor(map_sd=0.0 if _exact(rig) else MAP_SD_M))
     curvatures = [_curvature(rig, palm, common.length) for palm in PALMS]
     described = RigDescription(
         gravity=positive(rig, "gravity_m_s2"),
@@ -186,7 +186,7 @@ def _sensor(line: Line, pad: Line, default: PadSensor) -> PadSensor:
         force_scale_std=positive(line, "force_scale_std"),
         force_gain_std=not_negative(line, "force_gain_std", default.force_gain_std),
         force_resolution=not_negative(line, "force_resolution_n", default.force_resolution),
-        map_sd=not_negative(known, MAP_SD, default.map_sd),
+        map_sd=not_negative(known, CALIBRATION_KEYS["map_sd"], default.map_sd),
         map_length=positive(known, MAP_LENGTH, default.map_length),
     )
 
@@ -196,10 +196,15 @@ def _default_sds(rig: Line) -> Mapping[str, float]:
 
     How alike the palms rub is no matter of calibration: whoever means it says so by name.
     """
-    told = [sd for sd in _calibration_sd(rig).values() if sd is not None]
-    if not told or any(told):
+    if not _exact(rig):
         return AS_CALIBRATED
     return dict.fromkeys(AS_CALIBRATED, 0.0) | {"friction_sd": AS_CALIBRATED["friction_sd"]}
+
+
+def _exact(rig: Line) -> bool:
+    """Whether the log says that all constants that it names are known exactly."""
+    told = [sd for key, sd in _calibration_sd(rig).items() if sd is not None and key != MAP_LENGTH]
+    return bool(told) and not any(told)
 
 
 def _own_sensor(line: Line, common: PadSensor) -> PadSensor:
@@ -239,7 +244,7 @@ def header_line(rig: RigDescription) -> Line:
     pads = [_pad_line(pad) for pad in rig.pads]
     worst = {key: (min if key == "length_m" else max)(pad[key] for pad in pads) for key in pads[0]}
     sds = {key: _told_sd(rig, name) for name, key in CALIBRATION_KEYS.items()}
-    sds |= _map_line(max(rig.pads, key=lambda pad: pad.map_sd))
+    sds[MAP_LENGTH] = max(rig.pads, key=lambda pad: pad.map_sd).map_length
     described: Line = {
         "gravity_m_s2": rig.gravity,
         "hinge": hinge,
@@ -256,7 +261,11 @@ def header_line(rig: RigDescription) -> Line:
     if any(replace(pad, curvature=rig.pads[0].curvature) != rig.pads[0] for pad in rig.pads):
         of_pad = {name: key for name, key in CALIBRATION_KEYS.items() if hasattr(rig.pads[0], name)}
         described["pads"] = [
-            line | {"calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()} | _map_line(pad)}
+            line
+            | {
+                "calibration_sd": {key: getattr(pad, name) for name, key in of_pad.items()}
+                | {MAP_LENGTH: pad.map_length}
+            }
             for line, pad in zip(pads, rig.pads, strict=True)
         ]
     return {"palmd_log": VERSION, "rig": described}
@@ -271,10 +280,6 @@ def _pad_line(pad: PadSensor) -> Line:
         "force_gain_std": pad.force_gain_std,
         "force_resolution_n": pad.force_resolution,
     }
-
-
-def _map_line(pad: PadSensor) -> Line:
-    return {MAP_SD: pad.map_sd, MAP_LENGTH: pad.map_length} if pad.map_sd else {}
 
 
 def _told_sd(rig: RigDescription, name: str) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.daemon.journal import LOST_S
 from palmd.events import FloatArray
-from palmd.observer.validity import NIS_RANGE
+from palmd.observer.validity import MOST_NIS
 from palmd.report.errors import SDS, Errors, inside
 from palmd.report.series import FOLLOWING_RATIO, FaultSpell, Series
 
@@ -193,7 +193,7 @@ LATE_SHARE, WORK_SHARE = 0.2, 0.5
 def _ratios(series: Series) -> Iterator[TestRatio]:
     nis = _finite(series.estimate["nis"][series.valid])
     if len(nis):
-        yield TestRatio(_NIS, float(np.median(nis)), NIS_RANGE[1])
+        yield TestRatio(_NIS, float(np.median(nis)), MOST_NIS)
     limit = _force_limit(series)
     forces = [_finite(series.estimate[f"f{palm}_n"][series.valid]) for palm in (1, 2, 3)]
     if math.isfinite(limit) and any(map(len, forces)):

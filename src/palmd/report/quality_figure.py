@@ -10,7 +10,7 @@ from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
 from palmd.observer.bank import NIS_READINGS
-from palmd.observer.validity import NIS_RANGE
+from palmd.observer.validity import MOST_NIS
 from palmd.quantities import ESTIMATE, drawn
 from palmd.report.axes import (
     BLACK,
@@ -66,7 +66,7 @@ def draw_consistency(figure: FigureBase, series: Series, errors: Errors | None) 
     grid = np.atleast_1d(figure.subplots(2 if errors is None else 3, 1, sharex=True))
     t = series.estimate.t
     nis, observability = grid[0], grid[1]
-    nis.axhspan(*NIS_RANGE, color=BLUE, alpha=0.10, linewidth=0.0, label="called consistent")
+    nis.axhspan(0.0, MOST_NIS, color=BLUE, alpha=0.10, linewidth=0.0, label="called consistent")
     nis.axhspan(*nis_band(), color=BLUE, alpha=0.18, linewidth=0.0, label="95 % if normal")
     line(nis, t, series.estimate["nis"], color=BLACK, linewidth=0.8, label="running mean")
     nis.axhline(1.0, color=GREY, linewidth=0.5)

@@ -11,7 +11,7 @@ import numpy as np
 
 from palmd.chords import MEANT, chords_of
 from palmd.observer.likeness import likeness, root_of_band
-from palmd.observer.validity import NIS_RANGE
+from palmd.observer.validity import MOST_NIS
 from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.damage import described
 from palmd.record.metadata import CONFIG
@@ -204,10 +204,9 @@ def under_consistency(series: Series, errors: Errors | None) -> str:
     nis = nis[np.isfinite(nis)]
     if not len(nis):
         return "The innovations of valid estimates are not told."
-    low, high = NIS_RANGE
     said = (
-        f"Of the valid ticks {np.mean((nis > low) & (nis < high)):.0%} have a mean NIS between {low:g} and {high:g}, "
-        f"which the observer asks for; its mean is {nis.mean():.2f}"
+        f"Of the valid ticks {np.mean(nis < MOST_NIS):.0%} have a mean NIS below {MOST_NIS:g}, which the observer asks "
+        f"for; its mean is {nis.mean():.2f}"
     )
     if errors is not None:
         squares = normalised(series, errors)

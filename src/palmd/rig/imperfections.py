@@ -14,6 +14,7 @@ from palmd.config.any_config import AnyConfig
 from palmd.config.fields import Strict
 from palmd.config.two_palms import Config, PadImperfectionsConfig, rig_description
 from palmd.events import Joints, PalmMotion
+from palmd.rig.smooth_error import NO_ERROR, SmoothError, drawn_error
 from palmd.system.description import CALIBRATION_KEYS, RigDescription
 from palmd.system.mechanism import JOINTS, PALMS
 
@@ -29,7 +30,8 @@ _STREAM = 17  # of a seed's random numbers, so that the same seed has the same o
 class PadImperfection:
     """By how much one palm's pad is off from what it is taken for; SI units, signs as of the smoother's constants.
 
-    It reads zero + force·f + (1 + scale)·s of a contact at s under a force f (N), as it was `lag` ago. Its surface lies
+    It reads zero + force·f + (1 + scale)·s + place(s) of a contact at s under a force f (N), as it was `lag` ago. Its
+    surface lies
     `standoff` above the hinge line, on the object's side, and is a parabola that is `sagitta` higher in the pad's
     middle than at its ends.
     """
@@ -40,15 +42,19 @@ class PadImperfection:
     lag: float = 0.0
     standoff: float = 0.0
     force: float = 0.0
+    place: SmoothError = NO_ERROR
 
     def reading_error_m(self, s: float, force: float) -> float:
         """A reading less the contact's true distance `s` (m) from the hinge, under a force (N); without the lag."""
-        return self.zero + self.scale * s + self.force * force
+        return self.zero + self.scale * s + self.force * force + self.place.at(s)
 
     def tangent_plane(self, s: float, length: float) -> tuple[float, float]:
         """What touches the surface, of that length (m), at s (m): its slope (rad) and its height over the hinge (m)."""
         u = s / length
         return 4.0 * self.sagitta / length * (1.0 - 2.0 * u), self.standoff + 4.0 * self.sagitta * u * u
+
+
+_CONSTANTS = tuple(each.name for each in fields(PadImperfection) if each.name != "place")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +85,7 @@ class Imperfections:
 
     def constants(self) -> dict[str, float]:
         """By the names that results give the rig's constants."""
-        of_pads = {CALIBRATION_KEYS[f"{each.name}_sd"]: each.name for each in fields(PadImperfection)}
+        of_pads = {CALIBRATION_KEYS[f"{name}_sd"]: name for name in _CONSTANTS}
         return {
             f"pad{palm}_{told}": getattr(pad, name)
             for told, name in of_pads.items()
@@ -98,17 +104,22 @@ PERFECT = Imperfections()
 
 
 def drawn(rig: RigDescription, *seed: int) -> Imperfections:
-    """A rig as good as `rig` says by its `_sd`: every error normal with that one-sigma, cut at three of them."""
+    """A rig as good as `rig` says by its `_sd`: every error normal with that one-sigma, cut at three of them.
+
+    Pads have smooth errors of place as large and as long as it says.
+    """
     random = np.random.default_rng([*seed, _STREAM])
 
     def error(sd: float) -> float:
         return sd * float(np.clip(random.standard_normal(), -_MOST_SIGMAS, _MOST_SIGMAS))
 
+    constants = [{name: error(getattr(pad, f"{name}_sd")) for name in _CONSTANTS} for pad in rig.pads]
+    places = [
+        drawn_error(pad.map_sd, pad.map_length, pad.length, np.random.default_rng([*seed, _STREAM, number]))
+        for number, pad in enumerate(rig.pads)
+    ]
     return Imperfections(
-        tuple(
-            PadImperfection(**{each.name: error(getattr(pad, f"{each.name}_sd")) for each in fields(PadImperfection)})
-            for pad in rig.pads
-        ),
+        tuple(PadImperfection(**own, place=place) for own, place in zip(constants, places, strict=True)),
         (error(rig.angle_sd), error(rig.angle_sd)),
         error(rig.gravity_sd),
         min(max(error(rig.friction_sd), -_MOST_ASYMMETRY), _MOST_ASYMMETRY),

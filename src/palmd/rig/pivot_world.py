@@ -47,7 +47,8 @@ def configured_imperfections(config: PivotConfig, seed: int) -> Imperfections:
     if config.rig.imperfections == "none":
         return Imperfections((PadImperfection(),), (0.0,))
     rig = pivot_rig(config)
-    off = drawn(RigDescription(angle_sd=rig.angle_sd, pads=(rig.pad,)), seed)
+    pad = replace(rig.pad, map_sd=0.0)  # its observers know of no smooth error of place
+    off = drawn(RigDescription(angle_sd=rig.angle_sd, pads=(pad,)), seed)
     return replace(off, angles=off.angles[:1])
 
 

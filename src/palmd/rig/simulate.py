@@ -329,7 +329,7 @@ def log_lines(
         hinge["palm1_length_m"] = scene.hinge.palm1_length
     pad = {"length_m": PAD_LENGTH, "noise_m": _PAD_NOISE_M, "resolution_m": _PAD_RESOLUTION_M}
     rig = {"gravity_m_s2": 9.81, "hinge": hinge, "pad": pad, "force_scale_std": _FORCE_SCALE_STD}
-    rig["calibration_sd"] = {key: calibration_sd[name] for name, key in CALIBRATION_KEYS.items()}
+    rig["calibration_sd"] = {key: calibration_sd.get(name, 0.0) for name, key in CALIBRATION_KEYS.items()}
     rig["vibration"] = vibration_line(scene.vibration)
     rig |= _curvature_keys(scene.curvatures)
     yield {"palmd_log": 1, "rig": rig}

@@ -20,8 +20,9 @@ UNEVEN_SPIN_HZ = 12.0
 HingeMode = Literal["arc", "fixed"]
 
 
-MAP_LENGTH_M = 3e-3
-"""Correlation length of a pad's error of place where it is not given: too short costs 2 %, too long claims too much."""
+MAP_SD_M, MAP_LENGTH_M = 7e-5, 3e-3
+"""What a calibration leaves of a pad's smooth error of place: one-sigma, and correlation length where none is given
+(too short costs 2 %, too long claims too much)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class PadSensor:
 
     map_sd, map_length: what is left of the pad's smooth error of place: one-sigma and length of its squared-exponential
     correlation (m), the latter about a sixth of a wavelength; it is the same whenever the same place is touched.
+    map_noise: what that counts for as noise of each reading, a part of `noise` (m).
 
     stamp_sd: one-sigma of each time stamp by itself (s), as where an adapter delivers readings in batches. blur: what
     that makes of a reading on average, a part of `noise` (m).
@@ -56,6 +58,7 @@ class PadSensor:
     curvature: float = 0.0
     map_sd: float = 0.0
     map_length: float = MAP_LENGTH_M
+    map_noise: float = 0.0
     stamp_sd: float = 0.0
     blur: float = 0.0
 
@@ -181,5 +184,6 @@ CALIBRATION_KEYS = {
     "sagitta_sd": "sagitta_m",
     "friction_sd": "friction",
     "force_sd": "force_m_per_n",
+    "map_sd": "map_m",
 }
 """How a log calls the `_sd` of `RigDescription` and `PadSensor`."""

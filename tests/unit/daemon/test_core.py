@@ -77,7 +77,7 @@ class Fake(SilentObserver):
 
     @property
     def invalid_because(self):
-        return "" if self.valid else "NIS 3.10 (limits 0.2 to 2)"
+        return "" if self.valid else "NIS 3.10 (limit 2)"
 
 
 class Clock:

@@ -71,7 +71,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     def live(seconds, number, valid, untouched=()):
         for _ in range(round(seconds / 0.01)):
             journal.t += 0.01
-            notes.look(number, valid, untouched, journal.t, lambda: "NIS 3.1 (limits 0.2 to 2)")
+            notes.look(number, valid, untouched, journal.t, lambda: "NIS 3.1 (limit 2)")
 
     live(0.5, 0, False)
     live(1.0, 1, False)
@@ -91,7 +91,7 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
         ("begun", "object 2 is begun"),
     ]
     assert "no contact on pad 2" in journal.entries[2].text
-    assert "NIS 3.1 (limits 0.2 to 2)" in journal.entries[4].text
+    assert "NIS 3.1 (limit 2)" in journal.entries[4].text
 
 
 def test_a_contradicted_constant_is_told_by_name_and_once(journal):

@@ -14,8 +14,9 @@ import pytest
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model.smoothing import CONSTANTS
 from palmd.observer.factor import Prior
+from palmd.observer.noise import map_as_noise
 from palmd.observer.normal_equations import Guess
-from palmd.observer.pad_map import with_map, without_map
+from palmd.observer.pad_map import with_map
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
@@ -103,7 +104,8 @@ def laid(rig: RigDescription, places: FloatArray) -> Record:
 
 def problem(rig: RigDescription, places: FloatArray) -> tuple[Record, Record]:
     """The record of a search, and that of the fit with maps."""
-    record = laid(without_map(rig), places)
+    rig = map_as_noise(rig)
+    record = laid(rig, places)
     prior = Prior(np.zeros(CONSTANTS), np.ones(CONSTANTS), 1.0)
     guess = Guess(np.zeros((len(record.t), 2)), np.ones(CONSTANTS))
     mapped, wider, longer = with_map(record, record.contact_value, prior, guess, rig)

@@ -375,6 +375,15 @@ def test_an_unlikely_object_is_looked_for_again_without_its_beginning(kind, seed
     assert sbc.row_of(sbc.SbcTask(kind, seed, seconds), told, answer).worst_z < 2.0
 
 
+def test_a_map_that_pads_may_have_hides_no_other_beginning():
+    """Under the noise that a search takes a map for, an object let go in haste looks likely that is not the one."""
+    body, surface = sbc.believed("nominal", 60349)
+    log, told = calibrated_run("nominal", 60349, 10.0, body, "calibrated", surface)
+    answer = reconstruct([event for event in log.events if event.t_sample < 3.0], log.rig.with_pads(map_sd=7e-5))
+    assert answer.converged, answer.reason
+    assert sbc.row_of(sbc.SbcTask("nominal", 60349, 3.0), told, answer).worst_z < 2.0
+
+
 def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_again(monkeypatch):
     asked, blind = [], Search.blind
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from palmd.events import PadLift, PadSample, PalmSample
 from palmd.record.eventlog import LogError, header_line, read_log, write_log
 from palmd.rig.simulate import simulate_log
-from palmd.system.description import AS_CALIBRATED, PadSensor, RigDescription
+from palmd.system.description import AS_CALIBRATED, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.vibration import AVERAGED, DRY, Vibration
 
 HEADER = (
@@ -70,8 +70,25 @@ def test_golden_lines(log):
     pad = PadSensor(length=0.0555, noise=1e-4, resolution=1.27e-4, force_scale_std=0.05, force_resolution=0.02)
     assert run.rig == RigDescription(
         gravity=9.81, hinge="arc", palm1_length=0.11, base=(0.11, 0.0), palm_angle_noise=2e-4, pads=(pad, pad)
-    ).known_to(AS_CALIBRATED)  # where the log does not say how well the rig is known  # fmt: skip
+    ).known_to({**AS_CALIBRATED, "map_sd": MAP_SD_M})  # as the log does not say how well the rig is known  # fmt: skip
     assert run.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("told", "map_sd"),
+    [
+        ({}, MAP_SD_M),
+        ({"zero_m": 1e-4}, MAP_SD_M),
+        ({"zero_m": 0.0}, 0.0),
+        ({"zero_m": 0.0, "map_length_m": 2e-3}, 0.0),
+        ({"map_m": 2e-5}, 2e-5),
+        ({"zero_m": 1e-4, "map_m": 0.0}, 0.0),
+    ],
+)
+def test_pads_have_the_error_of_place_that_a_calibration_leaves_unless_all_is_known(log, told, map_sd):
+    header = json.loads(FIXED)
+    header["rig"]["calibration_sd"] = told
+    assert [pad.map_sd for pad in read_log(log(json.dumps(header), PAD)).rig.pads] == [map_sd] * 2
 
 
 def test_what_a_header_may_add_and_leave_out(log):

@@ -172,6 +172,8 @@ def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
     draws = [drawn(CALIBRATED, seed) for seed in range(400)]
     assert draws[3] == drawn(CALIBRATED, 3)
     for each in fields(PadImperfection):
+        if each.name == "place":
+            continue
         values = [getattr(pad, each.name) for off in draws for pad in off.pads]
         sd = AS_CALIBRATED[f"{each.name}_sd"]
         assert np.std(values) == pytest.approx(sd, rel=0.12)
@@ -184,6 +186,25 @@ def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
     }.items():
         assert np.std(values) == pytest.approx(AS_CALIBRATED[name], rel=0.15)
     assert drawn(RigDescription(), 3) == PERFECT
+
+
+def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
+    sd, length, pad = 7e-5, 3e-3, RigDescription().pads[0].length
+    rig = RigDescription().with_pads(map_sd=sd, map_length=length)
+    places = pad / 2 + np.array([0.0, length, 6.0 * length])
+    found = [each.place for seed in range(400) for each in drawn(rig, seed).pads]
+    values = np.array([[place.at(float(s)) for s in places] for place in found])
+    assert np.std(values[:, 0]) == pytest.approx(sd, rel=0.15)  # less what a line takes of it
+    alike = np.corrcoef(values.T)[0]
+    assert alike[1] == pytest.approx(math.exp(-0.5), abs=0.1)
+    assert abs(alike[2]) < 0.2
+    everywhere = np.linspace(0.0, pad, 200)
+    for place in found[:5]:
+        line = np.polyfit(everywhere, [place.at(float(s)) for s in everywhere], 1)
+        assert np.abs(np.polyval(line, everywhere)).max() < 0.05 * sd  # those are the pad's zero and scale
+    off = PadImperfection(zero=1e-4, place=found[0])
+    assert off.reading_error_m(0.02, 0.0) == pytest.approx(1e-4 + found[0].at(0.02))
+    assert drawn(rig, 3).constants() == drawn(rig.with_pads(map_sd=0.0), 3).constants()
 
 
 # ------------------------------------------------------------------------------------------ logs, configurations
