@@ -1,8 +1,8 @@
 """Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
 
-Everything is made from what git has: files that are not committed are refused. The container image is built and saved
-where podman or docker answers. `--check` installs the wheel into an empty environment and runs it there: doctor without
-a compiler, the demo with the machine's own.
+Everything is made from what git has: files that are not committed are refused. The wheel carries kernels compiled for
+this platform, unless `--no-kernels`. The container image is built and saved where podman or docker answers. `--check`
+installs the wheel into an empty environment and runs it there without a compiler: version, doctor, and a demo.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import palmd
+from tools.wheel import build_wheel, portable_kernels
 
 ROOT = Path(__file__).parent.parent
 NAME = f"palmd-{palmd.__version__}"
@@ -32,6 +33,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist", metavar="FOLDER")
     parser.add_argument("--no-site", action="store_true", help="leave the documentation out")
+    parser.add_argument(
+        "--no-kernels", action="store_true", help="a wheel for any platform, which compiles where it runs"
+    )
     parser.add_argument("--check", action="store_true", help=f"run the wheel: doctor, and a demo of {CHECK_S} s")
     arguments = parser.parse_args()
     changed = _said(["git", "status", "--porcelain", "--untracked-files=no"])
@@ -41,7 +45,7 @@ def main() -> int:
     shutil.rmtree(arguments.output, ignore_errors=True)
     arguments.output.mkdir(parents=True)
     try:
-        made = [*packages(arguments.output), upgrade_notes(arguments.output)]
+        made = [*packages(arguments.output, kernels=not arguments.no_kernels), upgrade_notes(arguments.output)]
         if not arguments.no_site:
             made.append(site(arguments.output))
         made += image(arguments.output)
@@ -56,14 +60,16 @@ def main() -> int:
     return 0
 
 
-def packages(output: Path) -> list[Path]:
-    """Wheel and source archive; of the same sources always the same bytes."""
-    environment = os.environ | {"SOURCE_DATE_EPOCH": _said(["git", "log", "-1", "--format=%ct"])}
+def packages(output: Path, *, kernels: bool) -> list[Path]:
+    """Wheel and source archive; of the same sources always the same bytes. Compiling kernels takes minutes."""
+    os.environ["SOURCE_DATE_EPOCH"] = _said(["git", "log", "-1", "--format=%ct"])
+    with tempfile.TemporaryDirectory(prefix="palmd-kernels-") as name:
+        wheel = build_wheel(output, portable_kernels(Path(name)) if kernels else None)
     subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-d", str(output)],
-        cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(output)],
+        cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    return sorted(path for path in output.iterdir() if path.suffix in (".whl", ".gz"))
+    return [wheel, *output.glob("*.tar.gz")]
 
 
 def upgrade_notes(output: Path) -> Path:
@@ -110,24 +116,36 @@ def checksums(output: Path, files: Iterable[Path]) -> Path:
 
 
 def run_wheel(wheel: Path) -> None:
-    """In an empty environment: version and doctor without a compiler, a demo that ends well. CalledProcessError."""
+    """In an empty environment without a compiler: version, doctor, a demo that ends well. CalledProcessError."""
     with tempfile.TemporaryDirectory(prefix="palmd-release-") as name:
         folder = Path(name)
         venv.create(folder / "venv", with_pip=True)
-        python, command = folder / "venv/bin/python", folder / "venv/bin/palmd"
-        pip = [str(python), "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
+        pip = [str(folder / "venv/bin/python"), "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
         subprocess.run([*pip, "--require-hashes", "-r", str(ROOT / "requirements.lock")], check=True)
         subprocess.run([*pip, "--no-deps", str(wheel)], check=True)
-        environment = {
-            "PATH": str(folder / "venv/bin"), "HOME": name, "XDG_CACHE_HOME": f"{name}/cache", "CC": "no-compiler",
-        }  # fmt: skip
-        subprocess.run([command, "--version"], cwd=folder, env=environment, check=True)
-        doctor = subprocess.run([command, "doctor"], cwd=folder, env=environment, check=False, capture_output=True)
-        if b"Traceback" in doctor.stderr or not doctor.stdout:
-            raise subprocess.CalledProcessError(doctor.returncode, [str(command), "doctor"])
-        environment |= {"PATH": f"{folder / 'venv/bin'}:{os.environ['PATH']}", "CC": os.environ.get("CC", "")}
-        demo = [str(command), "demo", "--seconds", str(CHECK_S), "--no-browser", "--seed", "3"]
-        subprocess.run(demo, cwd=folder, env=environment, check=True, stderr=subprocess.DEVNULL)
+        run_without_compiler(folder / "venv/bin/palmd", folder, CHECK_S).check_returncode()
+
+
+def run_without_compiler(command: Path, folder: Path, seconds: float) -> subprocess.CompletedProcess[str]:
+    """A demo of so many seconds by an installed palmd, after its version and doctor. CalledProcessError.
+
+    Its PATH has nothing but its own programs, its home is the `folder`. The demo's status is not looked at.
+    """
+    environment = {"PATH": str(command.parent), "HOME": str(folder)}
+
+    def called(*words: str) -> subprocess.CompletedProcess[str]:
+        run = [str(command), *words]
+        return subprocess.run(run, cwd=folder, env=environment, check=False, capture_output=True, text=True)
+
+    called("--version").check_returncode()
+    doctor = called("doctor")
+    told = [line.split(maxsplit=2)[:2] for line in doctor.stdout.splitlines() if line]
+    if "Traceback" in doctor.stderr or ["ok", "observers"] not in told:
+        raise subprocess.CalledProcessError(doctor.returncode, doctor.args, doctor.stdout, doctor.stderr)
+    demo = called("demo", "--seconds", str(seconds), "--no-browser", "--seed", "3")
+    if "C compiler" in demo.stderr or "not compiled" in demo.stderr:
+        raise subprocess.CalledProcessError(demo.returncode, demo.args, demo.stdout, demo.stderr)
+    return demo
 
 
 def _said(arguments: list[str]) -> str:

@@ -62,7 +62,8 @@ def _installed(name: str) -> bool:
 
 
 def compiler() -> Finding:
-    """Without one the observers run, several times slower."""
+    """Without one the observers run, several times slower unless the wheel carries compiled ones."""
+    from palmd.model.compiled import shipped_fits
     from palmd.model.compiler import CompilerError, command, tried
 
     try:
@@ -72,6 +73,8 @@ def compiler() -> Finding:
             return Finding("compiler", "ok", shlex.join(found))
     except (CompilerError, OSError) as error:
         return Finding("compiler", "missing", str(error), "mend that, or name another compiler in CC")
+    if shipped_fits():
+        return Finding("compiler", "ok", "none, and none is needed: palmd was installed with compiled observers")
     return Finding("compiler", "missing", "no C compiler", "sudo apt-get install gcc libc6-dev")
 
 
@@ -91,7 +94,7 @@ def _where_compiled() -> Path:
 
 def observers() -> Finding:
     """The compiled observers; whether they are this version's is known when they are loaded."""
-    from palmd.model.compiled import cache_directory
+    from palmd.model.compiled import SHIPPED, cache_directory, shipped_fits
 
     own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd doctor build"
     try:
@@ -105,6 +108,8 @@ def observers() -> Finding:
         return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
     if count:
         return Finding("observers", "ok", f"{count} compiled in {folder}")
+    if shipped_fits():
+        return Finding("observers", "ok", f"{len(list(SHIPPED.glob('*.so')))} compiled in {SHIPPED}")
     return Finding("observers", "missing", f"none compiled in {folder}", "palmd doctor build" if makes_more else own)
 
 

@@ -18,6 +18,7 @@ from palmd.model.compiled import (
     FLAGS,
     GENERATED,
     LANES,
+    NATIVE,
     WRITTEN,
     Library,
     Run,
@@ -36,8 +37,10 @@ TOLERANCE = 1e-9  # relative, beside what the last bits of the inputs make of th
 LAST_BITS, AS_MUCH = 4e-16, 100.0
 
 
-def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path) -> bool:
+def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path, sources: bytes) -> bool:
     """Generate, compile and check the library `name`; then put it and its `note` into the note's folder.
+
+    `sources`: what all of it comes from, for the note.
 
     What has been compiled from the same C already is left as it is.
 
@@ -69,7 +72,7 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
                 note.with_suffix(FAILED).write_text(str(error), encoding="utf-8")
                 raise
         told = Path(folder) / "note.json"
-        told.write_text(note_of(_signatures(kernels), library), encoding="utf-8")
+        told.write_text(note_of(_signatures(kernels), library, sources), encoding="utf-8")
         told.replace(note)
     return True
 
@@ -84,7 +87,8 @@ def _compile(
 ) -> None:
     """Each file by flags of its own."""
     built = folder / "built.so"
-    begun = [*compiler, *FLAGS, "-I", str(Path(__file__).parent)]
+    processor = () if any(word.startswith("-march=") for word in compiler) else (NATIVE,)
+    begun = [*compiler, *processor, *FLAGS, "-I", str(Path(__file__).parent)]
     objects = [str(folder / f"{each.stem}.o") for each in files]
 
     def compiled(*arguments: str) -> None:

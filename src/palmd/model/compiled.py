@@ -2,8 +2,8 @@
 
 Kernels are generated, compiled and checked once (`model.building`) into a cache. What is found there is loaded in a
 millisecond, without CasADi: its name tells the sources, the compiler's flags and the processor that it was made from
-and for, a note beside it its functions and its hash. Without a compiler CasADi's virtual machine serves: slower, the
-same numbers to rounding.
+and for, a note beside it its functions and its hash. Where nothing can be compiled, libraries that the wheel of a
+release carries are loaded; without these CasADi's virtual machine serves: slower, the same numbers to rounding.
 """
 
 from __future__ import annotations
@@ -33,12 +33,18 @@ Backend = Literal["c", "vm"]
 LANES = 8
 """Columns that stand side by side in a kernel of columns, which serves any multiple of so many."""
 
+NEEDS = "needs.txt"
+"""Beside libraries that a wheel carries: the features of a processor, by NumPy's names, that they need."""
+
 FAILED = ".failed"
 """Ends the name of a file that says why a library could not be compiled, beside where it would be."""
 
 EXPORTED = "kernel_"  # before a kernel's name: what a library exports
 # no contraction: the same bits on every processor
-FLAGS = ("-march=native", "-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
+FLAGS = ("-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
+NATIVE = "-march=native"
+"""For this processor, unless CC names another: `CC="cc -march=x86-64-v3"`."""
+
 WRITTEN, GENERATED = ("-O2",), ("-O1", "-fexpensive-optimizations", "-ftree-slp-vectorize")
 """How far C by hand and generated C are optimised: straight lines gain nothing by the slower half of -O2.
 
@@ -141,9 +147,11 @@ def load(
     writable cache: it falls back to the virtual machine with a warning.
     """
     files = [_PACKAGE / each for each in written]
-    key = key_of(_sources() + b"".join(each.read_bytes() for each in files))
-    note = (folder or cache_directory()) / f"{name}-{key}.json"
+    sources = _sources() + b"".join(each.read_bytes() for each in files)
+    note = (folder or cache_directory()) / f"{name}-{key_of(sources)}.json"
     found = _opened(note)
+    if found is None and not compiler.installed():
+        found = shipped_library(name, sources)
     if found is not None:
         return found
     from palmd.model import building
@@ -151,18 +159,18 @@ def load(
     made = list(kernels())
     failed = note.with_suffix(FAILED)
     if compiler.known_fault(note.parent):
-        return building.on_the_vm(made)
+        return shipped_library(name, sources) or building.on_the_vm(made)
     try:
         if failed.exists():
             raise compiler.CompilerError(f"{failed.read_text(encoding='utf-8')} (`palmd doctor build` tries again)")
-        if building.build(name, made, files, note):
+        if building.build(name, made, files, note, sources):
             found = _opened(note)
         else:
             say("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
     except (OSError, compiler.CompilerError) as error:
         why = f"{error.filename or note.parent}: {error.strerror}" if isinstance(error, OSError) else error
         say(f"{name} is not compiled, and runs slower: {why}")
-    return found or building.on_the_vm(made)
+    return found or shipped_library(name, sources) or building.on_the_vm(made)
 
 
 def say(text: str) -> None:
@@ -188,15 +196,48 @@ def cache_directory() -> Path:
 
 
 _PACKAGE = Path(__file__).parent
+SHIPPED = _PACKAGE.with_name("data") / "kernels"
+"""Where a wheel for one platform carries libraries (`tools/wheel.py`)."""
+
 _SOURCES = (_PACKAGE, _PACKAGE.with_name("system"))
 
 
 def key_of(source: bytes) -> str:
     """What tells one build of a source from another."""
     told = hashlib.sha256(source)
-    for part in (os.environ.get("CC", ""), " ".join((*FLAGS, *WRITTEN, *GENERATED)), platform.machine(), _processor()):
+    for part in (
+        os.environ.get("CC", ""),
+        " ".join((NATIVE, *FLAGS, *WRITTEN, *GENERATED)),
+        platform.machine(),
+        _processor(),
+    ):
         told.update(part.encode() + b"\0")
     return told.hexdigest()[:24]
+
+
+def shipped_note(name: str, sources: str) -> str:
+    """The name of the note on a library that a wheel carries, made from sources of that hash."""
+    return f"{name}-{sources[:24]}.json"
+
+
+def shipped_library(name: str, sources: bytes) -> Library | None:
+    """A library that the wheel carries, if it was made from these sources and this processor can run it."""
+    note = SHIPPED / shipped_note(name, hash_of(sources))
+    return _opened(note) if note.exists() and shipped_fits() else None
+
+
+def shipped_fits() -> bool:
+    """Whether the wheel carries libraries and this processor has all that they were compiled for."""
+    try:
+        needed = (SHIPPED / NEEDS).read_text(encoding="utf-8").split()
+    except FileNotFoundError:
+        return False
+    return set(needed) <= set(_processor().split())
+
+
+def hash_of(sources: bytes) -> str:
+    """Of what a library is made from, wherever and for whichever processor."""
+    return hashlib.sha256(sources).hexdigest()
 
 
 @cache
@@ -262,8 +303,9 @@ def _signature(fields: dict[str, Any]) -> Signature:
     return Signature(inputs, outputs, fields["columns"], tuple(fields["shared"]))
 
 
-def note_of(signatures: dict[str, Signature], library: Path) -> str:
-    """What is written beside a library."""
+def note_of(signatures: dict[str, Signature], library: Path, sources: bytes) -> str:
+    """What is written beside a library made from `sources`."""
     kernels = {name: asdict(signature) for name, signature in signatures.items()}
     sha256 = hashlib.sha256(library.read_bytes()).hexdigest()
-    return json.dumps({"library": library.name, "sha256": sha256, "kernels": kernels})
+    told = {"library": library.name, "sha256": sha256, "sources": hash_of(sources), "kernels": kernels}
+    return json.dumps(told)

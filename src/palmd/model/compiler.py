@@ -44,6 +44,15 @@ def command() -> list[str]:
     return words or ([found] if found else [])
 
 
+def installed() -> bool:
+    """Whether there is anything to compile with; whether it works is found out by trying it."""
+    try:
+        words = command()
+    except CompilerError:
+        return False
+    return bool(words) and shutil.which(words[0]) is not None
+
+
 def known_fault(folder: Path) -> bool:
     """Whether this compiler has been found not to work for `folder`, by this process or by one that started it."""
     return os.environ.get(FAULT) == _key(folder)

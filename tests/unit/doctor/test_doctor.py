@@ -26,6 +26,7 @@ from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
 from palmd.doctor.arm import told
 from palmd.doctor.findings import bus, daemon, findings, plan
+from palmd.model import compiled
 from palmd.quantities import RIG
 from palmd.yamlfile import load_config
 
@@ -125,6 +126,19 @@ def test_compiler(monkeypatch, tmp_path):
     assert "gcc" in machine.compiler().says
     monkeypatch.undo()
     assert machine.compiler().verdict == "ok"
+
+
+def test_a_wheel_with_compiled_observers_needs_no_compiler(monkeypatch, tmp_path):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiled, "SHIPPED", tmp_path)
+    (tmp_path / "shape-12.so").touch()
+    (tmp_path / compiled.NEEDS).write_text("AVX9000")
+    assert {machine.compiler().verdict, machine.observers().verdict} == {"missing"}
+    (tmp_path / compiled.NEEDS).write_text("")
+    assert {machine.compiler().verdict, machine.observers().verdict} == {"ok"}
+    assert machine.observers().says == f"1 compiled in {tmp_path}"
 
 
 def test_observers(monkeypatch, tmp_path):

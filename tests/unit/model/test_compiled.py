@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ import pytest
 from palmd.model import building, compiled, compiler, kernels, shape_map, smoothing
 from palmd.model.compiled import LANES, Library, load
 from palmd.model.kernels import of_columns, single
+from tools.wheel import collect
 
 
 def _function() -> ca.Function:
@@ -170,6 +172,73 @@ def test_without_a_compiler_the_virtual_machine_serves(
     assert not y[8:].any(), "these were not asked for"
     call()
     assert y[15, 1] == pytest.approx(46.0 * 47.0)
+
+
+@pytest.fixture
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A wheel's folder with the toy in it, on a machine whose own cache is empty."""
+    toy(tmp_path / "made")
+    collect(
+        (tmp_path / "made").glob("*.json"), ["SSE2"] if platform.machine() == "x86_64" else [], tmp_path / "kernels"
+    )
+    monkeypatch.setattr(compiled, "SHIPPED", tmp_path / "kernels")
+    return tmp_path / "kernels"
+
+
+def without_a_compiler(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(folder))
+
+
+def test_without_a_compiler_what_a_wheel_carries_serves(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    without_a_compiler(monkeypatch, tmp_path)
+    monkeypatch.setattr(building, "on_the_vm", None)
+    library = toy(tmp_path / "cache")
+    assert library.backend == "c"
+    assert library.path is not None
+    assert library.path.parent == shipped
+    assert not (tmp_path / "cache").exists()
+    assert not caplog.text
+
+
+@pytest.mark.parametrize("why", ["other sources", "another processor", "damaged"])
+def test_what_a_wheel_carries_for_something_else_does_not_serve(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    without_a_compiler(monkeypatch, tmp_path)
+    if why == "other sources":
+        monkeypatch.setattr(compiled, "_sources", lambda: b"another version")
+    elif why == "another processor":
+        (shipped / compiled.NEEDS).write_text("SSE2 AVX9000")
+    else:
+        (victim,) = shipped.glob("*.so")
+        victim.write_bytes(victim.read_bytes()[:100])
+    assert toy(tmp_path / "cache").backend == "vm"
+
+
+def test_what_a_compiler_makes_for_this_very_processor_goes_before_what_a_wheel_carries(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = toy(tmp_path / "cache")
+    assert library.path is not None
+    assert library.path.parent == tmp_path / "cache"
+    monkeypatch.setenv("CC", str(script(tmp_path / "broken", "exit 1")))
+    library = toy(tmp_path / "other")
+    assert library.path is not None, "where the compiler fails"
+    assert library.path.parent == shipped
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="names a processor of another kind")
+def test_the_processor_that_cc_names_is_compiled_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = tmp_path / "calls"
+    compiler_told = script(tmp_path / "cc", f'echo "$*" >> {calls}; exec cc "$@"')
+    monkeypatch.setenv("CC", f"{compiler_told} -march=x86-64-v2")
+    assert toy(tmp_path / "cache").path is not None
+    compiling = [line for line in calls.read_text().splitlines() if " -c " in line]
+    assert compiling
+    assert all("-march=x86-64-v2" in line and "native" not in line for line in compiling)
 
 
 def test_a_compiler_that_fails_is_reported_and_survived(
