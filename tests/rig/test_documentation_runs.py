@@ -1,0 +1,58 @@
+"""What README and docs have typed beside a daemon does what they say: each block is run, in its order on its page.
+
+Blocks that need none: `tests/unit/test_documentation_runs.py`. Why a block is not run at all stands above it.
+"""
+
+import re
+
+import docreader
+import lived
+import pytest
+from harness import Bench, wait
+
+from palmd.bus.command_client import CommandClient
+
+pytestmark = pytest.mark.rig
+
+LIMITS = {"phi1_deg": [6, 150], "phi2_deg": [35, 155], "rate_deg_s": 120}
+ENDS_A_MOTION = re.compile(r"palmd ctl (?:hold|stop)|rig\.command\(.hold")
+SHORTER = {"time_limit_s=60.0": "time_limit_s=3.0"}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    bench = Bench(tmp_path_factory.mktemp("bench"), limits=LIMITS)
+    yield bench
+    bench.close()
+
+
+@pytest.mark.parametrize("page", docreader.pages(with_a_daemon=True))
+def test_blocks_of(page, bench, tmp_path):
+    (tmp_path / "lively.yaml").write_bytes((bench.folder / "lively.yaml").read_bytes())
+    reader = docreader.Reader(tmp_path, lived.path(), bench.path)
+    words = SHORTER | {"tcp://127.0.0.1:43731": bench.told["truth"]}
+    for block in docreader.blocks_of(page, with_a_daemon=True):
+        if "palmd run" in block.text and bench.daemon.alive:
+            assert bench.daemon.end() == 0
+        elif "palmd run" not in block.text:
+            prepared(bench, moving=ENDS_A_MOTION.search(block.text) is not None)
+        reader.run(block, (bench.bus.publish, bench.bus.command), lambda: until_ready(bench.bus.command), words)
+
+
+def prepared(bench, moving):
+    """A daemon whose palms move, so that they can be held or stopped; else one that is ready, in nobody's control."""
+    if not bench.daemon.alive:
+        bench.start_daemon(limits=LIMITS)
+    bench.ready()
+    if moving:
+        bench.client.do("arm", take=True)
+        bench.client.do("start")
+        bench.moving()
+    else:
+        bench.until(lambda heard: not heard.latest["palm/state"]["control"], "nobody's control")
+
+
+def until_ready(command):
+    """The daemon that a page has started."""
+    with CommandClient(command, docreader.PATIENCE_S) as client:
+        wait(lambda: client.ask("status")["result"]["state"] == "ready", "state ready")

@@ -1,0 +1,48 @@
+"""What README and docs have typed without a daemon does what they say; and every block is run, or says why not.
+
+Blocks that need a daemon: `tests/rig/test_documentation_runs.py`.
+"""
+
+import re
+import socket
+
+import docblocks
+import docreader
+import lived
+import pytest
+
+from palmd.config.any_config import as_yaml
+
+
+def free_addresses():
+    with socket.socket() as one, socket.socket() as other:
+        one.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        return tuple(f"tcp://127.0.0.1:{each.getsockname()[1]}" for each in (one, other))
+
+
+@pytest.mark.parametrize("page", docreader.pages(with_a_daemon=False))
+def test_blocks_of(page, tmp_path):
+    config = tmp_path / "configured.yaml"
+    config.write_text(as_yaml(lived.configured()))
+    reader = docreader.Reader(tmp_path, lived.path(), config)
+    for block in docreader.blocks_of(page, with_a_daemon=False):
+        beside, _ = free_addresses()
+        reader.run(block, free_addresses(), None, {"tcp://127.0.0.1:9999": beside})
+
+
+def test_every_block_has_a_kind_and_what_is_not_run_says_why():
+    for block in docblocks.blocks():
+        assert block.kind in (*docblocks.RUN, *docblocks.SHOWN), f"{block.page}:{block.line}: {block.kind or 'no kind'}"
+        if block.excluded:
+            assert block.kind in docblocks.RUN, f"{block.page}:{block.line}: nobody would run it"
+            assert len(block.excluded) > 8
+            for name in re.findall(r"tests/[\w/]+(?:\.py)?", block.excluded):
+                assert (docblocks.ROOT / name).exists(), f"{block.page}:{block.line}: there is no {name}"
+    assert list(docblocks.indented()) == [], "fence them, so that they are run"
+
+
+def test_most_blocks_are_run():
+    """Studies, installations and what takes a person or a device are not."""
+    kinds = [bool(block.excluded) for block in docblocks.blocks() if block.kind in docblocks.RUN]
+    assert kinds.count(False) >= 25
