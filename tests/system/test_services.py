@@ -1,16 +1,18 @@
 """palmd's units under a real systemd: what READY means, restarts that leave the arm alone, stops, rights."""
 
 import re
+import shutil
 import time
 from pathlib import Path
 
 import pytest
-from services import PALMD, RUNS, UNITS
+from services import CONFIG, PALMD, RUNS, UNITS
 
 from palmd.daemon.realtime import PRIORITY
 
 pytestmark = pytest.mark.system
 
+OLD = Path(__file__).parents[1] / "data/0.2"
 STOP_S = 2.0
 EXPOSURE_MOST = 2.0
 FIFO, HELPER = (f"SCHED_FIFO|SCHED_RESET_ON_FORK {priority}" for priority in (PRIORITY, PRIORITY - 1))
@@ -178,3 +180,41 @@ def test_log_lines_have_priorities(services):
     assert (6, "idle -> ready") in lines
     assert any(priority == 4 and text.startswith("fault ") for priority, text in lines)
     assert not any(text.startswith("<") for _, text in lines)
+
+
+def test_an_upgrade_from_0_2_keeps_configuration_keys_and_runs(services):
+    """Its units, configuration and recording take the place of ours; then today's palmd is installed over them."""
+    machine = services.machine
+    ours = machine.path("/etc/palmd"), machine.path("/usr/local/lib/systemd/system")
+    kept = [machine.path(f"/run/kept-{number}") for number in range(len(ours))]
+    for folder, aside in zip(ours, kept, strict=True):
+        shutil.copytree(folder, aside)
+    try:
+        shutil.copytree(OLD / "root/usr", machine.path("/usr"), dirs_exist_ok=True)
+        shutil.copytree(OLD / "root/etc/palmd", ours[0], dirs_exist_ok=True)
+        config = machine.path(CONFIG)
+        mine = config.read_text().replace("/dev/palmd-", "/run/palmd-rig/")
+        mine = mine.replace('9873"}', '9873", keys: keys}').replace("rock.yaml", "lively.yaml")
+        config.write_text(mine)
+        run = machine.path(f"{RUNS}/2026-11-23T06-00-00Z.mcap")
+        shutil.copy(OLD / "run.mcap", run)
+        machine.run(PALMD, "keys", "new", "server", "-d", "/etc/palmd/keys")
+        machine.run(PALMD, "keys", "new", "client", "desk", "--role", "operate", "-d", "/etc/palmd/keys")
+        machine.run("chown", "-R", "palmd", "/etc/palmd/keys")
+        keys = {path.name: path.read_bytes() for path in machine.path("/etc/palmd/keys").rglob("*") if path.is_file()}
+        said = machine.run(PALMD, "install")
+        assert f"kept     {CONFIG}" in said
+        assert config.read_text() == mine
+        assert run.read_bytes() == (OLD / "run.mcap").read_bytes()
+        assert {p.name: p.read_bytes() for p in machine.path("/etc/palmd/keys").rglob("*") if p.is_file()} == keys
+        services.systemctl("start", "palmd")
+        services.until(lambda: services.state("palmd") == "active", "today's daemon with the configuration of 0.2")
+        desk = ("--key", "/etc/palmd/keys/desk.key_secret")
+        assert "ready" in machine.run(PALMD, "ctl", "status", "--address", "tcp://127.0.0.1:9873", *desk)
+        assert "2026-11-23T06-00-00Z" in machine.run(PALMD, "runs", RUNS)
+    finally:
+        services.systemctl("stop", *UNITS)
+        for folder, aside in zip(ours, kept, strict=True):
+            shutil.rmtree(folder)
+            shutil.copytree(aside, folder)
+        services.systemctl("daemon-reload")

@@ -153,7 +153,7 @@ def told(command: str, result: dict[str, Any]) -> str:
     if "explored" in result:
         lines.append(f"        explored {_explored(**result['explored'])}")
     if "recorder" in result:
-        lines.append(f"record  {_recorded(**result['recorder'])}")
+        lines.append(f"record  {_recorded(result['recorder'])}")
     lines.append(f"arm     {arm}")
     if result["arm_error"]:
         lines.append(f"        {result['arm_error']}")
@@ -190,12 +190,12 @@ def _explored(coverage: float | None, reachable: float | None, reason: str) -> s
     return f"{how_much}: {reason}" if reason else how_much
 
 
-def _recorded(
-    bytes: float, messages: float, lost: float, age_s: float, path: str = "no file", problem: str = ""
-) -> str:
-    """What the recorder said last."""
-    text = f"{path}, {messages:.0f} messages, {bytes / 1e6:.1f} MB" + (f", {lost:.0f} lost" if lost else "")
-    return f"{text}: {problem}" if problem else f"{text}, {age_s:.0f} s ago"
+def _recorded(said: Mapping[str, Any]) -> str:
+    """What the recorder said last; fields that are not known here are passed over."""
+    text = f"{said.get('path', 'no file')}, {said['messages']:.0f} messages, {said['bytes'] / 1e6:.1f} MB"
+    text += f", {said['lost']:.0f} lost" if said["lost"] else ""
+    problem = said.get("problem")
+    return f"{text}: {problem}" if problem else f"{text}, {said['age_s']:.0f} s ago"
 
 
 def _angle(text: str) -> float:

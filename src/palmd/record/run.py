@@ -31,6 +31,7 @@ from palmd.record.metadata import CONFIG, OUTLINES, RIG, preface_of
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.scene import Scene, SceneWatch
 from palmd.system.description import RigDescription
+from palmd.system.rig_constants import RIG_NAMES
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 from palmd.topics import SYSTEM_TOPICS
 
@@ -242,9 +243,9 @@ class Run(AnyRun):
         """What the smoother beside the loop had to say, with the time (s) of the tick in which it was heard."""
 
         def read(fields: Fields) -> tuple[float, Improvement]:
-            if "spread" not in fields:
+            if "spread" not in fields or len(fields["rig"]) != len(RIG_NAMES):
                 raise RunError(
-                    f"{self.path}: its smoother's answers tell less than those of this palmd, which cannot check them;"
+                    f"{self.path}: its smoother's answers are of another version, and this palmd cannot check them;"
                     f" `palmd estimate {self.path}` runs the smoother anew"
                 )
             return fields["t_tick_s"], improvement_of(fields)

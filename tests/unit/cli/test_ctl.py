@@ -189,7 +189,15 @@ def test_options_may_stand_before_the_command_or_behind_it(monkeypatch):
 
 
 def test_how_the_recorder_fares_is_told():
-    recorder = {"bytes": 4_800_000, "messages": 9392, "lost": 0, "path": "runs/a.mcap", "age_s": 0.4}
+    recorder = {
+        "bytes": 4_800_000,
+        "messages": 9392,
+        "lost": 0,
+        "path": "runs/a.mcap",
+        "age_s": 0.4,
+        "process": 4711,
+        "newer": 1,
+    }
     assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in told("status", STATUS | {"recorder": recorder})
     failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
     text = told("status", STATUS | {"recorder": failed})
