@@ -93,6 +93,6 @@ def _receiver(number: int, config: VersaPadConfig) -> PadReceiver:
         config.newtons_per_count,
         sign=1 if config.sign > 0 else -1,
         length_mm=config.length_mm,
-        curve_mm=config.curve_mm,
+        corrections_mm=config.corrections_mm,
     )
     return PadReceiver(calibration, config.baud)

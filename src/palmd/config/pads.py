@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     Discriminator,
     Field,
@@ -20,6 +21,7 @@ from pydantic import (
 
 from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
 from palmd.config.tabletop import TABLETOP
+from palmd.system.corrections import LEAST_POINTS, corrections
 from palmd.system.description import PadSensor
 
 
@@ -38,12 +40,14 @@ class PressureConfig(Strict):
 
 _STEEPEST_CURVE = 0.2
 """A pad whose readings run backwards has no place for each."""
+_Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]
+_CORRECTIONS_PER_MM = 4.0  # (derivation: a line between them is off a wave of 12 mm by 1/500 of it)
 
 
 class PadBase(Strict):
     """What every kind of touchpad has: its port, and how counts become s = zero_mm + sign · counts / counts_per_mm.
 
-    Where readings are not proportional, what `curve_mm` has for that s is added.
+    Where readings are not proportional, what `curve_mm` and `map` have for that s is added.
     """
 
     port: PortPath
@@ -62,6 +66,8 @@ class PadBase(Strict):
     """How far from the hinge the pad reaches."""
     curve_mm: Annotated[tuple[FiniteFloat, ...], Field(strict=False, max_length=64)] = ()
     """What is added to a reading at so many even places from the hinge to the pad's end, two or more; none: nothing."""
+    map: Annotated[tuple[_Pair, ...], Field(strict=False, max_length=256)] = ()
+    """What is added to a reading: pairs of a distance from the hinge and a correction [mm], a cubic through them."""
     noise_mm: Annotated[FiniteFloat, Field(gt=0, le=5), Plausible(0.002, 2)] = 0.1
     """One sigma of a position, its rounding not counted."""
     zero_sd_mm: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.1
@@ -96,12 +102,39 @@ class PadBase(Strict):
             raise ValueError(f"must change by {_STEEPEST_CURVE:.0%} of the way between two places at most")
         return curve_mm
 
+    @field_validator("map")
+    @classmethod
+    def _single_valued(cls, points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if not points:
+            return points
+        if len(points) < LEAST_POINTS or any(after[0] <= before[0] for before, after in pairwise(points)):
+            raise ValueError(f"must have {LEAST_POINTS} pairs [place_mm, correction_mm] or more, in order of place")
+        for (place, correction), (next_place, next_correction) in pairwise(points):
+            if abs(next_correction - correction) > _STEEPEST_CURVE * (next_place - place):
+                between = f"{place:g} and {next_place:g} mm"
+                raise ValueError(
+                    f"must change by {_STEEPEST_CURVE:.0%} of the way at most, and between {between} does not"
+                )
+        return points
+
+    @property
+    def corrections_mm(self) -> tuple[float, ...]:
+        """What curve and map add together to a reading, at even places from the hinge to the pad's end; or nothing."""
+        if not self.map:
+            return self.curve_mm
+        places = np.linspace(0.0, self.length_mm, 1 + math.ceil(_CORRECTIONS_PER_MM * self.length_mm))
+        added = corrections(self.map, places)
+        if self.curve_mm:
+            added += np.interp(places, np.linspace(0.0, self.length_mm, len(self.curve_mm)), self.curve_mm)
+        return tuple(added.tolist())
+
     @model_serializer(mode="wrap")
     def _without_no_curve(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A pad without a curve hashes as it did before there were any."""
+        """A pad without a curve or a map hashes as it did before there were any."""
         told: dict[str, Any] = handler(self)
-        if not self.curve_mm:
-            told.pop("curve_mm", None)
+        for name in ("curve_mm", "map"):
+            if not getattr(self, name):
+                told.pop(name, None)
         return told
 
 

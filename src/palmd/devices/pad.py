@@ -63,13 +63,13 @@ class Scaled(Protocol):
     @property
     def length_mm(self) -> float: ...
     @property
-    def curve_mm(self) -> Sequence[float]: ...
+    def corrections_mm(self) -> Sequence[float]: ...
 
 
 def place_mm(pad: Scaled, counts: float) -> float:
     """How far from the hinge a reading lies: on a straight line, and what the curve adds there. Safe in the loop."""
     straight = pad.zero_mm + pad.sign * counts / pad.counts_per_mm
-    curve = pad.curve_mm
+    curve = pad.corrections_mm
     if not curve:
         return straight
     last = len(curve) - 1
@@ -80,10 +80,10 @@ def place_mm(pad: Scaled, counts: float) -> float:
 
 def straight_mm(pad: Scaled, s_mm: FloatArray) -> FloatArray:
     """What was on the straight line where `place_mm` gave `s_mm` (n,)."""
-    if not pad.curve_mm:
+    if not pad.corrections_mm:
         return s_mm
-    line = np.linspace(0.0, pad.length_mm, len(pad.curve_mm))
-    curve = np.array(pad.curve_mm)
+    line = np.linspace(0.0, pad.length_mm, len(pad.corrections_mm))
+    curve = np.array(pad.corrections_mm)
     return np.asarray(s_mm - np.interp(s_mm, line + curve, curve))
 
 

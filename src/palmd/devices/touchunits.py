@@ -30,7 +30,7 @@ class Units:
         """Without a device (recorded bytes, an emulated one) what the configuration has, defaults included."""
         self.zero_mm, self.sign = config.zero_mm, config.sign
         self.length_mm: float = config.length_mm
-        self.curve_mm: Sequence[float] = config.curve_mm
+        self.corrections_mm: Sequence[float] = config.corrections_mm
         self.counts_per_mm: float = config.counts_per_mm
         self.newtons_per_count: float | None = config.newtons_per_count
         self.missing: str | None = None

@@ -267,7 +267,7 @@ class PadCalibration:
     sign: Literal[1, -1] = 1
     length_mm: float = 55.5
     pressure_max: int = PRESSURE_MAX
-    curve_mm: tuple[float, ...] = ()
+    corrections_mm: tuple[float, ...] = ()
     across: tuple[float, int] | None = None
 
     def sample(self, packet: PadPacket) -> PadSample | None:

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TextIO
 
@@ -20,6 +21,7 @@ from palmd.record.logline import BadLineError, Line, block, not_negative, number
 from palmd.record.logreader import VERSION, LogForm, read_log_as
 from palmd.record.logreader import LogError as LogError
 from palmd.record.vibration_line import read_vibration
+from palmd.system.corrections import LEAST_POINTS, corrections
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 from palmd.system.vibration import vibration_line
@@ -30,6 +32,7 @@ _ANGLES, _RATES, _ACCELERATIONS = (
     for what, unit in (("phi", "rad"), ("omega", "rad_s"), ("alpha", "rad_s2"))
 )
 _CURVATURE = "palm{}_curvature_per_m"
+Map = tuple[tuple[float, float], ...]
 MAP_LENGTH = "map_length_m"  # in `calibration_sd`, of the pads' smooth error of place
 
 
@@ -71,17 +74,27 @@ class TwoPalmsForm:
 
     kinds = ("pad", "palms")
 
+    def __init__(self) -> None:
+        """Until a header says otherwise, readings are as they are."""
+        self._maps: Sequence[Map] = ((),) * len(PALMS)
+
     def rig(self, line: Line) -> RigDescription:
         """The header's rig. For an arc hinge the fixed end B lies at (L1, 0), so that O = 0 where φ1 = 0."""
-        return _rig(line)
+        described = _rig(line)
+        self._maps = [_map(each) for each in _own_pads(line)] or self._maps
+        return described
 
     def events(self, t: float, line: Line, rig: RigDescription) -> Iterator[Event | None]:
         """A pad's reading, or the palms' angles, or both."""
         if "pad" in line:
-            sample = _pad_sample(t, line)
+            sample = self._corrected(_pad_sample(t, line))
             yield sample if 0.0 < sample.s <= rig.pads[sample.pad - 1].length + MARGIN_MM * 1e-3 else None
         if "palms" in line:
             yield _palm_sample(t, block(line, "palms"))
+
+    def _corrected(self, sample: PadSample) -> PadSample:
+        points = self._maps[sample.pad - 1]
+        return replace(sample, s=sample.s + float(corrections(points, [sample.s])[0])) if points else sample
 
     def log(self, rig: RigDescription, events: tuple[Event, ...], notes: tuple[str, ...]) -> EventLog:
         """The run."""
@@ -157,12 +170,35 @@ def _rig(rig: Line) -> RigDescription:
         pads=tuple(replace(common, curvature=kappa) for kappa in curvatures),
         vibration=read_vibration(rig),
     ).known_to(sds)
+    own = _own_pads(rig)
+    return replace(described, pads=tuple(map(_own_sensor, own, described.pads))) if own else described
+
+
+def _own_pads(rig: Line) -> list[Line]:
+    """What the log says of each pad by itself; nothing where they are alike."""
     own = rig.get("pads")
     if own is None:
-        return described
+        return []
     if not isinstance(own, list) or len(own) != len(PALMS) or not all(isinstance(each, dict) for each in own):
         raise BadLineError(f"pads must be a list of {len(PALMS)} objects, one for each palm")
-    return replace(described, pads=tuple(map(_own_sensor, own, described.pads)))
+    return own
+
+
+def _map(pad: Line) -> Map:
+    """A pad's corrections by place (m), from pairs in mm; nothing where it has none."""
+    told = pad.get("map")
+    if told is None:
+        return ()
+    wanted = f"map must be a list of {LEAST_POINTS} pairs [place_mm, correction_mm] or more, in order of place"
+    if not isinstance(told, list) or len(told) < LEAST_POINTS:
+        raise BadLineError(f"{wanted}, got {shown(told)}")
+    for pair in told:
+        numbers = isinstance(pair, list) and len(pair) == 2 and all(type(x) in (int, float) for x in pair)
+        if not numbers or not all(map(math.isfinite, pair)):
+            raise BadLineError(f"{wanted}, got {shown(pair)}")
+    if any(after[0] <= before[0] for before, after in pairwise(told)):
+        raise BadLineError(wanted)
+    return tuple((1e-3 * place, 1e-3 * correction) for place, correction in told)
 
 
 def _curvature(rig: Line, palm: int, length: float) -> float:

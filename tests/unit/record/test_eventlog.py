@@ -91,6 +91,28 @@ def test_pads_have_the_error_of_place_that_a_calibration_leaves_unless_all_is_kn
     assert [pad.map_sd for pad in read_log(log(json.dumps(header), PAD)).rig.pads] == [map_sd] * 2
 
 
+MAPPED = {"map": [[0.0, 0.0], [20.0, 0.1], [40.0, -0.2]]}
+
+
+def with_pads(one, other):
+    header = json.loads(FIXED)
+    sensor = {"length_m": 0.0555, "noise_m": 1e-4, "resolution_m": 1.27e-4, "force_scale_std": 0.05}
+    header["rig"]["pads"] = [sensor | one, sensor | other]
+    return json.dumps(header)
+
+
+def test_readings_are_corrected_by_the_map_of_their_pad(log):
+    pads = [f'{{"t":0.01,"pad":{pad},"s_m":0.02,"force_n":1.0}}' for pad in (1, 2)]
+    run = read_log(log(with_pads({}, MAPPED), *pads, '{"t":0.02,"pad":2,"s_m":0.04,"force_n":1.0}'))
+    assert [event.s for event in run.events] == pytest.approx([0.02, 0.0201, 0.0398])
+
+
+@pytest.mark.parametrize("points", [[], [[1, 2]], [[1, 0.1], [1, 0.2]], [[2, 0], [1, 0]], [[0, "a"], [1, 0]], 3, [[0], [1]]])
+def test_a_map_that_is_none_is_refused_by_name(log, points):
+    with pytest.raises(LogError, match="map must be a list"):
+        read_log(log(with_pads({"map": points}, {}), PAD))
+
+
 def test_what_a_header_may_add_and_leave_out(log):
     header = json.loads(FIXED)
     header["rig"] |= {"palm_angle_noise_rad": 1e-3, "force_resolution_n": 0.0, "palm2_length_m": 0.2, "colour": "red"}

@@ -36,7 +36,7 @@ class VersaPad:
             cast(Literal[1, -1], config.sign),
             config.length_mm,
             pressure.full_scale,
-            config.curve_mm,
+            config.corrections_mm,
             config.across,
         )
         self.is_open = False

@@ -1,0 +1,30 @@
+"""What a measured map adds to a pad's readings: a natural cubic spline through its points. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+LEAST_POINTS = 2
+
+
+def corrections(points: Sequence[tuple[float, float]], places: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """What is added to readings at `places` (n,), by `points` of (place, correction) in order of place.
+
+    In the points' units. Beyond the first and the last point it is as there. The second derivative is zero at both
+    (natural spline; de Boor, A Practical Guide to Splines, 1978, chapter IV).
+    """
+    at, values = np.array(points, dtype=np.float64).T
+    steps, rises = np.diff(at), np.diff(values)
+    bends = np.zeros(len(at))  # second derivatives
+    if len(at) > LEAST_POINTS:
+        inner = np.diag(2.0 * (steps[:-1] + steps[1:])) + np.diag(steps[1:-1], 1) + np.diag(steps[1:-1], -1)
+        bends[1:-1] = np.linalg.solve(inner, 6.0 * np.diff(rises / steps))
+    x = np.clip(np.asarray(places, dtype=np.float64), at[0], at[-1])
+    k = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(steps) - 1)
+    u, step = (x - at[k]) / steps[k], steps[k]
+    cubic = (u**3 - u) * bends[k + 1] + ((1.0 - u) ** 3 - (1.0 - u)) * bends[k]
+    found: npt.NDArray[np.float64] = values[k] + u * rises[k] + step**2 / 6.0 * cubic
+    return found
