@@ -107,7 +107,9 @@ def test_readings_are_corrected_by_the_map_of_their_pad(log):
     assert [event.s for event in run.events] == pytest.approx([0.02, 0.0201, 0.0398])
 
 
-@pytest.mark.parametrize("points", [[], [[1, 2]], [[1, 0.1], [1, 0.2]], [[2, 0], [1, 0]], [[0, "a"], [1, 0]], 3, [[0], [1]]])
+@pytest.mark.parametrize(
+    "points", [[], [[1, 2]], [[1, 0.1], [1, 0.2]], [[2, 0], [1, 0]], [[0, "a"], [1, 0]], 3, [[0], [1]]]
+)
 def test_a_map_that_is_none_is_refused_by_name(log, points):
     with pytest.raises(LogError, match="map must be a list"):
         read_log(log(with_pads({"map": points}, {}), PAD))
