@@ -12,9 +12,9 @@ _shtab_palmd_keys_new_subparsers=(server client)
 _shtab_palmd_keys_subparsers=(new allow revoke list)
 _shtab_palmd_subparsers=(demo run rig ctl capture jog top view record runs replay why report compare export estimate reconstruct recognise calibrate check init doctor bundle install keys)
 
-_shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --no-record --perfect --system --rig --config)
+_shtab_palmd_demo_option_strings=(-h --help --seconds --no-browser --seed --kind --physics --no-record --perfect --system --rig --config)
 _shtab_palmd_run_option_strings=(-h --help --no-record)
-_shtab_palmd_rig_option_strings=(-h --help --seed --kind --marble --cylinder --roller --by-hand --mischief --uinput --ports --sockets)
+_shtab_palmd_rig_option_strings=(-h --help --seed --kind --physics --marble --cylinder --roller --by-hand --mischief --uinput --ports --sockets)
 _shtab_palmd_ctl_status_option_strings=(-h --help --address --config --key --json)
 _shtab_palmd_ctl_arm_option_strings=(-h --help --address --config --key --json --take --keep)
 _shtab_palmd_ctl_start_option_strings=(-h --help --address --config --key --json --take --keep)
@@ -183,10 +183,12 @@ _shtab_palmd_keys_allow__d_COMPGEN=_shtab_compgen_files
 _shtab_palmd_keys_revoke__d_COMPGEN=_shtab_compgen_files
 _shtab_palmd_keys_list__d_COMPGEN=_shtab_compgen_files
 
-_shtab_palmd_demo___kind_choices=(nominal friction rig odd)
+_shtab_palmd_demo___kind_choices=(nominal friction rig odd ellipse)
+_shtab_palmd_demo___physics_choices=(palmd mujoco)
 _shtab_palmd_demo___system_choices=(cradle pivot three_palms)
 _shtab_palmd_demo___rig_choices=(adept tabletop)
-_shtab_palmd_rig___kind_choices=(nominal friction rig odd)
+_shtab_palmd_rig___kind_choices=(nominal friction rig odd ellipse)
+_shtab_palmd_rig___physics_choices=(palmd mujoco)
 _shtab_palmd_rig___marble_choices=(1 2 both)
 _shtab_palmd_rig___roller_choices=(ball cylinder)
 _shtab_palmd_ctl_pos_0_choices=(status arm start hold stop reset plan jog note new_object explore)

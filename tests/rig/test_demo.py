@@ -177,3 +177,15 @@ def test_bad_input_is_passed_on_with_its_status(demo, tmp_path_factory):
     status, _, err = demo("--seed", "-1").end()
     assert (status, err) == (1, "--seed must not be negative, got -1\n")
     assert demo("--seconds", "0").end()[0] == 2
+
+
+def test_mujoco_moves_the_object_over_the_wires(demo):
+    pytest.importorskip("mujoco", reason="mujoco is not installed: the extra `mujoco` has it")
+    running = demo("--physics", "mujoco", "--seconds", "4", "--seed", "2", "--no-record")
+    status, out, err = running.end()
+    assert status in (0, 3), out + err  # whether it settles so soon is a matter of the processors
+    assert out.startswith("palmd demo: seed 2, ")
+    assert "rig off as calibration leaves one in MuJoCo" in out
+    deepest = re.search(r"deepest penetration in mujoco: (\d\.\d) µm\n", err)
+    assert deepest, err
+    assert 0.0 < float(deepest[1]) < 2.0

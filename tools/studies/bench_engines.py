@@ -1,8 +1,9 @@
 """Physics engines as judges: bodies on vibrating palms in MuJoCo, Drake and Chipmunk, estimated blind.
 
 Each run draws a body, a motion, friction and a vibration, simulates it in an engine with its own friction, writes an
-event log, and compares `reconstruct` and the live observer with the engine's truth. A file that has runs already is
-resumed: the same command does those that are not there yet, and reports all.
+event log, and compares `reconstruct` and the live observer with the engine's truth. With --daemon the whole daemon
+explores instead, with MuJoCo and with palmd's own plant in the emulated rig. A file that has runs already is resumed:
+the same command does those that are not there yet, and reports all.
 """
 
 from __future__ import annotations
@@ -10,30 +11,36 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from palmd.console.extras import missing
+from palmd.console.extras import require
 from palmd.rig.simulate import CALIBRATION
 from tools.studies import harness
-from tools.studies.engines import study
+from tools.studies.engines import daemon, study
 from tools.studies.engines.scene import ENGINE_KINDS
-from tools.studies.engines.study import ENGINES, EngineRow, EngineTask
+from tools.studies.engines.study import ENGINES, EngineName, EngineRow, EngineTask
 from tools.studies.harness import ALL, Study
+
+_PACKAGES: dict[EngineName, str] = {"mujoco": "mujoco", "drake": "pydrake", "chipmunk": "pymunk"}
+
+
+def conduct(arguments: argparse.Namespace) -> int:
+    """Logs of engines, or the daemon in closed loop."""
+    if not arguments.daemon:
+        return LOGS.conduct(arguments)
+    require("--daemon", "mujoco", "mujoco")
+    return daemon.STUDY.conduct(arguments)
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[EngineTask]:
     """So many runs of each combination; CliError where an engine is not installed."""
     engines = ENGINES if arguments.engine == ALL else (arguments.engine,)
     for engine in engines:
-        try:
-            study.engine_called(engine)
-        except ModuleNotFoundError:
-            package = {"chipmunk": "pymunk"}.get(engine, engine)
-            raise missing(f"--engine {engine}", package, "engines") from None
+        require(f"--engine {engine}", _PACKAGES[engine], "engines")
     known = tuple(CALIBRATION) if arguments.imperfections == ALL else (arguments.imperfections,)
     kinds = harness.kinds_of(arguments, ENGINE_KINDS)
     return study.tasks_of(engines, kinds, known, arguments.seed, arguments.runs, arguments.seconds)
 
 
-STUDY = Study(
+LOGS = Study(
     "engines",
     draw,
     study.run,
@@ -51,4 +58,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("--engine", choices=(*ENGINES, ALL), default=ALL, help="whose physics (default: %(default)s)")
+    add("--daemon", action="store_true", help="the whole daemon explores ellipses, in MuJoCo and in palmd's own plant")
     add("--imperfections", choices=(*CALIBRATION, ALL), default=ALL, help="of the rig, drawn (default: %(default)s)")

@@ -21,13 +21,15 @@ from palmd.cli.browser import open_page
 from palmd.cli.build import made_ready
 from palmd.config.any_config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
+from palmd.console.extras import require
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
 from palmd.harness.operator import Operator, do, still_wanted
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
+from palmd.rig.app import add_object_arguments
 from palmd.rig.imperfections import perfect
-from palmd.rig.shapes import KINDS
+from palmd.rig.plant import Physics
 from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.yamlfile import ConfigError, load_any_config
 
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="how long to run")
     parser.add_argument("--no-browser", action="store_true", help="serve the live page, but open no browser")
     parser.add_argument("--seed", type=int, help="which object and noise; default: a random one, printed")
-    parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    add_object_arguments(parser)
     parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
     parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
     which = parser.add_mutually_exclusive_group()
@@ -67,14 +69,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, str(error)) from None
     if arguments.perfect:
         config = perfect(config)
+    physics = arguments.physics
+    if physics == "mujoco":
+        require("--physics mujoco", "mujoco", "mujoco")
     made_ready(config, _tell)
-    seed = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
+    asked = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
+    asked += [] if arguments.kind is None else ["--kind", arguments.kind]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))
-        begun = stack.start_rig("--sockets", "--kind", arguments.kind, *seed)
+        begun = stack.start_rig("--sockets", "--physics", physics, *asked)
         if not (begun and stack.start(record=not arguments.no_record)):
             return 0  # the end was asked for before anything began
-        comparison = _comparison(config, stack.told["seed"])
+        comparison = _comparison(config, stack.told["seed"], physics)
         page = stack.page if stack.start_page() else None
         if page is None and not stop.made:
             _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")
@@ -82,6 +88,8 @@ def run(arguments: argparse.Namespace) -> int:
         if page and not arguments.no_browser:
             open_page(page)
         _operate(stack, comparison, stop, arguments.seconds)
+        if "penetration_m" in (status := stack.rig_status()):
+            _tell(f"deepest penetration in {physics}: {status['penetration_m'] * 1e6:.1f} µm")
         _bring_to_rest(stack)
         if not arguments.no_record:
             _finish_recording(stack)
@@ -89,8 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if comparison.settled else RIG_FAILED
 
 
-def _comparison(config: AnyConfig, seed: int) -> AnyComparison:
+def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison:
     world = _WORLDS.get(str(config.rig.imperfections), "off as configured")
+    world += " in MuJoCo" if physics == "mujoco" else ""
     comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
     return comparison
 

@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
@@ -23,6 +24,12 @@ def only_without(package: str, error: ModuleNotFoundError) -> None:
 def missing(what: str, package: str, extra: str) -> CliError:
     """What cannot be done without an optional package, and what installs it."""
     return CliError(BAD_INPUT, f"{what} needs {package}, which is not installed: {install_line(package, extra)}")
+
+
+def require(what: str, package: str, extra: str) -> None:
+    """Raises CliError where an optional package is not installed, without loading it."""
+    if find_spec(package) is None:
+        raise missing(what, package, extra)
 
 
 def install_line(package: str, extra: str) -> str:

@@ -31,6 +31,11 @@ class Standing:
         if valid:
             self._known, self._t_valid = True, t
 
+    @property
+    def known(self) -> bool:
+        """Whether the object has a valid estimate, or had one less than `LOST_S` ago."""
+        return self._known
+
     def words(self) -> str:
         """How it stands at the last estimate: "object 2 valid at the end, lost once"; empty before any was valid."""
         if not math.isfinite(self._t_valid):

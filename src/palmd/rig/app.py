@@ -24,6 +24,7 @@ import secrets
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -33,6 +34,7 @@ import numpy as np
 import zmq
 
 from palmd.config.any_config import AnyConfig
+from palmd.console.extras import require
 from palmd.console.folders import for_sockets
 from palmd.messages import stamp
 from palmd.quantities import BODY, STALL, TRUTH, Topic
@@ -47,8 +49,9 @@ from palmd.rig.fault_injection import (
     parse,
 )
 from palmd.rig.line import LineWaiter, PtyLine, SocketLine
+from palmd.rig.plant import AS_ASSUMED, PHYSICS
 from palmd.rig.roller import KINDS as ROLLERS
-from palmd.rig.shapes import KINDS, Body, cylinder
+from palmd.rig.shapes import EVERY_KIND, Body, cylinder
 from palmd.rig.tally import Listener
 from palmd.rig.uinput import UinputLine
 from palmd.rig.world import default_config
@@ -68,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments, for `palmd rig`."""
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
     parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
-    parser.add_argument("--kind", choices=KINDS, default="rig", help="what sort of object (default: %(default)s)")
+    add_object_arguments(parser)
     gauge = parser.add_mutually_exclusive_group()
     gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
     gauge.add_argument("--cylinder", type=_cylinder, action="append", default=[], metavar="RADIUS_MM,MASS_G",
@@ -93,6 +96,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sockets", action="store_true", help="serial ports are UNIX sockets, which no busy machine holds up"
     )
+
+
+def add_object_arguments(parser: argparse.ArgumentParser) -> None:
+    """What sort of object there is, and who moves it: for `palmd rig` and whoever starts one."""
+    parser.add_argument("--kind", choices=EVERY_KIND, help="what sort of object (default: rig; in MuJoCo ellipse)")
+    parser.add_argument(
+        "--physics", choices=PHYSICS, default=AS_ASSUMED.physics,
+        help="who moves the object on two flat palms: palmd's own emulation, or the engine MuJoCo, which takes ellipses"
+        " (default: %(default)s)",
+    )  # fmt: skip
 
 
 def run_rig(arguments: argparse.Namespace) -> int:
@@ -134,17 +147,24 @@ def run_rig(arguments: argparse.Namespace) -> int:
 
 def _world(config: AnyConfig, seed: int, arguments: argparse.Namespace, t: float) -> EmulatedRig[Any]:
     made = load_part(LIVE[config.system].rig)
+    physics = arguments.physics
+    if physics == "mujoco":
+        require("--physics mujoco", "mujoco", "mujoco")
+        if arguments.kind not in (None, "ellipse"):
+            raise ValueError(f"--physics mujoco takes --kind ellipse, not {arguments.kind}")
     gauges = {
         "marbles": MARBLES.get(arguments.marble),
         "bodies": arguments.cylinder,
         "roller": arguments.roller,
         "by_hand": arguments.by_hand,
+        "options": replace(AS_ASSUMED, physics=physics) if physics != AS_ASSUMED.physics else None,
     }
     asked = {name: gauge for name, gauge in gauges.items() if gauge}
     if not asked.keys() <= made.gauges:
         words = SYSTEMS[config.system].words
-        raise ValueError(f"marble, cylinder, roller and by-hand are for two palms; this is {words}")
-    world: EmulatedRig[Any] = made(config, seed, kind=arguments.kind, t=t, **asked)
+        raise ValueError(f"marble, cylinder, roller, by-hand and physics are for two palms; this is {words}")
+    kind = arguments.kind or ("ellipse" if physics == "mujoco" else "rig")
+    world: EmulatedRig[Any] = made(config, seed, kind=kind, t=t, **asked)
     return world
 
 

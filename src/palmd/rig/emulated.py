@@ -32,7 +32,7 @@ class EmulatedRig(ABC, Generic[Arm]):
     topics: ClassVar[tuple[Topic, Topic]]
     """What `truth` and `object_truth` are published as."""
     gauges: ClassVar[frozenset[str]] = frozenset()
-    """By which arguments of its own it is made with something for calibration instead of a random body."""
+    """By which arguments of its own it is made otherwise than with a random body that its own plant moves."""
     seed: int
     kind: Kind
     objects = 0

@@ -66,8 +66,16 @@ def plant_on(
 
     Raises ValueError for palms too concave for the body, and for dry friction on arcs.
     """
-    law = options.friction_law or ("averaged" if shaking is None else "resolved")
     curved = any(curvatures)
+    if options.physics == "mujoco":
+        if curved:
+            raise ValueError("MuJoCo emulates flat palms only")
+        from palmd.rig.mujoco_plant import MujocoPlant  # an optional package
+
+        return MujocoPlant(
+            body, hinge, surface, shaking, options=options, imperfections=imperfections, gravity=gravity, reach=reach
+        )
+    law = options.friction_law or ("averaged" if shaking is None else "resolved")
     if law == "coulomb" and curved and surface.mu:
         raise ValueError("friction without vibration is emulated on flat palms only")
     if law in ("resolved", "sign_pairs") and shaking is None:

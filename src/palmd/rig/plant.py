@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from palmd.system.description import HingeMode
 
 PadPair = tuple[float, ...]
 FrictionLaw = Literal["averaged", "coulomb", "sign_pairs", "resolved"]
+Physics = Literal["palmd", "mujoco"]
+PHYSICS: tuple[Physics, ...] = get_args(Physics)
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
 _DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
@@ -75,12 +77,14 @@ class PlantOptions:
     """Where the emulated rig departs from the laws that the observer takes for granted; the defaults depart nowhere.
 
     friction_law: None for what the rig's vibration asks for, see `rig.friction`. hinge_travels: false pins the hinge of
-    an arc rig. lag_s: the palms move this much later than the plan says.
+    an arc rig. lag_s: the palms move this much later than the plan says. physics: who moves the object; MuJoCo has its
+    own law of friction.
     """
 
     friction_law: FrictionLaw | None = None
     hinge_travels: bool = True
     lag_s: float = 0.0
+    physics: Physics = "palmd"
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +250,10 @@ class Plant:
         self._on1 = self._on2 = True
         self.fallen = False
         self._settle_contacts()
+
+    def status(self) -> dict[str, float]:
+        """What else there is to be told of it."""
+        return {}
 
     @property
     def mean_omega0(self) -> float:

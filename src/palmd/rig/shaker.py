@@ -13,6 +13,7 @@ from typing import get_args
 
 import numpy as np
 
+from palmd.events import FloatArray
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import Relation, Vibration
 
@@ -55,6 +56,12 @@ class Shaker:
         """At t (s), in m/s."""
         tau = math.tau * self.frequency * t + self.phase
         return self.speed * (math.cos(tau) + self.second * math.cos(2.0 * tau) + self.third * math.cos(3.0 * tau))
+
+    def outward_speeds(self, t: FloatArray) -> FloatArray:
+        """The same at many times at once."""
+        tau = math.tau * self.frequency * t + self.phase
+        waves = np.cos(tau) + self.second * np.cos(2.0 * tau) + self.third * np.cos(3.0 * tau)
+        return np.asarray(self.speed * waves, dtype=np.float64)
 
     def moved(self, t: float) -> float:
         """How far outwards the palm is at t (s), in m: the integral of its speed, with mean 0."""

@@ -15,8 +15,10 @@ import numpy as np
 
 from palmd.events import FloatArray
 
-Kind = Literal["nominal", "friction", "rig", "odd"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+Kind = Literal["nominal", "friction", "rig", "odd", "ellipse"]
+KINDS: tuple[Kind, ...] = ("nominal", "friction", "rig", "odd")
+"""Those that studies and simulated logs draw."""
+EVERY_KIND: tuple[Kind, ...] = get_args(Kind)
 
 _NODES = 2048  # a third-order Taylor step of at most π/2048 is exact to 1e-12 m
 _NODES_PER_RAD = _NODES / math.tau
@@ -120,8 +122,13 @@ def cylinder(radius: float, mass: float) -> Body:
 
 
 def random_body(kind: Kind, rng: np.random.Generator) -> Body:
-    """A random body: gentle and uniform, or for `odd` an ellipse, a strongly curved or an off-centre one."""
+    """A random body: gentle and uniform, for `odd` an ellipse, a strongly curved or an off-centre one.
+
+    For `ellipse` it is an ellipse with an off-centre COM.
+    """
     mass = float(rng.uniform(0.06, 0.25))
+    if kind == "ellipse":
+        return with_slug(uniform_body_of("ellipse", _ellipse(rng), mass), rng)
     if kind != "odd":
         return uniform_body_of("random", _random_outline(rng, 1.0, _MIN_CURVATURE_RADIUS), mass)
     match int(rng.integers(3)):

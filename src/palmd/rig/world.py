@@ -54,7 +54,7 @@ class World(EmulatedRig[EmulatedActuator]):
     """See the module."""
 
     topics = (TRUTH, BODY)
-    gauges = frozenset({"marbles", "bodies", "roller", "by_hand"})
+    gauges = frozenset({"marbles", "bodies", "roller", "by_hand", "options"})
 
     def __init__(
         self,
@@ -158,6 +158,7 @@ class World(EmulatedRig[EmulatedActuator]):
     def _counts(self) -> dict[str, Any]:
         return {
             "on_palms": not self.plant.fallen,
+            **self.plant.status(),
             "contact_losses": self.contact_losses,
             "falls": self.falls,
             "jams": self._arm.jams,

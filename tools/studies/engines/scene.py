@@ -6,7 +6,6 @@ Kinds: `vibrating` (independent), `in_phase`, `antiphase` (dry friction on palms
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,10 +15,11 @@ import numpy as np
 
 from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, PalmMotion
+from palmd.rig.ellipses import Ellipse, ellipse_of
 from palmd.rig.imperfections import drawn
 from palmd.rig.plant import PAD_LENGTH, BodyState, FrictionSurface, Hinge, Plant, palm_frame, stable_poses
 from palmd.rig.shaker import STILL, drawn_shaking
-from palmd.rig.shapes import Body, Support, ellipse, uniform_body_of, with_slug
+from palmd.rig.shapes import Body, ellipse, uniform_body_of, with_slug
 from palmd.rig.simulate import (
     CALIBRATION,
     STEP_S,
@@ -49,15 +49,6 @@ _MASS_KG = (0.06, 0.25)
 _STREAM = 0x656E67  # of seeds, so that no draw is shared with `rig.simulate`
 _MARGIN_M, _LEAST_N = 3e-3, 1e-3
 _LOST_ROWS = 10  # without any contact
-
-
-@dataclass(frozen=True, slots=True)
-class Ellipse:
-    """Half axes (m), centre as seen from the COM (m), and direction of the first axis (rad), in the body's frame."""
-
-    half_axes: tuple[float, float]
-    centre: tuple[float, float]
-    tilt: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +145,7 @@ class RunRows:
         self._impulses, self._touched, self._untouched_rows = [0.0] * len(PALMS), False, 0
 
     def press(self, palm: int, impulse: float, depth: float) -> None:
-        """A contact of palm 0 or 1 in one step: its normal impulse (N s) and penetration (m)."""
+        """A contact of palm 0 or 1 in a step or in a whole row: its normal impulse (N s) and penetration (m)."""
         self._impulses[palm] += impulse
         self._touched, self.deepest = True, max(self.deepest, depth)
 
@@ -210,11 +201,7 @@ def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> EngineScen
     run = SimulatedRun("friction", body, hinge, surface, rocking, off, vibration=vibration, shaking=shaking)
     plant = Plant(body, hinge, FrictionSurface(), imperfections=off)
     plant.place(palms, psi=0.0)
-    support = body.support
-    assert isinstance(support, Support)
-    first, second = support.coefficients[1:3]
-    shape = Ellipse(half_axes, (first.real, -first.imag), -0.5 * cmath.phase(second))
-    return EngineScene(kind, run, shape, plant.state)
+    return EngineScene(kind, run, ellipse_of(body.support), plant.state)
 
 
 def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:

@@ -1,0 +1,255 @@
+"""The emulated object between two palms in MuJoCo, a physics engine with contacts and friction of its own.
+
+A palm is a plane on a hinge joint and a slide joint along itself, whose positions and velocities are prescribed, so
+that its vibration is a motion of the plane; a mount that gives way is a spring across the palm. The body is an
+ellipsoid. World frame and units as in `rig.plant`.
+
+MuJoCo's contacts are soft. They are as stiff as the step allows without bouncing (`solref`), with `solimp` 0.1, so that
+sliding friction does not lift the body. Friction has a slower time constant of its own (`solreffriction`): with that of
+the normal force it overshoots in each step, and a contact that should stick creeps at 1 mm/s.
+
+Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from palmd.events import FloatArray, PalmMotion
+from palmd.rig.ellipses import ellipse_of
+from palmd.rig.imperfections import PERFECT, Imperfections
+from palmd.rig.plant import (
+    AS_ASSUMED,
+    PAD_LENGTH,
+    FrictionSurface,
+    Hinge,
+    PadPair,
+    Plant,
+    PlantContact,
+    PlantOptions,
+    palm_frame,
+)
+from palmd.rig.shaker import STILL, Shaker, Shaking
+from palmd.rig.shapes import Body
+from palmd.rig.vibrating_plant import FORCE_LAG_S, MOTION_LAG_S
+from palmd.system.mechanism import PALMS
+
+STEP_S = 25e-6
+"""Of the engine, at most."""
+_SETTINGS = 'cone="elliptic" impratio="100" tolerance="1e-14" iterations="30"'
+_NORMAL_STEPS, _FRICTION_STEPS = 8, 64
+"""Time constants of contacts in steps of the engine."""
+_HEAVY_KG = 1e3
+"""Inertia of what is prescribed: a contact moves it by less than 1e-10 m in a step of the rig."""
+_LIGHT = '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-3 1e-3 1e-3"/>'
+_PRESCRIBED = f'armature="{_HEAVY_KG}"'
+_SIDES = (1.0, -1.0)
+"""On which side of its own direction each palm is touched: to the left, to the right."""
+
+
+def mjcf(
+    body: Body, hinge: Hinge, frictions: Sequence[float], shakers: Sequence[Shaker], gravity: float, step_s: float
+) -> str:
+    """The model's XML, in which each palm's plane is still a box; raises ValueError for a body that is no ellipse."""
+    ellipse = ellipse_of(body.support)
+    (a, b), (x, y), (base_x, base_y) = ellipse.half_axes, ellipse.centre, hinge.base
+    inertia, travel = body.mass * body.rho**2, hinge.palm1_length if hinge.mode == "arc" else 0.0
+    palm1, palm2 = (_palm(number, shaker) for number, shaker in enumerate(shakers, 1))
+    pairs = "".join(
+        f'<pair geom1="palm{palm}" geom2="object" condim="3" friction="{mu} {mu}"'
+        f' solref="{_NORMAL_STEPS * step_s} 1" solreffriction="{_FRICTION_STEPS * step_s} 1"'
+        ' solimp="0.1 0.1 0.001 0.5 2"/>'
+        for palm, mu in zip(PALMS, frictions, strict=True)
+    )
+    return f"""
+      <mujoco><compiler angle="radian"/><option timestep="{step_s}" gravity="0 {-gravity} 0" {_SETTINGS}/>
+        <worldbody>
+          <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}
+            <body pos="{-travel} 0 0">{_LIGHT}{palm1}
+              <body><joint name="turn2" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}{palm2}</body>
+            </body>
+          </body>
+          <body name="object">
+            <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+            <joint name="psi" type="hinge" axis="0 0 1"/>
+            <inertial pos="0 0 0" mass="{body.mass}" diaginertia="{inertia} {inertia} {inertia}"/>
+            <geom name="object" type="ellipsoid" size="{a} {b} {0.5 * (a + b)}" pos="{x} {y} 0"
+              euler="0 0 {ellipse.tilt}" contype="0" conaffinity="0"/>
+          </body>
+        </worldbody>
+        <contact>{pairs}</contact>
+        <sensor>{"".join(f'<touch site="palm{palm}"/>' for palm in PALMS)}</sensor>
+      </mujoco>"""
+
+
+def _palm(number: int, shaker: Shaker) -> str:
+    """What vibrates, on its mount, with a sensor of the normal force."""
+    mount = shaker.mount
+    across, inertial = "", _LIGHT
+    if math.isfinite(mount.mass):
+        across = (
+            f'<joint name="mount{number}" type="slide" axis="0 1 0" stiffness="{mount.stiffness}"'
+            f' damping="{mount.damping}"/>'
+        )
+        inertial = f'<inertial pos="0 0 0" mass="{mount.mass}" diaginertia="1e-3 1e-3 1e-3"/>'
+    return f"""<body name="palm{number}" gravcomp="1">
+      <joint name="shaker{number}" type="slide" axis="1 0 0" {_PRESCRIBED}/>{across}{inertial}
+      <geom name="palm{number}" type="box" size="1 1 1" contype="0" conaffinity="0"/>
+      <site name="palm{number}" type="box" size="1 1 1"/></body>"""
+
+
+class MujocoPlant(Plant):
+    """As `Plant`, for ellipses, whose motion, contacts and forces are MuJoCo's."""
+
+    def __init__(
+        self,
+        body: Body,
+        hinge: Hinge,
+        surface: FrictionSurface,
+        shaking: Shaking | None,
+        *,
+        options: PlantOptions = AS_ASSUMED,
+        imperfections: Imperfections = PERFECT,
+        gravity: float = 9.81,
+        reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
+        step_s: float = STEP_S,
+    ) -> None:
+        """step_s: of the engine, at most. Raises ValueError for a body that is no ellipse."""
+        super().__init__(
+            body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
+        )
+        self._shakers = shaking.palms if shaking else (STILL,) * len(PALMS)
+        frictions = [surface.mu * each for each in self._frictions]
+        self._step_s = step_s
+        model = self._model = mujoco.MjModel.from_xml_string(
+            mjcf(body, self.hinge, frictions, self._shakers, gravity, step_s)
+        )
+        # planes may not be on moving bodies when a model is compiled, but may be made so afterwards
+        self._planes_at_geoms = [model.geom(f"palm{palm}").id for palm in PALMS]
+        model.geom_type[self._planes_at_geoms] = mujoco.mjtGeom.mjGEOM_PLANE
+        model.geom_rbound[self._planes_at_geoms] = model.geom_sameframe[self._planes_at_geoms] = 0
+        self._data = mujoco.MjData(model)
+        self._turns, self._slides = self._of_palms("turn"), self._of_palms("shaker")
+        self._object = slice(self._coordinate("x"), self._coordinate("psi") + 1)
+        self._palms = PalmMotion.at_rest((0.0,) * len(PALMS))
+        self._t_touched = [-math.inf] * len(PALMS)
+        self._once = self._twice = np.zeros(len(PALMS))  # lagging forces (N)
+        self._turning = (0.0, 0.0)  # lagging rates (rad/s)
+        self.penetration_m = 0.0
+        """The deepest so far."""
+        self.step_forces: FloatArray = np.zeros(len(PALMS))
+        """Means of the normal forces (N) over the last step."""
+
+    def _compiled_step(self) -> None:
+        """None is needed."""
+
+    def _coordinate(self, joint: str) -> int:
+        return int(self._model.joint(joint).qposadr[0])
+
+    def _of_palms(self, joint: str) -> slice:
+        one, two = (self._coordinate(f"{joint}{palm}") for palm in PALMS)
+        return slice(one, two + 1, two - one)
+
+    # -- placing and looking ------------------------------------------------------------------------------
+
+    def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
+        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        super().place(palms, psi, omega0)
+        q, data = self.state, self._data
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[self._object], data.qvel[self._object] = (q.x, q.y, q.psi), (q.vx, q.vy, q.omega0)
+        self._palms = palms
+        self._t_touched = [self._t] * len(PALMS)
+        self._turning = (q.omega0, q.omega0)
+        self._once = self._twice = self.step_forces = self.body.mass * np.array(self._rates[3:])
+        for palm, side, force, shaker in zip(PALMS, _SIDES, self._once, self._shakers, strict=True):
+            if math.isfinite(shaker.mount.mass):  # the mounts bear the body as it lies there
+                mount = self._coordinate(f"mount{palm}")
+                self._model.qpos_spring[mount] = side * force / shaker.mount.stiffness
+
+    @property
+    def touching(self) -> tuple[bool, bool]:
+        """Which palms the body touches, or has touched within what a pad's force remembers and a period."""
+        one, two = (
+            not self.fallen and self._t - t <= 2.0 * FORCE_LAG_S + (1.0 / shaker.frequency if shaker.speed else 0.0)
+            for t, shaker in zip(self._t_touched, self._shakers, strict=True)
+        )
+        return one, two
+
+    def contacts(self) -> tuple[PlantContact, PlantContact]:
+        """Both contacts as they are now, their forces as a pad reads them: means over the vibration."""
+        one, two = (
+            PlantContact(on, s, float(force) if on else 0.0)
+            for on, s, force in zip(self.touching, self._distances(), self._twice, strict=True)
+        )
+        return one, two
+
+    def status(self) -> dict[str, float]:
+        """The deepest penetration (m) since the body was made."""
+        return {"penetration_m": self.penetration_m}
+
+    @property
+    def mean_omega0(self) -> float:
+        """The body's rate (rad/s) without the ripple that the vibration gives it: smoothed, corrected for its lag."""
+        once, twice = self._turning
+        return 2.0 * once - twice
+
+    # -- going on -----------------------------------------------------------------------------------------
+
+    def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
+        """Goes on by dt seconds; `end` is the palms at the end, whose accelerations are constant until then."""
+        del middle
+        begin, self._palms = self._palms, end
+        t, self._t = self._t, self._t + dt
+        self._frame = palm_frame(self.hinge, end, self._planes)
+        if self.fallen:
+            return
+        self._set_planes()
+        self._let_the_engine_go_on(begin, end, t, dt)
+        self._take_over(dt)
+
+    def _let_the_engine_go_on(self, begin: PalmMotion, end: PalmMotion, t: float, dt: float) -> None:
+        model, data = self._model, self._data
+        count = math.ceil(dt / self._step_s - 1e-6)
+        step_s = model.opt.timestep = dt / count
+        accelerations = np.subtract(end.rates, begin.rates) / dt
+        data.qpos[self._turns], data.qpos[self._slides] = begin.angles, [each.moved(t) for each in self._shakers]
+        # from half a step before on, the engine's steps are exact for constant accelerations
+        data.qvel[self._turns] = begin.rates - 0.5 * step_s * accelerations
+        data.qfrc_applied[self._turns] = _HEAVY_KG * accelerations
+        forces, speeds, sensed = np.zeros(len(PALMS)), data.qvel[self._slides], data.sensordata
+        middles: FloatArray = t + (np.arange(count, dtype=np.float64) + 0.5) * step_s
+        for both in np.array([each.outward_speeds(middles) for each in self._shakers]).T:
+            speeds[:] = both
+            mujoco.mj_step(model, data)
+            forces += sensed
+        self.step_forces = forces / count
+
+    def _set_planes(self) -> None:
+        """Puts the palms' planes where they touch the pads' surfaces."""
+        model, half = self._model, math.sqrt(0.5)
+        for geom, side, (slope, above) in zip(self._planes_at_geoms, _SIDES, self._planes, strict=True):
+            c, s = math.cos(0.5 * side * slope), math.sin(0.5 * side * slope)
+            model.geom_pos[geom] = -above * math.sin(slope), side * above * math.cos(slope), 0.0
+            model.geom_quat[geom] = half * c, -side * half * c, -side * half * s, half * s
+
+    def _take_over(self, dt: float) -> None:
+        """The state that everything else here looks at, from the engine's."""
+        q, data, forces, psi = self.state, self._data, self.step_forces, self.state.psi
+        q.x, q.y, q.psi = data.qpos[self._object].tolist()
+        q.vx, q.vy, q.omega0 = data.qvel[self._object].tolist()
+        self._once = self._once + dt / FORCE_LAG_S * (forces - self._once)
+        self._twice = self._twice + dt / FORCE_LAG_S * (self._once - self._twice)
+        once, twice = self._turning
+        once += dt / MOTION_LAG_S * ((q.psi - psi) / dt - once)
+        self._turning = once, twice + dt / MOTION_LAG_S * (once - twice)
+        self._t_touched = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_touched, strict=True)]
+        if data.ncon:
+            self.penetration_m = max(self.penetration_m, -float(data.contact.dist.min()))
+        self._on1, self._on2 = self.touching
+        self._follow_the_surfaces()
+        self._drop_if_off_the_palms()
