@@ -186,6 +186,6 @@ def test_mujoco_moves_the_object_over_the_wires(demo):
     assert status in (0, 3), out + err  # whether it settles so soon is a matter of the processors
     assert out.startswith("palmd demo: seed 2, ")
     assert "rig off as calibration leaves one in MuJoCo" in out
-    deepest = re.search(r"deepest penetration in mujoco: (\d\.\d) µm\n", err)
+    deepest = re.search(r"deepest penetration in MuJoCo: (\d\.\d) µm\n", err)
     assert deepest, err
     assert 0.0 < float(deepest[1]) < 2.0

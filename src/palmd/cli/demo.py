@@ -88,8 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
         if page and not arguments.no_browser:
             open_page(page)
         _operate(stack, comparison, stop, arguments.seconds)
-        if "penetration_m" in (status := stack.rig_status()):
-            _tell(f"deepest penetration in {physics}: {status['penetration_m'] * 1e6:.1f} µm")
+        if physics == "mujoco":
+            with suppress(CliError):  # it may have ended first
+                _tell(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
         _bring_to_rest(stack)
         if not arguments.no_record:
             _finish_recording(stack)

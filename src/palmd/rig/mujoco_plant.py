@@ -52,9 +52,12 @@ _SIDES = (1.0, -1.0)
 
 
 def mjcf(
-    body: Body, hinge: Hinge, frictions: Sequence[float], shakers: Sequence[Shaker], gravity: float, step_s: float
+    body: Body, hinge: Hinge, frictions: Sequence[float], damping: float, shakers: Sequence[Shaker], step_s: float
 ) -> str:
-    """The model's XML, in which each palm's plane is still a box; raises ValueError for a body that is no ellipse."""
+    """The model's XML, in which each palm's plane is still a box; raises ValueError for a body that is no ellipse.
+
+    frictions: of the palms. damping: as of a `FrictionSurface`.
+    """
     ellipse = ellipse_of(body.support)
     (a, b), (x, y), (base_x, base_y) = ellipse.half_axes, ellipse.centre, hinge.base
     inertia, travel = body.mass * body.rho**2, hinge.palm1_length if hinge.mode == "arc" else 0.0
@@ -66,7 +69,7 @@ def mjcf(
         for palm, mu in zip(PALMS, frictions, strict=True)
     )
     return f"""
-      <mujoco><compiler angle="radian"/><option timestep="{step_s}" gravity="0 {-gravity} 0" {_SETTINGS}/>
+      <mujoco><compiler angle="radian"/><option timestep="{step_s}" {_SETTINGS}/>
         <worldbody>
           <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}
             <body pos="{-travel} 0 0">{_LIGHT}{palm1}
@@ -75,7 +78,7 @@ def mjcf(
           </body>
           <body name="object">
             <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
-            <joint name="psi" type="hinge" axis="0 0 1"/>
+            <joint name="psi" type="hinge" axis="0 0 1" damping="{body.mass * damping}"/>
             <inertial pos="0 0 0" mass="{body.mass}" diaginertia="{inertia} {inertia} {inertia}"/>
             <geom name="object" type="ellipsoid" size="{a} {b} {0.5 * (a + b)}" pos="{x} {y} 0"
               euler="0 0 {ellipse.tilt}" contype="0" conaffinity="0"/>
@@ -123,15 +126,14 @@ class MujocoPlant(Plant):
             body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
         )
         self._shakers = shaking.palms if shaking else (STILL,) * len(PALMS)
-        frictions = [surface.mu * each for each in self._frictions]
-        self._step_s = step_s
+        self._step_s, frictions = step_s, [surface.mu * each for each in self._frictions]
         model = self._model = mujoco.MjModel.from_xml_string(
-            mjcf(body, self.hinge, frictions, self._shakers, gravity, step_s)
+            mjcf(body, self.hinge, frictions, surface.damping, self._shakers, step_s)
         )
         # planes may not be on moving bodies when a model is compiled, but may be made so afterwards
-        self._planes_at_geoms = [model.geom(f"palm{palm}").id for palm in PALMS]
-        model.geom_type[self._planes_at_geoms] = mujoco.mjtGeom.mjGEOM_PLANE
-        model.geom_rbound[self._planes_at_geoms] = model.geom_sameframe[self._planes_at_geoms] = 0
+        self._plane_geoms = [model.geom(f"palm{palm}").id for palm in PALMS]
+        model.geom_type[self._plane_geoms] = mujoco.mjtGeom.mjGEOM_PLANE
+        model.geom_rbound[self._plane_geoms] = model.geom_sameframe[self._plane_geoms] = 0
         self._data = mujoco.MjData(model)
         self._turns, self._slides = self._of_palms("turn"), self._of_palms("shaker")
         self._object = slice(self._coordinate("x"), self._coordinate("psi") + 1)
@@ -209,13 +211,14 @@ class MujocoPlant(Plant):
         if self.fallen:
             return
         self._set_planes()
-        self._let_the_engine_go_on(begin, end, t, dt)
+        self._run_engine(begin, end, t, dt)
         self._take_over(dt)
 
-    def _let_the_engine_go_on(self, begin: PalmMotion, end: PalmMotion, t: float, dt: float) -> None:
+    def _run_engine(self, begin: PalmMotion, end: PalmMotion, t: float, dt: float) -> None:
         model, data = self._model, self._data
         count = math.ceil(dt / self._step_s - 1e-6)
         step_s = model.opt.timestep = dt / count
+        model.opt.gravity[:] = 0.0, -self._gravity_now(), 0.0
         accelerations = np.subtract(end.rates, begin.rates) / dt
         data.qpos[self._turns], data.qpos[self._slides] = begin.angles, [each.moved(t) for each in self._shakers]
         # from half a step before on, the engine's steps are exact for constant accelerations
@@ -232,7 +235,7 @@ class MujocoPlant(Plant):
     def _set_planes(self) -> None:
         """Puts the palms' planes where they touch the pads' surfaces."""
         model, half = self._model, math.sqrt(0.5)
-        for geom, side, (slope, above) in zip(self._planes_at_geoms, _SIDES, self._planes, strict=True):
+        for geom, side, (slope, above) in zip(self._plane_geoms, _SIDES, self._planes, strict=True):
             c, s = math.cos(0.5 * side * slope), math.sin(0.5 * side * slope)
             model.geom_pos[geom] = -above * math.sin(slope), side * above * math.cos(slope), 0.0
             model.geom_quat[geom] = half * c, -side * half * c, -side * half * s, half * s
