@@ -5,12 +5,12 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs site release setup dev lock wheelhouse clean
+.PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs figures site release setup dev lock wheelhouse clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
 
-demo: build  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
+demo: setup  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
 test: dev  ## all tests, linters, types and import contracts
@@ -52,6 +52,9 @@ kit: setup  ## everything to build the tabletop rig, checked, in build/kit; KIT=
 
 docs: dev  ## the pages that are generated from the code's tables
 	$(BIN)/python tools/make_docs.py
+
+figures: dev  ## pictures and figures of README and docs again, with seed and date in docs/figures/made.csv; FIGURES="montecarlo explore" for those that last
+	$(BIN)/python -m tools.figures $(FIGURES)
 
 site: dev docs  ## the documentation as a site that reads without a network, in build/site (warnings are errors)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
         stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))
         begun = stack.start_rig("--sockets", "--physics", physics, *asked)
-        if not (begun and stack.start(record=not arguments.no_record)):
+        if not (begun and stack.start(record=not arguments.no_record, page=True)):
             return 0  # the end was asked for before anything began
         comparison = _comparison(config, stack.told["seed"], physics)
         page = stack.page if stack.start_page() else None

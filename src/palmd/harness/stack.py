@@ -111,13 +111,17 @@ class Stack:
         self._hand = self._lives["rig"].enter_context(CommandClient(self.told["control"], ANSWER_S))
         return True
 
-    def start(self, *, record: bool) -> bool:
+    def start(self, *, record: bool, page: bool = False) -> bool:
         """The daemon at addresses that are free, and its recorder; False when given up, CliError without a daemon.
+
+        The process of a `page` begins beside them; `start_page` waits for it.
 
         Somebody else may take the addresses while the daemon starts: then at others.
         """
         for _ in range(ATTEMPTS):
             self.configure(self._config, self.told)
+            if page:
+                self._begin_page()
             if record:
                 self.start_recorder()
             self.begin_daemon()
@@ -170,16 +174,21 @@ class Stack:
 
     def start_page(self) -> bool:
         """Whether there is a live page, at `page`; why not is what its process said."""
-        where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"],
-                 "--config", str(self.path))  # fmt: skip
-        for _ in range(ATTEMPTS):  # somebody else may take the port in between
-            port = str(_free_page_port())
-            child = self.children["page"] = self.begin("page", "view", "--no-browser", *where, "--port", port)
-            line = child.first_line(START_S, self._give_up)
+        for attempt in range(ATTEMPTS):  # somebody else may take the port in between
+            page = self.children.get("page")
+            if attempt or page is None or page.status is not None:
+                self._begin_page()
+            line = self.children["page"].first_line(START_S, self._give_up)
             if line is not None or self._give_up():
                 break
         self.page = line or ""
         return bool(line)
+
+    def _begin_page(self) -> None:
+        where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"],
+                 "--config", str(self.path))  # fmt: skip
+        port = str(_free_page_port())
+        self.children["page"] = self.begin("page", "view", "--no-browser", *where, "--port", port)
 
     # ---- while it runs -----------------------------------------------------------------------------------
 

@@ -1,0 +1,151 @@
+"""The live page on a real demo, by the browser's own figures: first picture, layout shifts in use, memory when open.
+
+`PALMD_SHIFT_S` (180) and `PALMD_OPEN_S` (900) are for how long. Growth is a straight line through what is in use after
+collecting garbage, without the first third, told as MB in 24 h with its standard deviation.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from browser_page import LAPTOP, Page, browser
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(7200)]
+
+SHIFT_S, OPEN_S = float(os.environ.get("PALMD_SHIFT_S", "180")), float(os.environ.get("PALMD_OPEN_S", "900"))
+LOOK_S, START_S = 10.0, 90.0
+FIRST_PICTURE_S = 5.0
+VIEWS = ("runs", "configuration", "log", "live")
+SWITCHED_S = 0.6  # a view that a person has asked for may move what it likes: the browser's own allowance is 0.5 s
+
+
+@pytest.fixture(scope="module")
+def driver():
+    with browser() as one:
+        one.set_script_timeout(60)
+        yield one
+
+
+class Shown:
+    """A demo with its page, and when (s after its start) the address and the first picture were there."""
+
+    def __init__(self, folder, driver):
+        begun = time.monotonic()
+        self.out = folder / "said"
+        with self.out.open("wb") as said:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "palmd", "demo", "--no-browser", "--seed", "5"], cwd=folder, stderr=said
+            )
+        while not (found := re.search(r"http://\S+", self.out.read_text())):
+            assert time.monotonic() < begun + START_S, self.out.read_text()
+            time.sleep(0.02)
+        self.address_s = time.monotonic() - begun
+        self.page = Page(driver, found[0])
+        self.page.resize(*LAPTOP)
+        self.page.open()
+        self.page.until(lambda: min(self.page.drawn("blue"), self.page.drawn("red")) > 300, "both palms", START_S)
+        self.picture_s = time.monotonic() - begun
+
+    def close(self):
+        self.page.leave()
+        self.process.terminate()
+        self.process.wait(60)
+
+
+@pytest.fixture
+def demo(tmp_path, driver):
+    one = Shown(tmp_path, driver)
+    yield one
+    one.close()
+
+
+def test_first_picture(demo):
+    print(f"\naddress after {demo.address_s:.1f} s, both palms drawn after {demo.picture_s:.1f} s of `palmd demo`")
+    assert demo.picture_s <= FIRST_PICTURE_S
+
+
+def test_layout_shifts_while_controls_are_in_use(demo):
+    """Jogs, commands, plots, plans, theme, views: one after the other for three minutes."""
+    page = demo.page
+    time.sleep(1.0)
+    page.watch_shifts()
+    begun, used = time.monotonic(), 0
+    while time.monotonic() < begun + SHIFT_S:
+        for use in (hold, jog, plots, start, theme, views):
+            use(page)
+            used += 1
+    shifts = page.shifts()
+    print(f"\n{used} uses in {time.monotonic() - begun:.0f} s: {len(shifts)} shifts, {sum(s[0] for s in shifts):.4f}")
+    for shift in shifts[:20]:
+        print(shift)
+    assert page.errors() == []
+    assert shifts == []
+
+
+def hold(page):
+    press(page, "[data-command=hold]")
+    time.sleep(1.0)
+
+
+def start(page):
+    for _ in range(2):
+        press(page, "[data-command=start]")
+        time.sleep(0.6)
+
+
+def jog(page):
+    handle = page.driver.find_element(By.CSS_SELECTOR, "[aria-label='Turn palm 1 on while held']")
+    if handle.is_enabled():
+        ActionChains(page.driver).click_and_hold(handle).pause(1.0).release().perform()
+
+
+def plots(page):
+    for selector in ("#window-narrower", "#window-wider", "#window-pause", "#window-pause"):
+        press(page, selector)
+    for selector in ("#window-scrub", "#window-cursor"):
+        page.driver.find_element(By.CSS_SELECTOR, selector).send_keys(Keys.ARROW_LEFT * 5, Keys.END)
+
+
+def theme(page):
+    for _ in range(3):
+        press(page, "#theme")
+
+
+def views(page):
+    for name in VIEWS:
+        page.script("arguments[0].click()", page.driver.find_element(By.ID, f"tab-{name}"))
+        time.sleep(SWITCHED_S)
+
+
+def press(page, selector):
+    """If it applies."""
+    button = page.driver.find_element(By.CSS_SELECTOR, selector)
+    if button.is_enabled() and button.is_displayed():
+        button.click()
+
+
+def test_memory_while_it_is_open(demo):
+    page, rows = demo.page, []
+    page.driver.execute_cdp_cmd("Performance.enable", {})
+    begun = time.monotonic()
+    while (t := time.monotonic() - begun) < OPEN_S:
+        page.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+        metrics = {m["name"]: m["value"] for m in page.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]}
+        rows.append((t, metrics["JSHeapUsedSize"] / 1e6, metrics["Nodes"], metrics["JSEventListeners"]))
+        time.sleep(LOOK_S)
+    t, heap, nodes, listeners = np.array(rows)[len(rows) // 3 :].T
+    slope, covariance = np.polyfit(t, heap, 1, cov=True)
+    day, day_sd = 86400 * slope[0], 86400 * np.sqrt(covariance[0, 0])
+    print(f"\n{OPEN_S:.0f} s: heap {rows[0][1]:.1f} MB at first, {heap[0]:.1f} to {heap[-1]:.1f} from {t[0]:.0f} s on")
+    print(
+        f"{day:+.0f} ± {day_sd:.0f} MB in 24 h; nodes {nodes[0]:.0f} to {nodes[-1]:.0f}, listeners {listeners[0]:.0f}"
+    )
+    assert nodes[-1] <= nodes[0] + 100
+    assert listeners[-1] <= listeners[0] + 20
