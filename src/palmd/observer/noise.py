@@ -36,10 +36,8 @@ STEADY_READINGS = 500
 CHANCE = 1e-6
 """Level of Rayleigh's test: the probability that stamps without a period are taken for batches."""
 MAP_READINGS = 10.0
-"""Times the variance of a pad's smooth error of place, by which readings are less certain for who has no map of it
-(study 2026-11-29, seeds 9001 to 9003 and 9200 to 9211: by once, a log of 70 µm was not explained; by 40 times, one did
-not settle. Live, 9501 to 9503: by 50 times, one object was never told sharply enough; by 10 times all were, and no tick
-was beyond 3σ at 70 µm)."""
+"""Readings that share a smooth error of place, for a search that has no map of it (study 2026-11-29, seeds 9001 to 9003
+and 9200 to 9211: by one, a log of 70 µm was not explained; by 40, one did not settle)."""
 _NORMAL_MEDIAN = 0.455  # of x², x standard normal
 
 
@@ -74,9 +72,13 @@ def scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
     return replace(pad, force_scale_std=pad.force_scale_std * min(told, MOST)) if told > DEADBAND else pad
 
 
-def map_as_noise(rig: RigDescription) -> RigDescription:
-    """The rig for who knows of smooth errors of place as of noise only, as a search does, and what runs live."""
-    return replace(rig, pads=tuple(_noisier(pad, MAP_READINGS * pad.map_sd**2) for pad in rig.pads))
+def map_as_noise(rig: RigDescription, alike: float = 1.0) -> RigDescription:
+    """The rig for who knows of smooth errors of place as of noise only.
+
+    alike: how many readings share an error. By one each reading by itself is as uncertain as it is; bands of what
+    many tell together are then too narrow.
+    """
+    return replace(rig, pads=tuple(_noisier(pad, alike * pad.map_sd**2) for pad in rig.pads))
 
 
 def without_map(rig: RigDescription) -> RigDescription:

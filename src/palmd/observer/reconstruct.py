@@ -29,7 +29,7 @@ from palmd.observer.likeness import UNTOLD, likeness, root_of
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
-from palmd.observer.noise import map_as_noise, with_scatter, without_map
+from palmd.observer.noise import MAP_READINGS, map_as_noise, with_scatter, without_map
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
@@ -338,7 +338,7 @@ def _by_length(found: Sequence[DataSegment], rig: RigDescription) -> list[DataSe
 
 
 def _search(segment: DataSegment, rig: RigDescription) -> Search:
-    return Search(segment, map_as_noise(with_scatter(rig, segment.pads)))
+    return Search(segment, map_as_noise(with_scatter(rig, segment.pads), MAP_READINGS))
 
 
 def _besides(found: Sequence[DataSegment], rig: RigDescription) -> list[Search]:

@@ -14,7 +14,7 @@ import pytest
 from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model.smoothing import CONSTANTS
 from palmd.observer.factor import Prior
-from palmd.observer.noise import map_as_noise
+from palmd.observer.noise import MAP_READINGS, map_as_noise
 from palmd.observer.normal_equations import Guess
 from palmd.observer.pad_map import with_map
 from palmd.observer.palm_path import smoothed_path
@@ -104,7 +104,7 @@ def laid(rig: RigDescription, places: FloatArray) -> Record:
 
 def problem(rig: RigDescription, places: FloatArray) -> tuple[Record, Record]:
     """The record of a search, and that of the fit with maps."""
-    rig = map_as_noise(rig)
+    rig = map_as_noise(rig, MAP_READINGS)
     record = laid(rig, places)
     prior = Prior(np.zeros(CONSTANTS), np.ones(CONSTANTS), 1.0)
     guess = Guess(np.zeros((len(record.t), 2)), np.ones(CONSTANTS))
