@@ -52,9 +52,9 @@ class DaemonRow(DaemonTask):
     error: what was raised, then nothing else is known. settled_s: first valid estimate since the start. touched: share
     of the normals. e_h_m, sd_m: RMS error and RMS 1σ of the last valid outline over the touched normals; largest_m,
     largest_sd_m: over all normals. valid, lost: whether the object is known at the end, and how often it was lost.
-    wrong: share of valid ticks with a radius off by more than 0.3 mm. fault: of the arm or the daemon, the first one;
-    contact_losses: how often. penetration_m: the engine's deepest. rig_share: processor time of the emulated rig alone,
-    per second. took_s: processor time of the whole run.
+    wrong: share of valid ticks with a radius off by more than 0.3 mm. fault: the first one that held or stopped the
+    palms. contact_losses: how often. penetration_m: the engine's deepest. rig_share: processor time of the emulated rig
+    alone, per second. took_s: processor time of the whole run.
     """
 
     error: str = ""
@@ -104,7 +104,7 @@ def run(task: DaemonTask) -> DaemonRow:
             scorer.compare(t, *([of[name] for name in COMPARED] for of in (estimate, instant.truth)))
         if "palm/shape" in instant.messages:
             scorer.take_shape(instant.messages["palm/shape"])
-        fault = fault or next((each.code for each in loop.core.faults.active if each.severity != "note"), "")
+        fault = fault or next((each.code for each in loop.core.faults.active if each.severity in ("hold", "stop")), "")
     status, true_h = loop.world.status(), loop.world.object_truth()["h_m"]
     where, everywhere = scorer.outline(true_h), scorer.outline(true_h, all_normals=True)
     measured: dict[str, float] = {}
