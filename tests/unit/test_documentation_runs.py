@@ -1,6 +1,6 @@
 """What README and docs have typed without a daemon does what they say; and every block is run, or says why not.
 
-Blocks that need a daemon: `tests/rig/test_documentation_runs.py`.
+Blocks that need a daemon: `tests/rig/test_documentation_on_rig.py`.
 """
 
 import re

@@ -141,7 +141,8 @@ measure each part before you print.
 The drawing is for an active length of {active:g} mm. Interlink's strip is cut at 1, 2 or 3 inch, which leaves other
 active lengths. Cut it, measure where it begins and stops to sense, and have parts and configuration follow:
 
-```
+<!-- not run: takes a minute and OpenSCAD; tests/unit/test_kit.py makes and checks the parts -->
+```sh
 make kit KIT="--set strip_length=73.7 --set palm_length=88"
 palmd init my.yaml
 ```

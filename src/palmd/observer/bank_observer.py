@@ -42,13 +42,13 @@ from palmd.observer.track import Track
 from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, reasons, settled, unmet
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import FORCES, PALMS, RADII
+from palmd.system.mechanism import BENDS, FORCES, PALMS, RADII
 from palmd.system.rig_constants import declared_exact
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
 DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
 RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
-_FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, ("v1", "v2")))
+_FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, BENDS))
 _AGREED = [0.0] * len(NAMED)
 _RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
 

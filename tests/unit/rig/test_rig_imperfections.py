@@ -15,6 +15,7 @@ from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection, con
 from palmd.rig.plant import PAD_LENGTH, FrictionSurface, Hinge, Plant, stable_poses
 from palmd.rig.shapes import cylinder, random_body
 from palmd.rig.simulate import PERFECTLY_KNOWN, Rock, Rocking, main, simulate_log
+from palmd.rig.smooth_error import NO_ERROR
 from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
@@ -197,7 +198,7 @@ def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
     assert np.std(values[:, 0]) == pytest.approx(sd, rel=0.15)  # less what a line takes of it
     alike = np.corrcoef(values.T)[0]
     assert alike[1] == pytest.approx(math.exp(-0.5), abs=0.1)
-    assert abs(alike[2]) < 0.2
+    assert abs(alike[2]) < 0.3  # what a line takes of it makes places far apart a little opposite
     everywhere = np.linspace(0.0, pad, 200)
     for place in found[:5]:
         line = np.polyfit(everywhere, [place.at(float(s)) for s in everywhere], 1)
@@ -253,8 +254,13 @@ def test_a_configuration_asks_in_units_of_the_workshop():
     assert configured(asking("calibrated"), 1) == PERFECT  # this one says that all is known
     known = asking("calibrated")
     loose = known.model_copy(update={"pads": type(known.pads)(palm1={"port": "a"}, palm2={"port": "b"})})
-    assert configured(loose, 1) == drawn(rig_description(loose), 1)
+    assert configured(loose, 1) == drawn(rig_description(loose).with_pads(map_sd=0.0), 1)
     assert configured(loose, 1).pads[0].zero != 0.0
+    wavy = {"port": "a", "map_sd_mm": 0.05}
+    wavy = known.model_copy(update={"pads": type(known.pads)(palm1=wavy, palm2={"port": "b"})})
+    first, second = configured(wavy, 1).pads
+    assert first.place == drawn(rig_description(wavy), 1).pads[0].place != NO_ERROR
+    assert second.place == NO_ERROR
 
 
 @pytest.mark.parametrize(
