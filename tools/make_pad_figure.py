@@ -16,7 +16,13 @@ from tools.rolled_marble import rolled
 
 FIGURE = ROOT / "docs/figures/pad.svg"
 
-if __name__ == "__main__":
+
+def draw(path: Path) -> None:
+    """The same file each time."""
     config = VersaPadConfig(port="emulated")
     packets, counters = rolled(config, seed=1, seconds=20.0)
-    save(packets, characterise(packets, counters, config), config, FIGURE)
+    save(packets, characterise(packets, counters.as_dict(), config), config, path)
+
+
+if __name__ == "__main__":
+    draw(FIGURE)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.figures import FIGURES, GROUPS, MADE, made
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -84,3 +86,16 @@ def test_the_papers_map_names_what_is_there() -> None:
         package = "" if path.startswith("tools/") else "palmd."
         module = importlib.import_module(package + path.replace("/", "."))
         assert hasattr(module, name), f"docs/theory/paper.md names {path}.py:{name}, which is not there"
+
+
+def test_it_is_written_down_how_each_figure_was_made() -> None:
+    rows = made()
+    names = {path.name for path in FIGURES.iterdir()} - {MADE.name}
+    assert names == set(rows)
+    assert names == {file for group in GROUPS.values() for file in group.files}
+    text = "".join((ROOT / page).read_text() for page in PAGES)
+    assert [name for name in names if f"figures/{name}" not in text] == [], "on no page"
+    for command, _, date, commit in rows.values():
+        assert command
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", date)
+        assert re.fullmatch(r"[0-9a-f]{8,}", commit)

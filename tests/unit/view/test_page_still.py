@@ -334,6 +334,51 @@ def test_every_button_can_be_pressed_by_keyboard(still, bus):
     assert still.errors() == []
 
 
+TO_BE_REACHED = """
+    window.numbered = window.numbered ?? new Map();
+    const all = [...document.querySelectorAll("button, a[href], input, select, summary, [tabindex]")];
+    const seen = (one) => one.checkVisibility() && !one.disabled && one.tabIndex >= 0;
+    return all.filter(seen).map((one) => {
+      if (!numbered.has(one)) numbered.set(one, numbered.size);
+      return [numbered.get(one), one.id || one.getAttribute("aria-label") || one.textContent.trim()];
+    });
+"""
+
+
+def test_views_sliders_and_menus_are_worked_by_keyboard(still, bus):
+    """Tab leads to all that can be used, in each view; arrows choose views, move sliders and choose from menus."""
+    opened(still, bus, rig_of(2))
+
+    def keys(*which):
+        ActionChains(still.driver).send_keys(*which).perform()
+
+    def focused():
+        return still.script("return window.numbered?.get(document.activeElement)")
+
+    still.script("document.getElementById('tab-live').focus()")
+    for view in ("live", "runs", "configuration", "log"):
+        still.until(lambda view=view: still.shows(f"view-{view}"), view)
+        wanted = dict(still.script(TO_BE_REACHED))
+        reached = set()
+        for _ in range(2 * len(wanted) + 10):
+            keys(Keys.TAB)
+            reached.add(focused())
+        assert {name for number, name in wanted.items() if number not in reached} == set(), view
+        still.script("document.getElementById(arguments[0]).focus()", f"tab-{view}")
+        keys(Keys.ARROW_RIGHT)
+    still.until(lambda: still.shows("view-live"), "the first view again")
+    value = "return document.getElementById(arguments[0]).value"
+    for slider in ("window-scrub", "window-cursor"):
+        still.script("document.getElementById(arguments[0]).focus()", slider)
+        before = float(still.script(value, slider))
+        keys(Keys.ARROW_LEFT * 20)
+        assert float(still.script(value, slider)) < before, slider
+    still.script("document.getElementById('window-span').focus()")
+    keys(Keys.ARROW_DOWN)
+    assert still.script(value, "window-span") == "60"
+    assert still.errors() == []
+
+
 @pytest.mark.parametrize("size", [LAPTOP, SMALL, PHONE, WIDE], ids=str)
 def test_state_and_stop_are_in_view_wherever_one_looks(still, bus, size):
     still.resize(*size)
