@@ -78,25 +78,28 @@ GROUPS: dict[str, Group] = {
 
 
 def main(names: Sequence[str]) -> int:
-    """Makes the groups that are named, or all that take minutes; 2 for a name that is none."""
+    """Makes the groups that are named, or all that take minutes; 1 if one cannot be made, 2 for a name that is none."""
     unknown = [name for name in names if name not in GROUPS or GROUPS[name].make is None]
     if unknown:
         print(f"no figures can be made of {', '.join(unknown)}; groups: {', '.join(GROUPS)}", file=sys.stderr)
         return 2
-    rows = made()
+    rows, status = made(), 0
     for name, group in GROUPS.items():
-        if group.make is not None and (name in names if names else not group.lasts):
-            print(f"{name}: {', '.join(group.files)}", flush=True)
+        for file in set(group.files) - set(rows):
+            rows[file] = (group.command or "before this table", "", *_last_changed(file))
+        if group.make is None or (name not in names if names else group.lasts):
+            continue
+        print(f"{name}: {', '.join(group.files)}", flush=True)
+        try:
             group.make(FIGURES)
-            command = f"python -m tools.figures {name}"
-            rows |= {
-                file: (command, group.seed, _today(), _git("rev-parse", "--short=8", "HEAD")) for file in group.files
-            }
-        elif group.make is None or not all(file in rows for file in group.files):
-            command = group.command or f"python -m tools.figures {name}"
-            rows |= {file: (command, group.seed, *_last_changed(file)) for file in group.files}
-        MADE.write_text(as_text(rows), encoding="utf-8")
-    return 0
+        except (RuntimeError, subprocess.CalledProcessError) as error:
+            print(f"{name} is left as it is: {error}", file=sys.stderr)
+            status = 1
+            continue
+        now = f"python -m tools.figures {name}", group.seed, _today(), _git("rev-parse", "--short=8", "HEAD")
+        rows |= dict.fromkeys(group.files, now)
+    MADE.write_text(as_text(rows), encoding="utf-8")
+    return status
 
 
 def made() -> dict[str, tuple[str, ...]]:

@@ -24,10 +24,10 @@ from palmd.report.series import series_of
 
 T = TypeVar("T")
 
-SEED = 5
+SEED = 7
 SIZES = {1440: 900, 1024: 625, 2560: 1300, 390: 844}
 SCHEMES = ("light", "dark")
-START_S, SETTLE_S, EXPLORED = 240.0, 1.0, 0.2
+START_S, SETTLE_S, EXPLORED = 120.0, 1.0, 0.5
 SECTIONS = {"report-outline.svg": "Outline", "report-frames.svg": "Reconstruction through time"}
 NAMES = (
     *(f"page-{width}-{scheme}.png" for width in SIZES for scheme in SCHEMES),
@@ -44,7 +44,7 @@ def take(folder: Path) -> None:
         with said.open("wb") as out, subprocess.Popen(command, cwd=name, stderr=out, stdout=out) as demo:
             try:
                 driver.get(_until(lambda: _found(said, r"http://\S+"), "the page's address"))
-                _until(lambda: _known(driver) > EXPLORED, "most of the outline")
+                _until(lambda: _known(driver) > EXPLORED, "half of the outline")
                 for width, height in SIZES.items():
                     for scheme in SCHEMES:
                         _picture(driver, width, height, scheme, folder / f"page-{width}-{scheme}.png")
