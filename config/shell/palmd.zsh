@@ -11,7 +11,7 @@
 _shtab_palmd_commands() {
   local _commands=(
     bundle:'pack a recorded run, versions and findings for a bug report'
-    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, self'
+    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, vibration, self'
     capture:'make the first recording of a rig, guided: check, calibrate, record, bundle'
     check:'validate configurations and motion plans'
     compare:'compare runs with each other, with the truth or with an external track'
@@ -50,6 +50,7 @@ _shtab_palmd_calibrate_commands() {
     pads:'both touchpads'"'"' zero, scale and sign, with a turned cylinder'
     self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
     standoff:'both touchpads'"'"' height above the hinge line, zero, scale and sign, with two turned cylinders'
+    vibration:'the palms'"'"' vibration speed, with an accelerometer'
   )
   _describe 'palmd calibrate commands' _commands
 }
@@ -227,6 +228,19 @@ _shtab_palmd_calibrate_standoff_options=(
 
 # guard to ensure default positional specs are added only once per session
 _shtab_palmd_calibrate_standoff_defaults_added=0
+
+_shtab_palmd_calibrate_vibration_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--acceleration-m-s2[amplitude (peak, not RMS) of the pad\'s acceleration along the palm]:A:"
+  "--acceleration-sd-m-s2[one standard deviation of it\; includes the difference between the palms]:SD:"
+  "--frequency-hz[of the vibration]:F:"
+  "--frequency-sd-hz[one standard deviation of it (default\: known exactly)]:SD:"
+  {-o,--output}"[for vibration.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
+  ":the configuration of the rig, palmd.yaml:_files"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_palmd_calibrate_vibration_defaults_added=0
 
 _shtab_palmd_capture_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
@@ -768,6 +782,7 @@ _shtab_palmd_calibrate() {
         pads) _arguments -C -s $_shtab_palmd_calibrate_pads_options ;;
         self) _arguments -C -s $_shtab_palmd_calibrate_self_options ;;
         standoff) _arguments -C -s $_shtab_palmd_calibrate_standoff_options ;;
+        vibration) _arguments -C -s $_shtab_palmd_calibrate_vibration_options ;;
       esac
   esac
 }

@@ -60,6 +60,7 @@ COMMANDS = (
     Command(
         "calibrate height", "calibration.height", "a pivoting gripper's height over the pad, with a dragged cylinder"
     ),
+    Command("calibrate vibration", "calibration.vibration", "the palms' vibration speed, with an accelerometer"),
     Command(
         "calibrate self",
         "calibration.self_calibration",
