@@ -121,8 +121,8 @@ def test_palms_as_proposed_are_as_steep_as_they_are():
 TEXT = """\
 rig: {{palm1_length_mm: {length}}}
 pads:
-  palm1: {{port: p1, zero_sd_mm: 0.5}}
-  palm2: {{port: p2, zero_sd_mm: 0.5}}
+  palm1: {{port: p1, zero_sd_mm: 0.5, map_sd_mm: 0}}
+  palm2: {{port: p2, zero_sd_mm: 0.5, map_sd_mm: 0}}
 arm: {{port: a}}
 """
 FOUND = "calibration/self.yaml"

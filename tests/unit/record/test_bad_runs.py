@@ -10,6 +10,7 @@ from palmd.record import RunError
 from palmd.record.mcapfile import Preface, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.run import read_run
+from palmd.system.rig_constants import RIG_NAMES
 
 FILES = ("schema", "truncated", "prose", "empty", "magic", "folder", "none", "foreign", "eventless", "unconfigured")
 TOLD = {
@@ -115,7 +116,7 @@ def test_an_improvement_that_makes_no_sense_is_told_in_one_line(tmp_path):
     with path.open("wb") as stream:
         writer = RunWriter(stream, run.preface, 0, compressed=False)
         fields = {"t_tick_s": 0.0, "t_s": 0.0, "x": [1.0, 2.0], "covariance": [1.0]}
-        fields |= {"frame": 1, "established": True, "touched": [0], "rig": [], "spread": [1.0, 2.0]}
+        fields |= {"frame": 1, "established": True, "touched": [0], "rig": [0.0] * len(RIG_NAMES), "spread": [1.0, 2.0]}
         writer.write(recorded.message(IMPROVEMENT.name, fields, 0))
         writer.finish()
     with pytest.raises(RunError, match=f"^{path}: {IMPROVEMENT.name}, message 0: "):
