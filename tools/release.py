@@ -139,8 +139,8 @@ def run_without_compiler(command: Path, folder: Path, seconds: float) -> subproc
 
     called("--version").check_returncode()
     doctor = called("doctor")
-    told = [line.split(maxsplit=2)[:2] for line in doctor.stdout.splitlines() if line]
-    if "Traceback" in doctor.stderr or ["ok", "observers"] not in told:
+    findings = [line.split(maxsplit=2)[:2] for line in doctor.stdout.splitlines() if line]
+    if "Traceback" in doctor.stderr or ["ok", "observers"] not in findings:
         raise subprocess.CalledProcessError(doctor.returncode, doctor.args, doctor.stdout, doctor.stderr)
     demo = called("demo", "--seconds", str(seconds), "--no-browser", "--seed", "3")
     if "C compiler" in demo.stderr or "not compiled" in demo.stderr:

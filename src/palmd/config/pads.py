@@ -21,7 +21,7 @@ from pydantic import (
 
 from palmd.config.fields import AnyBaud, Baud, NotNegative, Plausible, PortPath, Positive, Strict, by_kind, one_of
 from palmd.config.tabletop import TABLETOP
-from palmd.system.corrections import LEAST_POINTS, corrections
+from palmd.system.corrections import STEEPEST, corrections, fault_of
 from palmd.system.description import PadSensor
 
 
@@ -38,10 +38,8 @@ class PressureConfig(Strict):
     """Whether a firm touch gives a small number."""
 
 
-_STEEPEST_CURVE = 0.2
-"""A pad whose readings run backwards has no place for each."""
 _Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]
-_CORRECTIONS_PER_MM = 4.0  # (derivation: a line between them is off a wave of 12 mm by 1/500 of it)
+_CORRECTIONS_PER_MM = 4.0  # (derivation: a line between them is off a wave of 12 mm by 1/500 of its amplitude)
 
 
 class PadBase(Strict):
@@ -98,23 +96,16 @@ class PadBase(Strict):
         if len(curve_mm) == 1:
             raise ValueError("must have two places or more, evenly from the hinge to the pad's end, or none")
         steepest = max((abs(after - before) for before, after in pairwise(curve_mm)), default=0.0)
-        if steepest * (len(curve_mm) - 1) > _STEEPEST_CURVE * info.data.get("length_mm", math.inf):
-            raise ValueError(f"must change by {_STEEPEST_CURVE:.0%} of the way between two places at most")
+        if steepest * (len(curve_mm) - 1) > STEEPEST * info.data.get("length_mm", math.inf):
+            raise ValueError(f"must change by {STEEPEST:.0%} of the way between two places at most")
         return curve_mm
 
     @field_validator("map")
     @classmethod
     def _single_valued(cls, points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-        if not points:
-            return points
-        if len(points) < LEAST_POINTS or any(after[0] <= before[0] for before, after in pairwise(points)):
-            raise ValueError(f"must have {LEAST_POINTS} pairs [place_mm, correction_mm] or more, in order of place")
-        for (place, correction), (next_place, next_correction) in pairwise(points):
-            if abs(next_correction - correction) > _STEEPEST_CURVE * (next_place - place):
-                between = f"{place:g} and {next_place:g} mm"
-                raise ValueError(
-                    f"must change by {_STEEPEST_CURVE:.0%} of the way at most, and between {between} does not"
-                )
+        fault = fault_of(points) if points else ""
+        if fault:
+            raise ValueError(fault)
         return points
 
     @property

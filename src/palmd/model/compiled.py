@@ -307,5 +307,5 @@ def note_of(signatures: dict[str, Signature], library: Path, sources: bytes) -> 
     """What is written beside a library made from `sources`."""
     kernels = {name: asdict(signature) for name, signature in signatures.items()}
     sha256 = hashlib.sha256(library.read_bytes()).hexdigest()
-    told = {"library": library.name, "sha256": sha256, "sources": hash_of(sources), "kernels": kernels}
-    return json.dumps(told)
+    note = {"library": library.name, "sha256": sha256, "sources": hash_of(sources), "kernels": kernels}
+    return json.dumps(note)

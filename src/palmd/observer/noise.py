@@ -72,13 +72,13 @@ def scattered(pad: PadSensor, samples: Sequence[PadSample]) -> PadSensor:
     return replace(pad, force_scale_std=pad.force_scale_std * min(told, MOST)) if told > DEADBAND else pad
 
 
-def map_as_noise(rig: RigDescription, alike: float = 1.0) -> RigDescription:
+def map_as_noise(rig: RigDescription, readings: float = 1.0) -> RigDescription:
     """The rig for who knows of smooth errors of place as of noise only.
 
-    alike: how many readings share an error. By one each reading by itself is as uncertain as it is; bands of what
+    readings: how many share an error. By one each reading by itself is as uncertain as it is; bands of what
     many tell together are then too narrow.
     """
-    return replace(rig, pads=tuple(_noisier(pad, alike * pad.map_sd**2) for pad in rig.pads))
+    return replace(rig, pads=tuple(_noisier(pad, readings * pad.map_sd**2) for pad in rig.pads))
 
 
 def without_map(rig: RigDescription) -> RigDescription:

@@ -25,9 +25,8 @@ MOST_FUNCTIONS = 24
 FINEST_M = 1e-4
 """Least correlation length (m): below a reading's own noise an error of place is white noise, and is taken for it."""
 STEPS = 12  # of the grid in a correlation length (derivation: linear interpolation is then off by 1/1000 of the error)
-BEYOND = (
-    8  # of these steps that the functions reach beyond the touched span on either side, where a fit may move contacts
-)
+BEYOND = 8
+"""Of these steps that the functions reach beyond the touched span, where a fit may move contacts (convention)."""
 
 
 def has_map(rig: RigDescription) -> bool:

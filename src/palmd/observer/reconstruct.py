@@ -463,11 +463,10 @@ def _finer(search: Search, finding: Minima, found: Fit) -> _Part:
     if record.left_open.any():
         fit = _fitted(Smoother(search.library, record, prior), fit.guess, fit.noise)
     mapped = _mapped(search, record, prior, fit) if has_map(rig) else None
-    judged = fit if mapped is None else mapped.judged
-    reason = OVERFITTED if overfits(judged) else unfit(judged, finding.record)
-    reason = reason or NO_SUCH_RIG * belief.beyond_all(fit.guess)
     as_described = np.array_equal(belief.sd, search.belief.sd)
-    return _Part(search, prior, fit, record, belief, as_described, reason, mapped)
+    part = _Part(search, prior, fit, record, belief, as_described, "", mapped)
+    reason = OVERFITTED if overfits(part.judged) else unfit(part.judged, finding.record)
+    return replace(part, reason=reason or NO_SUCH_RIG * belief.beyond_all(fit.guess))
 
 
 def _mapped(search: Search, record: Record, prior: Prior, fit: Fit) -> _Mapped:

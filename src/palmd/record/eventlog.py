@@ -11,7 +11,6 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TextIO
 
@@ -21,7 +20,7 @@ from palmd.record.logline import BadLineError, Line, block, not_negative, number
 from palmd.record.logreader import VERSION, LogForm, read_log_as
 from palmd.record.logreader import LogError as LogError
 from palmd.record.vibration_line import read_vibration
-from palmd.system.corrections import LEAST_POINTS, corrections
+from palmd.system.corrections import corrections, fault_of
 from palmd.system.description import AS_CALIBRATED, CALIBRATION_KEYS, MAP_SD_M, PadSensor, RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 from palmd.system.vibration import vibration_line
@@ -186,19 +185,17 @@ def _own_pads(rig: Line) -> list[Line]:
 
 def _map(pad: Line) -> Map:
     """A pad's corrections by place (m), from pairs in mm; nothing where it has none."""
-    told = pad.get("map")
-    if told is None:
+    points = pad.get("map")
+    if points is None:
         return ()
-    wanted = f"map must be a list of {LEAST_POINTS} pairs [place_mm, correction_mm] or more, in order of place"
-    if not isinstance(told, list) or len(told) < LEAST_POINTS:
-        raise BadLineError(f"{wanted}, got {shown(told)}")
-    for pair in told:
-        numbers = isinstance(pair, list) and len(pair) == 2 and all(type(x) in (int, float) for x in pair)
-        if not numbers or not all(map(math.isfinite, pair)):
-            raise BadLineError(f"{wanted}, got {shown(pair)}")
-    if any(after[0] <= before[0] for before, after in pairwise(told)):
-        raise BadLineError(wanted)
-    return tuple((1e-3 * place, 1e-3 * correction) for place, correction in told)
+    pairs = isinstance(points, list) and all(
+        isinstance(point, list) and len(point) == 2 and all(type(value) in (int, float) for value in point)
+        for point in points
+    )
+    fault = fault_of(points) if pairs else "must be a list of pairs [place_mm, correction_mm]"
+    if fault:
+        raise BadLineError(f"map {fault}; got {shown(points)}")
+    return tuple((1e-3 * place, 1e-3 * correction) for place, correction in points)
 
 
 def _curvature(rig: Line, palm: int, length: float) -> float:

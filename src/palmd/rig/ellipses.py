@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.rig.shapes import Support, SupportFunction
 
-_EXACT_M = 1e-8
+_EXACT_M = 1e-8  # that an outline may differ from an ellipse's (derivation: rounding makes 1e-16, a bump 1e-5)
 
 
 @dataclass(frozen=True, slots=True)

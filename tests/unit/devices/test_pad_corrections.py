@@ -36,7 +36,9 @@ def test_a_corrected_place_leads_back_to_its_counts():
     assert straight_mm(mapped(), read(mapped())) == pytest.approx(PLACES, abs=1e-6)
 
 
-@pytest.mark.parametrize("points", [[[1.0, 0.0]], [[2.0, 0.0], [1.0, 0.1]], [[1.0, 0.0], [1.1, 0.5]], [[1.0], [2.0]]])
+@pytest.mark.parametrize(
+    "points", [[[1.0, 0.0]], [[2.0, 0.0], [1.0, 0.1]], [[1.0, 0.0], [1.1, 0.5]], [[1.0], [2.0]], [[0, 0], [1e-200, 0]]]
+)
 def test_maps_that_leave_no_place_for_each_reading_are_refused(points):
     with pytest.raises(ValidationError):
         mapped(map=points)

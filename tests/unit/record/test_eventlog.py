@@ -108,10 +108,22 @@ def test_readings_are_corrected_by_the_map_of_their_pad(log):
 
 
 @pytest.mark.parametrize(
-    "points", [[], [[1, 2]], [[1, 0.1], [1, 0.2]], [[2, 0], [1, 0]], [[0, "a"], [1, 0]], 3, [[0], [1]]]
+    "points",
+    [
+        [],
+        [[1, 2]],
+        [[1, 0.1], [1, 0.2]],
+        [[2, 0], [1, 0]],
+        [[0, "a"], [1, 0]],
+        3,
+        [[0], [1]],
+        [[0, 0], [1, 9]],
+        [[0, 0], [1e-200, 0]],
+        [[0, 0], [1e308, 1]],
+    ],
 )
 def test_a_map_that_is_none_is_refused_by_name(log, points):
-    with pytest.raises(LogError, match="map must be a list"):
+    with pytest.raises(LogError, match="map must"):
         read_log(log(with_pads({"map": points}, {}), PAD))
 
 

@@ -32,7 +32,7 @@ from tools.studies.harness import ALL, Goal, Study, result
 from tools.studies.scoring import FAR
 
 KIND: Kind = "ellipse"
-TOUCHED = 0.95
+TOUCHED = 0.95  # of the normals: the goal that the demo's plan explores to
 _ALONE_S = 2.0  # of the rig without a daemon, to time it
 
 
