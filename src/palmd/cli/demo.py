@@ -36,6 +36,7 @@ from palmd.yamlfile import ConfigError, load_any_config
 MOTION_START_S = 30.0
 LOOK_S = 0.1
 PROGRESS_S = 1.0
+SAME_AGAIN_S = 10.0  # that a line is not repeated for
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
@@ -121,7 +122,8 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
     """Does what an operator does, for so many seconds of motion or until the end is asked for."""
     operator = Operator()
     t_begin = time.monotonic()
-    t_progress = -math.inf
+    t_progress = t_told = -math.inf
+    told = ""
     while not stop.made:
         for message in stack.subscriber.until(time.monotonic() + LOOK_S):
             comparison.take(message)
@@ -138,7 +140,11 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
             comparison.started(t)
         if started is not None and t >= t_progress + PROGRESS_S:
             t_progress = t
-            _tell(comparison.progress(t))
+            line = comparison.progress(t)
+            said = line.partition(" s  ")[2]  # without the time
+            if said != told or t >= t_told + SAME_AGAIN_S:
+                t_told, told = t, said
+                _tell(line)
 
 
 def _is_done(client: CommandClient, command: str) -> bool:

@@ -66,6 +66,11 @@ class AnyComparison(ABC):
     def summary(self) -> str:
         """The closing line."""
 
+    def _grave(self) -> list[str]:
+        """The faults that are more than a note."""
+        faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
+        return [fault for fault, severity in faults if severity != "note"]
+
     def _work(self) -> str:
         return f"work p99 {float(np.median(self._work_p99_ms or [math.nan])):.1f} ms"
 
@@ -140,9 +145,9 @@ class Comparison(AnyComparison):
                 parts.append(f"outline ± {self._band() * 1e6:.0f} µm (1σ) on {score.touched:.0%}")
                 parts.append(f"[truth: {score.e_h * 1e6:.0f} µm RMS off]")
         else:
-            parts.append("lost, searching again" if self.settled else "no valid estimate yet")
-        faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
-        grave = [fault for fault, severity in faults if severity != "note"]
+            why = ", ".join(e.get("invalid_reasons", ()))
+            parts.append(("lost, searching again" if self.settled else "no valid estimate yet") + (why and f" ({why})"))
+        grave = self._grave()
         if self._stalled:
             grave.append(f"(the emulated rig got no processor for {max(self._stalled) * 1e3:.0f} ms)")
             self._stalled.clear()

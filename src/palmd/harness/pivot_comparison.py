@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from palmd.harness.settling import SettlingComparison
+from palmd.harness.settling import OutlineFigures, SettlingComparison
 from palmd.pivot_quantities import PIVOT, PIVOT_BODY, PIVOT_SHAPE, PIVOT_TRUTH
 from palmd.score import score_shape
 
 
 class PivotComparison(SettlingComparison):
     """Of a pivoting grasp."""
+
+    shape = "outline about the pivot"
+    normals = "normals"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -37,23 +40,17 @@ class PivotComparison(SettlingComparison):
         if truth["touch1"]:
             self._rates.append(estimate["omega0_rad_s"] - truth["omega0_rad_s"])
 
-    def progress(self, t: float) -> str:
-        """One line, with why it is where it is, and what the daemon's state is due to."""
-        return ", ".join([super().progress(t), str(self._state.get("reason", ""))])
-
     def _errors(self) -> list[str]:
         force = f"largest force {self._most_n:.2f} N"
         if not self._rates:
             return [force]
         return [f"omega0 {float(np.sqrt(np.mean(np.square(self._rates)))):.3f} rad/s", force]
 
-    def _outline(self) -> list[str]:
+    def _outline(self) -> OutlineFigures | None:
         shape, body = self._shape, self._body
         if shape is None or body is None or not any(shape["touched"]):
-            return []
+            return None
         mine = {"theta_rad": shape["theta_rad"], "h_m": shape["hP_m"], "touched": shape["touched"]}
         score = score_shape(mine, body["hP_m"], all_normals=False)
         sd, touched = np.array(shape["hP_sd_m"]), np.array(shape["touched"]) > 0
-        band = math.sqrt(np.mean(sd[touched] ** 2))
-        off, share = score.e_h * 1e6, score.touched
-        return [f"outline about the pivot {off:.0f} µm RMS on {share:.0%} touched normals (sd {band * 1e6:.0f} µm)"]
+        return OutlineFigures(score.e_h, math.sqrt(np.mean(sd[touched] ** 2)), score.touched)

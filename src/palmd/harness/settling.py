@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 from palmd.harness.comparison import AnyComparison
 from palmd.harness.standing import Standing
@@ -13,11 +13,23 @@ from palmd.harness.standing import Standing
 NEAR_S = 6e-3  # between an estimate and the truth that it is held against
 
 
+class OutlineFigures(NamedTuple):
+    """Of the estimated shape where it was touched: RMS error (m), RMS of the 1σ (m), and the share touched."""
+
+    off_m: float
+    sd_m: float
+    touched: float
+
+
 class SettlingComparison(AnyComparison):
     """Settled with the first estimate that is called valid; a derived one says what is compared, and of which topics.
 
     `_shape` and `_body` are the last estimated shape and the true one, for a derived one to keep.
     """
+
+    shape: ClassVar[str]
+    """What the shape is called, and `normals`, what it is touched at."""
+    normals: ClassVar[str]
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -55,7 +67,7 @@ class SettlingComparison(AnyComparison):
         """A valid estimate and the truth of the same moment."""
 
     @abstractmethod
-    def _outline(self) -> list[str]:
+    def _outline(self) -> OutlineFigures | None:
         """How far the shape is off, once there is one."""
 
     @abstractmethod
@@ -63,11 +75,20 @@ class SettlingComparison(AnyComparison):
         """What came of the moments compared."""
 
     def progress(self, t: float) -> str:
-        """One line, with why it is where it is."""
+        """One line: what is estimated or why not, and what the exploration does."""
         since = 0.0 if self.t_started is None else t - self.t_started
-        estimate = self._estimate
-        known = "valid" if estimate.get("valid") else f"not valid: {estimate.get('reason', 'nothing is heard')}"
-        return ", ".join([f"{since:5.1f} s", str(self._state.get("state", "")), known, *self._outline()])
+        estimate, figures = self._estimate, self._outline()
+        parts = [f"{since:5.0f} s  {self._state.get('state', ''):8}"]
+        if self._state.get("exploring") and self._state.get("reason"):
+            parts.append(f"exploring: {self._state['reason']}")
+        if not estimate.get("valid"):
+            parts.append(f"no valid estimate: {estimate.get('reason') or 'nothing is heard'}")
+        elif figures is None:
+            parts.append("valid estimate")
+        else:
+            parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) on {figures.touched:.0%}")
+            parts.append(f"[truth: {figures.off_m * 1e6:.0f} µm RMS off]")
+        return "  ".join([*parts, *self._grave()])
 
     def summary(self) -> str:
         """The closing line."""
@@ -76,7 +97,11 @@ class SettlingComparison(AnyComparison):
         else:
             settled = f"settled after {self._t_settled - self.t_started:.1f} s"
         standing = filter(None, [self._standing.words()])
-        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *standing, *self._outline(), *self._errors()]
+        parts = [f"seed {self._seed}", f"rig {self._rig}", settled, *standing]
+        if (figures := self._outline()) is not None:
+            off, sd = (f"{each * 1e6:.0f} µm" for each in figures[:2])
+            parts.append(f"{self.shape} {off} RMS on {figures.touched:.0%} touched {self.normals} (sd {sd})")
+        parts += self._errors()
         if self._body is not None and math.isfinite(self._mu[0]):
             parts.append(f"mu {self._mu[0]:.3f} ± {self._mu[1]:.3f} (true {self._body['mu']:.3f})")
         parts += [f"ticks {self._ticks}, valid {self._valid}", self._work()]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.harness.settling import SettlingComparison
+from palmd.harness.settling import OutlineFigures, SettlingComparison
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp
 from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_TRUTH, WORLD_AXES
@@ -24,6 +24,9 @@ REACH = 60  # directions next to one, for h between them
 
 class ThreePalmsComparison(SettlingComparison):
     """Of three palms in space."""
+
+    shape = "surface"
+    normals = "directions"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
@@ -56,12 +59,11 @@ class ThreePalmsComparison(SettlingComparison):
         square = np.mean((off / sd) ** 2)
         return [f"omega {spin:.3f} rad/s, centre {centre * 1e6:.0f} µm RMS, (error/sd)² {square:.2f}"]
 
-    def _outline(self) -> list[str]:
+    def _outline(self) -> OutlineFigures | None:
         shape, body = self._shape, self._body
         if shape is None or body is None or self._turn is None or shape["object"] != self._estimate.get("object"):
-            return []
-        off, sd, share = surface_error(shape, np.array(body["h_m"]), self._turn)
-        return [f"surface {off * 1e6:.0f} µm RMS on {share:.0%} touched directions (sd {sd * 1e6:.0f} µm)"]
+            return None
+        return OutlineFigures(*surface_error(shape, np.array(body["h_m"]), self._turn))
 
 
 def matrix(quaternion: tuple[float, ...]) -> FloatArray:

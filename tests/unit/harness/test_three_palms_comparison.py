@@ -54,8 +54,11 @@ def test_the_surface_is_judged_after_the_best_turn(compared):
     touched = (DIRECTIONS[:, 2] > 0.0).astype(int).tolist()
     told(compared, PALM3_SHAPE, 3.0, valid=True, object=1, touched=touched, h_m=(TRUE_H + 1e-4).tolist(),
          h_sd_m=[2e-4] * len(TRUE_H))  # fmt: skip
-    assert "surface 100 µm RMS on 49% touched directions (sd 200 µm)" in compared.progress(5.0)
-    assert compared.progress(5.0).startswith("  3.0 s, , valid, surface ")
+    assert "surface 100 µm RMS on 49% touched directions (sd 200 µm)" in compared.summary()
+    line = compared.progress(5.0)
+    assert line.index("± 200 µm (1σ) on 49%") < line.index("truth: 100 µm")  # what a rig would show, the truth apart
+    estimate(compared, 4.0, valid=False)
+    assert "µm" not in compared.progress(6.0)
 
 
 def test_without_a_valid_estimate_it_says_why(compared):

@@ -15,22 +15,25 @@ import { element, set } from "./text.js";
 import { chooseTheme, onColours } from "./theme.js";
 import { Timeline } from "./timeline.js";
 
-const READOUT_MS = 100;
+const OFFER_MS = 100; // between looks at what buttons do now
+const READOUTS = 3; // looks, after which the numbers are written anew: each time costs a layout
 const DESCRIBE_MS = 3000;
-const CALM_MS = 100; // between pictures for those who want less motion
+const PICTURE_MS = 30; // between pictures: every second one of a display of 60 Hz
+const CALM_MS = 100; // the same for those who want less motion
 
 layOut();
 const store = new Store();
 const scene = new Scene(document.getElementById("scene"));
 const byName = (...names) => Object.fromEntries(names.map((name) => [name, document.getElementById(`window-${name}`)]));
 const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "says"), (share) => strips.point(share));
-const strips = new Strips(document.getElementById("strips"), timeline);
+const strips = new Strips(document.getElementById("strips"), timeline, store);
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let connected = false;
 let ended = false; // by whoever served the page
 let hello = null;
 let drawnAt = -Infinity;
 let frames = [];
+let looks = 0;
 
 const connection = new Connection({
   hello(said) {
@@ -85,12 +88,12 @@ async function opened(name) {
 function draw(now) {
   requestAnimationFrame(draw);
   if (view !== "live") return;
-  if (calm.matches && now - drawnAt < CALM_MS) return;
+  if (now - drawnAt < (calm.matches ? CALM_MS : PICTURE_MS)) return;
   if (!scene.outdated && drawnAt > store.palmAt && store.stale(performance.now())) return; // nothing new
   frames.push(now);
-  drawnAt = performance.now();
+  drawnAt = now;
   scene.draw(store, drawnAt);
-  strips.draw(store, calm.matches ? strips.length : 1);
+  strips.draw(store, calm.matches ? strips.length : 1, drawnAt);
 }
 
 function tell() {
@@ -102,7 +105,7 @@ function tell() {
   commands.offer(store, stale, replayed);
   byHand.offer(store, stale);
   showStaleness(now, stale);
-  if (ended) return; // what was known in the end stays
+  if (ended || looks++ % READOUTS) return; // what was known in the end stays
   showReadouts(store, now, frames.length);
   showHero(store, now);
   showEvents(document.getElementById("events"), store.get("palm/log"), seconds(store.get("palm/estimate")));
@@ -147,7 +150,7 @@ onColours(() => {
 });
 document.getElementById("all-events").addEventListener("click", () => tabs.open("log"));
 chooseTheme(document.getElementById("theme"));
-setInterval(tell, READOUT_MS);
+setInterval(tell, OFFER_MS);
 setInterval(() => {
   document.getElementById("scene").setAttribute("aria-label", describe(store));
 }, DESCRIBE_MS);

@@ -51,6 +51,7 @@ export class Commands {
   /** The server's first words, null when the connection is lost. */
   greet(hello) {
     this.#hello = hello;
+    for (const [id, { timer }] of this.#waiting) if (!timer) this.#waiting.delete(id);
     this.#commandable &&= hello !== null;
     set("authority", !hello ? "" : hello.operator ? ""
       : "Watching only. To give commands, open the address that palmd view printed: it carries the token.");
@@ -117,8 +118,11 @@ export class Commands {
       return false;
     }
     if (!told) this.#say(`${command}…`, false);
-    const silence = { id, cmd: command, error: "no answer from palmd view" };
-    this.#waiting.set(id, { told, timer: setTimeout(() => this.answer(silence), ms) });
+    const silent = () => {
+      this.answer({ id, cmd: command, error: "no answer from palmd view" });
+      this.#waiting.set(id, { told: told && (() => {}), timer: 0 }); // who has been told so hears no more of it
+    };
+    this.#waiting.set(id, { told, timer: setTimeout(silent, ms) });
     return true;
   }
 

@@ -16,7 +16,7 @@ export function showHero(store, now) {
   settling.take(accuracy(store).typical, now / 1000);
   const { words, reason, kind } = activity(store, settling);
   set("words", words);
-  set("reason", [starved(store, now), reason].filter(Boolean).join(" "));
+  set("reason", [starved(store, now), [reason, doubt(estimate)].filter(Boolean).join("; ")].filter(Boolean).join(" "));
   for (const id of ["words", "reason"]) titled(document.getElementById(id));
   document.getElementById("going-on").dataset.kind = kind;
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
@@ -25,6 +25,11 @@ export function showHero(store, now) {
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
   showMass(estimate, store.truthful(now) ? store.get("rig/object").mass_kg : NaN);
+}
+
+/** What speaks against the estimate, by the daemon's words or codes; empty for a valid one. */
+function doubt({ valid, reason, invalid_reasons: codes = [] }) {
+  return valid === false ? `no valid estimate: ${reason || codes.join(", ") || "no reason is published"}` : "";
 }
 
 /** What may be cut off can be read as a title. */

@@ -80,8 +80,7 @@ function moving(said, { plan, segment, progress }) {
     const far = progress > 0 ? `, ${percent(progress)}` : "";
     return { words: `Running ${plan}${far}`, reason: `segment ${segment + 1}`, kind: "good" };
   }
-  const far = Number.isFinite(said.coverage) ? `: ${percent(said.coverage)}` : "";
-  return { words: `Exploring, ${said.explored_s.toFixed(0)} s${far}`, reason: said.reason, kind: "good" };
+  return { words: `Exploring for ${said.explored_s.toFixed(0)} s`, reason: said.reason, kind: "good" };
 }
 
 function standingStill({ explored_s: seconds, coverage, coverage_goal: goal, reason, exploring }, { plan }, store, settling) {

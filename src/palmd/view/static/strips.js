@@ -10,14 +10,16 @@ const LANE = 0.36; // of a strip's height, for the difference from the truth
 const STEPS = [1, 2, 5, 10];
 const SELECTED_PX = 8; // a narrower selection is a click
 const CURSORS = "strips"; // what the plots share their cursor by
+const EVERY_MS = 100; // that each plot is drawn anew at most
 
 export class Strips {
   #groups = [];
   #strips;
   #turn = 0;
+  #begunAt = -Infinity; // of this round, ms
   #timeline;
 
-  constructor(container, timeline) {
+  constructor(container, timeline, store) {
     this.#timeline = timeline;
     this.#strips = [...Map.groupBy(STRIPS, ({ group }) => group)].flatMap(([title, strips]) => {
       const group = element("section", "group");
@@ -28,15 +30,26 @@ export class Strips {
       return strips.map((strip) => new Strip(group, strip, timeline));
     });
     new ResizeObserver(() => this.#strips.forEach((strip) => strip.resize())).observe(container);
+    const watcher = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) {
+        const strip = this.#strips.find(({ figure }) => figure === target);
+        strip.inView = isIntersecting;
+        if (isIntersecting) strip.draw(store); // the store may be of a run that is over
+      }
+    });
+    for (const { figure } of this.#strips) watcher.observe(figure);
   }
 
-  /** Draws the next strip or two of the round: all at once would take a whole frame. */
-  draw(store, count) {
+  /** Draws the next `count` plots in view, at `now` (ms): all of them at once would take a whole frame. */
+  draw(store, count, now) {
     this.#timeline.reach(Math.min(store.estimates.oldest, store.run.oldest), store.estimates.newest);
-    const shown = this.#strips.filter((strip) => !strip.hidden);
+    const shown = this.#strips.filter((strip) => strip.inView && !strip.hidden);
     for (let i = 0; i < Math.min(count, shown.length); i++) {
-      this.#turn = (this.#turn + 1) % shown.length;
-      shown[this.#turn].draw(store);
+      if (this.#turn >= shown.length) {
+        if (now - this.#begunAt < EVERY_MS) return;
+        [this.#turn, this.#begunAt] = [0, now];
+      }
+      shown[this.#turn++].draw(store);
     }
   }
 
@@ -76,8 +89,9 @@ export class Strips {
 }
 
 class Strip {
+  figure = element("figure", "strip");
+  inView = false;
   #spec;
-  #figure;
   #values = [];
   #verdict = null; // says whether the value is good
   #frame; // what the plot fills
@@ -91,7 +105,6 @@ class Strip {
 
   constructor(container, spec, timeline) {
     [this.#spec, this.#timeline] = [spec, timeline];
-    this.#figure = element("figure", "strip");
     const caption = element("figcaption", "");
     caption.append(element("span", "title", spec.title));
     spec.names.forEach((name, i) => {
@@ -105,13 +118,13 @@ class Strip {
     if (spec.unit) caption.append(element("span", "unit", spec.unit));
     if (spec.good || spec.limit) caption.append(this.#verdict = element("span", "verdict"));
     this.#frame = element("div", "plot");
-    this.#figure.append(caption, this.#frame);
-    container.append(this.#figure);
+    this.figure.append(caption, this.#frame);
+    container.append(this.figure);
     this.#plot = this.#build();
   }
 
   get hidden() {
-    return this.#figure.hidden;
+    return this.figure.hidden;
   }
 
   get title() {
@@ -130,7 +143,7 @@ class Strip {
     if (shown && !limit?.listed) names.forEach((name, i) => (this.#values[i].parentElement.hidden = !told([name], estimate)));
     const hidden = !shown;
     if (hidden === this.hidden) return;
-    this.#figure.hidden = hidden;
+    this.figure.hidden = hidden;
     if (!hidden) this.resize();
   }
 
