@@ -254,6 +254,29 @@ def test_an_emulated_rig_that_was_starved_is_no_pads_fault(still, bus):
     still.until(lambda: still.text("reason").replace("\u00a0", " ").startswith(words), "whose fault it is")
 
 
+def test_what_speaks_against_an_estimate_is_shown(still, bus):
+    messages = rig_of(2, running=True, exploring=True, explored_s=8.0, reason="rocks the object")
+    messages["palm/estimate"] |= {"valid": False, "invalid_reasons": ["unexplained", "not-sharp"]}
+    opened(still, bus, messages)
+    still.until(lambda: all(part in still.text("reason") for part in ("rocks", "unexplained", "not-sharp")), "why")
+    messages["palm/estimate"] |= {"valid": True, "invalid_reasons": []}
+    still.until(lambda: still.text("reason") == "rocks the object", "no doubt")
+
+
+def test_plots_are_drawn_only_in_view_and_at_once_when_scrolled_to(still, bus):
+    still.resize(*SMALL)
+    opened(still, bus, rig_of(2))
+    drawn = """
+        const canvas = [...document.querySelectorAll(".strip:not([hidden]) canvas")].at(-1);
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return data.filter((each) => each).length;
+    """
+    still.until(lambda: still.text("fps").startswith(("2", "3")), "some pictures")
+    before = still.script(drawn)
+    still.script("[...document.querySelectorAll('.strip:not([hidden])')].at(-1).scrollIntoView()")
+    still.until(lambda: still.script(drawn) > before + 1000, "the last plot")
+
+
 def test_of_an_estimate_that_is_not_valid_no_figure_and_no_lens_is_shown(still, bus):
     messages = rig_of(2)
     opened(still, bus, messages)
