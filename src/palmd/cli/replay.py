@@ -40,8 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", type=int, choices=FRAMES, default=3, help="of each message; 2 leaves out the time (default: 3)"
     )
-    parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
-    parser.add_argument(
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
+    either.add_argument(
         "--check", action="store_true", help="compare with what the observer says now, and with the lifecycle's rules"
     )
 
