@@ -36,7 +36,6 @@ from palmd.yamlfile import ConfigError, load_any_config
 MOTION_START_S = 30.0
 LOOK_S = 0.1
 PROGRESS_S = 1.0
-SAME_AGAIN_S = 10.0  # that a line is not repeated for
 RECORDED_S = 300.0  # to pack the recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
@@ -122,8 +121,7 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
     """Does what an operator does, for so many seconds of motion or until the end is asked for."""
     operator = Operator()
     t_begin = time.monotonic()
-    t_progress = t_told = -math.inf
-    told = ""
+    t_progress = -math.inf
     while not stop.made:
         for message in stack.subscriber.until(time.monotonic() + LOOK_S):
             comparison.take(message)
@@ -140,10 +138,7 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
             comparison.started(t)
         if started is not None and t >= t_progress + PROGRESS_S:
             t_progress = t
-            line = comparison.progress(t)
-            said = line.partition(" s  ")[2]  # without the time
-            if said != told or t >= t_told + SAME_AGAIN_S:
-                t_told, told = t, said
+            if line := comparison.progress(t):
                 _tell(line)
 
 

@@ -20,6 +20,8 @@ LOOPS = 300  # of palm/loop, one a second
 TRUTHS = 100
 GRID_TICKS = 100
 LATE_S = 2e-3
+SAME_AGAIN_S = 10.0
+"""After which an unchanged line of progress is worth repeating (convention)."""
 PERIOD_S = 0.01
 _RADII = tuple(f"{name}_m" for name in RADII)
 
@@ -33,6 +35,7 @@ class AnyComparison(ABC):
         self.t_started: float | None = None
         self._state: Mapping[str, Any] = {}
         self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
+        self._shown, self._t_shown = "", -math.inf
 
     @property
     @abstractmethod
@@ -58,9 +61,18 @@ class AnyComparison(ABC):
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
         """One of the system's own."""
 
-    @abstractmethod
     def progress(self, t: float) -> str:
-        """One line on how it stands at t (s, monotonic clock)."""
+        """One line on how it stands at t (s, monotonic clock); empty for less than `SAME_AGAIN_S` of no change."""
+        parts = [f"{self._state.get('state', ''):8}", *self._progress()]
+        words = "  ".join(parts)
+        if words == self._shown and t < self._t_shown + SAME_AGAIN_S:
+            return ""
+        self._shown, self._t_shown = words, t
+        return f"{t - (self.t_started or t):5.0f} s  {words}"
+
+    @abstractmethod
+    def _progress(self) -> list[str]:
+        """What there is to say of it, but for the daemon's state."""
 
     @abstractmethod
     def summary(self) -> str:
@@ -132,9 +144,9 @@ class Comparison(AnyComparison):
             if t >= known[0, 0]:
                 self._scorer.compare(t, estimated, [float(np.interp(t, known[:, 0], each)) for each in known.T[1:]])
 
-    def progress(self, t: float) -> str:
-        """One line on how it stands at t (s, monotonic clock)."""
-        parts = [f"{t - (self.t_started or t):5.0f} s  {self._state.get('state', ''):8}"]
+    def _progress(self) -> list[str]:
+        """The estimate or why there is none, and grave faults."""
+        parts = []
         e = self._scorer.estimate
         if e.get("valid"):
             radii = " ".join(f"{e[name] * 1e3:.2f}" for name in _RADII)
@@ -151,7 +163,7 @@ class Comparison(AnyComparison):
         if self._stalled:
             grave.append(f"(the emulated rig got no processor for {max(self._stalled) * 1e3:.0f} ms)")
             self._stalled.clear()
-        return "  ".join(parts + grave)
+        return parts + grave
 
     def summary(self) -> str:
         """The closing line."""

@@ -74,11 +74,10 @@ class SettlingComparison(AnyComparison):
     def _errors(self) -> list[str]:
         """What came of the moments compared."""
 
-    def progress(self, t: float) -> str:
-        """One line: what is estimated or why not, and what the exploration does."""
-        since = 0.0 if self.t_started is None else t - self.t_started
+    def _progress(self) -> list[str]:
+        """What the exploration does, what is estimated or why not, and grave faults."""
         estimate, figures = self._estimate, self._outline()
-        parts = [f"{since:5.0f} s  {self._state.get('state', ''):8}"]
+        parts = []
         if self._state.get("exploring") and self._state.get("reason"):
             parts.append(f"exploring: {self._state['reason']}")
         if not estimate.get("valid"):
@@ -88,7 +87,7 @@ class SettlingComparison(AnyComparison):
         else:
             parts.append(f"{self.shape} ± {figures.sd_m * 1e6:.0f} µm (1σ) on {figures.touched:.0%}")
             parts.append(f"[truth: {figures.off_m * 1e6:.0f} µm RMS off]")
-        return "  ".join([*parts, *self._grave()])
+        return parts + self._grave()
 
     def summary(self) -> str:
         """The closing line."""

@@ -56,9 +56,11 @@ def test_the_surface_is_judged_after_the_best_turn(compared):
          h_sd_m=[2e-4] * len(TRUE_H))  # fmt: skip
     assert "surface 100 µm RMS on 49% touched directions (sd 200 µm)" in compared.summary()
     line = compared.progress(5.0)
+    assert not compared.progress(14.9)  # nothing has changed
+    assert compared.progress(15.0).lstrip().startswith("13 s")
     assert line.index("± 200 µm (1σ) on 49%") < line.index("truth: 100 µm")  # what a rig would show, the truth apart
     estimate(compared, 4.0, valid=False)
-    assert "µm" not in compared.progress(6.0)
+    assert "µm" not in compared.progress(16.0)
 
 
 def test_without_a_valid_estimate_it_says_why(compared):
