@@ -49,6 +49,17 @@ def test_every_page_has_its_folder_and_is_found_from_the_readme() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
+def test_decisions_are_called_by_their_number(page: str) -> None:
+    text = (ROOT / page).read_text()
+    for number, file in re.findall(r"\[(?:decisions? )?(\d+)\]\([^)]*decisions/(\d{4})-", text):
+        assert int(number) == int(file), f"{page} calls the record {file} decision {number}"
+    records = {int(record.name[:4]) for record in (ROOT / "docs/decisions").glob("*.md")}
+    replaced = "Replaces decision" in text and "/decisions/" in page
+    for numbers in re.findall(r"\b[Dd]ecisions? (\d+(?:(?:, | and )\d+)*)\b", text if not replaced else ""):
+        assert {int(number) for number in re.findall(r"\d+", numbers)} <= records, f"{page}: decisions {numbers}"
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_files_named_in_the_docs_exist(page: str) -> None:
     text = (ROOT / page).read_text()
     links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text)

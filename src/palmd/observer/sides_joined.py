@@ -1,4 +1,4 @@
-"""Rides on different sides told as one outline, by the corners they share and the readings between (decision 43)."""
+"""One outline from segments on different sides, by the corners they share and the readings between (decision 43)."""
 
 from __future__ import annotations
 
