@@ -17,7 +17,7 @@ from palmd.calibration.cylinder_session import within
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.linkage import found
 from palmd.config.any_config import AnyConfig
-from palmd.config.vibration import VibrationConfig, vibration_of
+from palmd.config.vibration import MOST_HZ, VibrationConfig, vibration_of
 from palmd.console.configured import any_configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.motion.shaking import shaking_of
@@ -26,7 +26,6 @@ from palmd.system.vibration import vibration_line
 FORMAT = 1
 FILE = "vibration.yaml"
 _MOST_M_S2 = 1e4  # (derivation: 1 m/s at 1.6 kHz, more than `rig.vibration` allows)
-_MOST_HZ = 5e3  # the most of `rig.vibration.frequency_hz`
 _MOST_SHARE = 0.5  # of a speed that its standard deviation may be (convention)
 
 
@@ -38,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="amplitude (peak, not RMS) of the pad's acceleration along the palm")  # fmt: skip
     add("--acceleration-sd-m-s2", type=within(_MOST_M_S2), required=True, metavar="SD",
         help="one standard deviation of it; includes the difference between the palms")  # fmt: skip
-    add("--frequency-hz", type=within(_MOST_HZ), required=True, metavar="F", help="of the vibration")
-    add("--frequency-sd-hz", type=within(_MOST_HZ), metavar="SD",
+    add("--frequency-hz", type=within(MOST_HZ), required=True, metavar="F", help="of the vibration")
+    add("--frequency-sd-hz", type=within(MOST_HZ), metavar="SD",
         help="one standard deviation of it (default: known exactly)")  # fmt: skip
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {FILE}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip

@@ -9,6 +9,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from palmd.config.fields import NotNegative, Plausible, Strict
 from palmd.system.vibration import VIBRATION_KEYS, VIBRATION_SD_KEYS, Relation, Vibration, VibrationLaw
 
+MOST_HZ = 5000.0  # of a shaker (convention: small ones have 200 to 280 Hz)
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
@@ -17,7 +18,7 @@ class VibrationConfig(Strict):
 
     relation: Relation = "independent"
     """Between the palms: `in_phase` moves both away from the hinge at once, `none`: no shaker, friction is dry."""
-    frequency_hz: Annotated[_Positive, Field(le=5000), Plausible(50, 1000)] | None = None
+    frequency_hz: Annotated[_Positive, Field(le=MOST_HZ), Plausible(50, 1000)] | None = None
     """Of both; palms that vibrate independently differ by 5 Hz or more."""
     frequency_sd_hz: NotNegative | None = None
     """How well the frequency is known, one sigma."""
