@@ -109,7 +109,7 @@ def test_it_runs_beside_busy_ports_and_ends_by_itself_with_a_summary(demo):
     assert status == (0 if settled else 3), out + err
     assert settled or "shape observer never settled" in out
     assert "palmd top --address tcp://127.0.0.1:" in err
-    assert re.search(r" [4-7] s  tracking", err), err
+    assert re.search(r" \d s  tracking", err), err  # a line that says nothing new is not repeated within 10 s
     (path,) = (running.here / "runs").iterdir()
     assert f"recorded in {path}\n" in err
     run = read_run(path)
@@ -184,7 +184,7 @@ def test_mujoco_moves_the_object_over_the_wires(demo):
     running = demo("--physics", "mujoco", "--seconds", "4", "--seed", "2", "--no-record")
     status, out, err = running.end()
     assert status in (0, 3), out + err  # whether it settles so soon is a matter of the processors
-    assert out.startswith("palmd demo: seed 2, ")
+    assert out.startswith("palmd demo: seed 2, "), err
     assert "rig off as calibration leaves one in MuJoCo" in out
     deepest = re.search(r"deepest penetration in MuJoCo: (\d\.\d) µm\n", err)
     assert deepest, err

@@ -537,7 +537,7 @@ def test_a_body_in_the_hand_is_not_drawn_through_the_pad(still, bus):
     told = [off | down[0], off | down[1], high | down[0], off | down[0] | {"touch1": True}]
     clear = still.script(
         "const [disc, told] = arguments;"
-        "return import('/pivot.js').then(({ clear }) => told.map((truth) => clear(disc, truth)))",
+        "return import('/pivotscene.js').then(({ clear }) => told.map((truth) => clear(disc, truth)))",
         disc, told,
     )  # fmt: skip
     assert clear == [False, True, True, True]

@@ -38,6 +38,7 @@ export class Scene {
   outdated = true; // whether to draw again even if nothing new is known
   #space = later(() => import("./space.js"), ({ SpaceView }) => new SpaceView(), () => this.#renew());
   #lens = later(() => import("./lens.js"), ({ Lens }) => new Lens(), () => this.#renew());
+  #others = SYSTEMS.map(({ drawing }) => later(drawing, ({ draw }) => draw, () => this.#renew()));
   #lensOn = false;
   #factor = 0; // of the lens; 0 while it shows nothing
   #pointer = null; // CSS pixels in the canvas; null while there is none
@@ -103,11 +104,11 @@ export class Scene {
   /** Draws what `store` knows at `now` (ms). */
   draw(store, now) {
     const estimate = store.get("palm/estimate");
-    const own = SYSTEMS.find(({ tells }) => tells(estimate));
-    if (own) {
+    const other = SYSTEMS.findIndex(({ tells }) => tells(estimate));
+    if (other >= 0) {
       this.outdated = false;
       this.#factor = 0;
-      own.draw(this, this.#context, store, now);
+      this.#others[other]()?.(this, this.#context, store, now);
       return;
     }
     this.#inSpace(inSpace(estimate));
