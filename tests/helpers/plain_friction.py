@@ -62,6 +62,12 @@ def rippled_directions(
     return mean, late[0] - late[1]
 
 
+def softened_direction(slip: Array, speed: Array, drive: Array) -> Array:
+    """Mean direction of each slip as if the palms vibrated as much more slowly as the ripple makes it steeper."""
+    swing = [np.sqrt(drive[i, i] ** 2 + drive[i, 1 - i] ** 2 / 3) / 4 for i in range(2)]
+    return mean_direction(np.array([u * np.sqrt(speed**2 + a**2) / speed**2 for u, a in zip(slip, swing, strict=True)]))
+
+
 def _swung(x: Array, share: Array) -> Array:
     """∫(sign − its mean), of a sign that is positive for a share of the period about x = 0; in periods."""
     x = x - np.floor(x.real + 0.5)

@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from plain_friction import SIGN_PAIRS, by_sign, mean_direction, positive, rippled_directions, sign_shares
+from plain_friction import (
+    SIGN_PAIRS,
+    by_sign,
+    mean_direction,
+    positive,
+    rippled_directions,
+    sign_shares,
+    softened_direction,
+)
 
 from palmd.events import FloatArray
 from palmd.model.friction import HOP_NOISE_S, LEAST_FORCE, RIPPLE_NOISE_S
@@ -54,8 +62,8 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
     return motion(x, palms, rig)[0]
 
 
-def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
-    """α0 (rad/s²) and what the law of friction leaves open of ω0 ((rad/s)²/s) by Newton–Euler.
+def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, Array]:
+    """α0 (rad/s²), what the law of friction leaves open of ω0 ((rad/s)²/s), and α0 of softened friction (rad/s²).
 
     Per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
     With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
@@ -100,7 +108,8 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
 
     kappa, transmission, averaged, half_period, kappa_off, transmission_off, period_off = rig[7:14]
     if averaged:
-        return np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2]), np.zeros(x.shape[1])
+        spin = np.asarray(solved(slip / np.sqrt(slip**2 + dither**2))[2])
+        return spin, np.zeros(x.shape[1]), spin
     kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
     half_period *= max(1.0 + period_off, 0.0)
     each = {signs: solved(signs) for signs in SIGN_PAIRS}
@@ -120,7 +129,8 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array]:
 
     spin, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
     steady, _ = averaged_over(mean_direction(slip / speed), np.zeros(x.shape[1]))
-    return spin, RIPPLE_NOISE_S * (spin - steady) ** 2 + HOP_NOISE_S * pulled**2
+    softened, _ = averaged_over(softened_direction(slip, speed, drive), np.zeros(x.shape[1]))
+    return spin, RIPPLE_NOISE_S * (spin - steady) ** 2 + HOP_NOISE_S * pulled**2, softened
 
 
 def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -130,13 +140,13 @@ def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _moved(x: Array, u: FloatArray) -> Array:
-    """ETDRK4 (Cox and Matthews 2002) with ω0's own rate taken exactly; with a rate of zero it is Runge–Kutta."""
+    """ETDRK4 (Cox and Matthews 2002), exact for softened friction's rate of ω0; with none it is Runge–Kutta."""
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
 
     def spin_at(off: float) -> Array:
         elsewhere = x.copy()
         elsewhere[Z.OMEGA0] += off
-        return spin_rate(elsewhere, palms, rig)
+        return motion(elsewhere, palms, rig)[2]
 
     h = _OWN_RATE_STEP
     own_rate = (8 * (spin_at(h) - spin_at(-h)) - (spin_at(2 * h) - spin_at(-2 * h))) / (12 * h)

@@ -146,7 +146,7 @@ def test_gradients_are_those_of_the_implicit_contact(curvatures: tuple[float, fl
     def y(at: np.ndarray) -> np.ndarray:
         return np.asarray(named(at, [*palms, *rig])[0]).ravel()
 
-    J = np.asarray(named(x, [*palms, *rig])[1])
+    J = np.asarray(named(x, [*palms, *rig])[1])[:, : len(x)]
     step = np.where(np.arange(len(x)) < Z.SHAPE, 1e-6, 1e-8)
     wanted = np.column_stack(
         [(y(x + step * e) - y(x - step * e)) / (2 * s) for e, s in zip(np.eye(len(x)), step, strict=True)]

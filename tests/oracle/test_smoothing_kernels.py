@@ -152,7 +152,7 @@ def test_sudden_braking_is_followed_to_high_order() -> None:
 def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_order() -> None:
     """Strong friction on the slowest vibration: slips of 0.3 V alternate by another 0.7 V.
 
-    With the strongest they alternate by all of V, and contacts come to stick within the step: it is coarser there.
+    With the strongest they alternate by all of V, and contacts come to stick within the step, which is coarser there.
     """
     angle, long, change = _error_of_step(0.2, 0.008, 0.1, DT, SLOWLY)
     _, short, _ = _error_of_step(0.2, 0.008, 0.1, DT / 2, SLOWLY)
@@ -160,7 +160,8 @@ def test_slips_that_alternate_past_the_vibrations_speed_are_followed_to_second_o
     assert abs(long) < 0.06 * abs(change)
     assert abs(short) < abs(long) / 4
     sticking, finer = (abs(_error_of_step(0.25, 0.008, 0.1, dt, SLOWLY)[1]) for dt in (DT, DT / 2))
-    assert finer < sticking / 4
+    assert sticking < 0.01  # rad/s
+    assert finer < sticking / 2
 
 
 def test_the_stiffest_braking_never_explodes() -> None:

@@ -75,6 +75,8 @@ class Motion:
 
     least: the least force on each contact within a vibration (m/s²). discrepancy: density ((rad/s)²/s) of what the law
     of friction leaves open of ω0, 0 where nothing vibrates; hopping: the part of it where contacts hop.
+    softened_alpha0: α0 with the directions `Averaged.softened`; its derivative in ω0 is the rate for
+    `exponential_step`. α0's own jumps where the ripple begins to stick, and the step would, too.
     """
 
     alpha0: SX
@@ -83,6 +85,7 @@ class Motion:
     least: tuple[SX, ...]
     discrepancy: SX
     hopping: SX
+    softened_alpha0: SX
 
     @property
     def forces(self) -> tuple[SX, SX]:
@@ -176,4 +179,5 @@ def newton_euler(
     alpha0, f1, f2 = moving(mean.directions)
     by_ripple = alpha0 - moving(mean.without_ripple)[0]
     hopping = HOP_NOISE_S * mean.pulled**2
-    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), RIPPLE_NOISE_S * by_ripple**2 + hopping, hopping)
+    discrepancy, softened_alpha0 = RIPPLE_NOISE_S * by_ripple**2 + hopping, moving(mean.softened)[0]
+    return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), discrepancy, hopping, softened_alpha0)

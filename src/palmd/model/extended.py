@@ -111,11 +111,12 @@ def predict_function() -> ca.Function:
         now = alpha + jerk * t
         return drift(ca.vertcat(moving, x[MOVING:]), now[0], now[1], rig)
 
-    damping = ca.jacobian(drift(x, alpha[0], alpha[1], rig)[X.OMEGA0], x[X.OMEGA0])
-    moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, damping)
+    beginning = _motion(x, alpha[0], alpha[1], rig)
+    braking = ca.jacobian(beginning.softened_alpha0, x[X.OMEGA0])
+    moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, braking)
     Q = SX.zeros(MOVING)
     Q[X.R1] = Q[X.R2] = Q[X.S1] = Q[X.S2] = Q_LENGTH
-    Q[X.OMEGA0] = Q_OMEGA0 + _motion(x, alpha[0], alpha[1], rig).discrepancy
+    Q[X.OMEGA0] = Q_OMEGA0 + beginning.discrepancy
     Q[X.OMEGA1] = Q[X.OMEGA2] = Q_PALM_RATE
     # only the moving rows of the transition differ from the identity
     top = J @ P

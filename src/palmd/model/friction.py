@@ -174,6 +174,16 @@ def drives(
     return one, two
 
 
+def softened_speeds(speed: Any, drive: Sequence[Sequence[Any]], xp: Any = ca) -> tuple[Any, Any]:
+    """V/√(1 + a_i²/V²) of each contact, with a_i² = (D_ii² + D_ij²/3)/16: in slow slip a ripple as if V were so small.
+
+    A ripple of a_i makes the mean direction steeper at u = 0 as √(V² − a_i²) for V would, and this is the same to
+    second order. Nothing in it jumps where the ripple begins to stick.
+    """
+    one, two = (speed / xp.sqrt(1 + (drive[i][i] ** 2 + drive[i][1 - i] ** 2 / 3) / (4 * speed) ** 2) for i in range(2))
+    return one, two
+
+
 def _swung(x: SX, share: SX) -> SX:
     """∫(s − σ) of a sign that is forward for a `share` of the period about x = 0; x and the integral in periods."""
     x = x - ca.floor(x + 0.5)
@@ -249,13 +259,15 @@ class Averaged:
     """What friction does in the mean over the vibration.
 
     directions: of friction at each contact, with which one solve of the contact equations gives the mean forces;
-    without_ripple: the same if the body's slip had no ripple. pair_forces, shares, wedged: normal forces (m/s²) and
-    share of time of each of `SIGN_PAIRS`, and whether the body is wedged then. transmission: λ, 0 with the averaged
-    law. pulled: see the function of that name.
+    without_ripple: the same if the body's slip had no ripple; softened: the same by `softened_speeds`, which vary with
+    the slips about as much as the ripple makes `directions` vary, and without jumps. pair_forces, shares, wedged:
+    normal forces (m/s²) and share of time of each of `SIGN_PAIRS`, and whether the body is wedged then. transmission:
+    λ, 0 with the averaged law. pulled: see the function of that name.
     """
 
     directions: tuple[SX, ...]
     without_ripple: tuple[SX, ...]
+    softened: tuple[SX, ...]
     pair_forces: tuple[tuple[SX, ...], ...]
     shares: tuple[SX, ...]
     wedged: tuple[SX, ...]
@@ -298,7 +310,11 @@ def averaged(
         shares = sign_shares(sigma, kappa, lag)
         return effective_directions(forces, sigma, shares, transmission), shares
 
-    found, shares = directions(*rippled_directions(slip, speed, drives(forces, mu, body), kappa, steps))
+    drive = drives(forces, mu, body)
+    found, shares = directions(*rippled_directions(slip, speed, drive, kappa, steps))
     steady, _ = directions([mean_direction(u / speed) for u in slip], SX(0))
+    slower = softened_speeds(speed, drive)
+    softened, _ = directions([mean_direction(u / v) for u, v in zip(slip, slower, strict=True)], SX(0))
     held = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
-    return Averaged(found, steady, forces, shares, held, transmission, transmission * pulled(forces, shares, mu, body))
+    hopping = transmission * pulled(forces, shares, mu, body)
+    return Averaged(found, steady, softened, forces, shares, held, transmission, hopping)

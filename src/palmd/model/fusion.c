@@ -165,13 +165,21 @@ typedef struct {
 
 static const double LEAST_SLACK = 0.05;
 
-static void surfaces_at(const Palms *palms, const RigError *rig, double t, double *motion) {
+/* by how much bowed surfaces make φ1 and φ2 larger at the last contacts, of constants of which `every`th counts */
+static void bows(const RigError *rig, const double *values, long every, double *more) {
   double slopes[JOINTS];
   for (int i = 0; i < JOINTS; i++)
-    slopes[i] = 4.0 * rig->values[SAGITTA + i] / rig->lengths[i] * (1.0 - 2.0 * (rig->s[i] / rig->lengths[i]));
+    slopes[i] = 4.0 * values[(SAGITTA + i) * every] / rig->lengths[i] * (1.0 - 2.0 * (rig->s[i] / rig->lengths[i]));
+  more[0] = slopes[0];
+  more[1] = -slopes[0] - slopes[1];
+}
+
+static void surfaces_at(const Palms *palms, const RigError *rig, double t, double *motion) {
+  double more[JOINTS];
+  bows(rig, rig->values, 1, more);
   palms_at(palms, t, motion);
-  motion[0] += rig->values[TILT] + slopes[0];
-  motion[1] += rig->values[TURN] - slopes[0] - slopes[1];
+  motion[0] += rig->values[TILT] + more[0];
+  motion[1] += rig->values[TURN] + more[1];
 }
 
 /* the force that a reading was taken under, of what it tells: NaN beyond the pad's scale */
@@ -182,21 +190,30 @@ static double pressing(const RigError *rig, long pad, double force) {
   return force;
 }
 
-static double corrected(const RigError *rig, const Reading *reading, double opening, double radius) {
-  const double *v = rig->values;
-  const int i = (int)reading->pad - 1;
-  const double s = (reading->s - v[ZERO + i] - v[FORCE + i] * reading->force) / (1.0 + v[SCALE + i]);
-  double height[JOINTS], slack = 1.0;
-  rig->s[i] = s;
-  for (int k = 0; k < JOINTS; k++) {
-    const double u = rig->s[k] / rig->lengths[k];
-    height[k] = v[STANDOFF + k] + 4.0 * v[SAGITTA + k] * (u * u);
-  }
+/* by how much a contact on palm `i` is farther from the hinge for each metre that a surface is higher there */
+static void lifts(const RigError *rig, int i, double opening, double radius, double *by) {
+  double slack = 1.0;
   if (rig->curvatures[0] != 0.0 || rig->curvatures[1] != 0.0) {
     opening -= rig->curvatures[0] * rig->s[0] + rig->curvatures[1] * rig->s[1];
     slack = fmax(1.0 - rig->curvatures[i] * radius, LEAST_SLACK);
   }
-  return s - (height[i] * cos(opening) + height[1 - i]) / sin(opening) / slack;
+  by[i] = cos(opening) / sin(opening) / slack;
+  by[1 - i] = 1.0 / sin(opening) / slack;
+}
+
+/* of palm `k`'s surface at its last contact: its height above the hinge line, of constants of which `every`th counts */
+static double height(const RigError *rig, int k, const double *values, long every) {
+  const double u = rig->s[k] / rig->lengths[k];
+  return values[(STANDOFF + k) * every] + 4.0 * values[(SAGITTA + k) * every] * (u * u);
+}
+
+static double corrected(const RigError *rig, const Reading *reading, double opening, double radius) {
+  const double *v = rig->values;
+  const int i = (int)reading->pad - 1;
+  double by[JOINTS];
+  rig->s[i] = (reading->s - v[ZERO + i] - v[FORCE + i] * reading->force) / (1.0 + v[SCALE + i]);
+  lifts(rig, i, opening, radius, by);
+  return rig->s[i] - by[0] * height(rig, 0, v, 1) - by[1] * height(rig, 1, v, 1);
 }
 
 /* ---- the bank: `observer.bank`, `observer.filters.shape_map` */
@@ -410,22 +427,15 @@ static void named_inputs(const Bank *bank, const Palms *palms, const RigError *r
   memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
 }
 
-/* NAMED of one filter, from `t` to `t + dt`, and the variance of each; `spread` (n, steps) is what the rig's constants
-   leave open besides, `uneven` what rounded goals do */
+/* NAMED of one filter, from `t` to `t + dt`, and the variance of each. `spread` (rows, steps) is what the rig's constants
+   leave open besides: of the n states, then of these constants themselves; `besides` is what nobody tells. */
 void named(const Bank *bank, const Palms *palms, const RigError *rig, long member, double t, double dt,
-           const double *spread, long steps, const double *uneven, double *y, double *variance) {
-  enum { PHI = 5, OMEGA = 6 }; /* of joint 1; of joint 2 two further on */
+           const double *spread, long rows, long steps, const double *besides, double *y, double *variance) {
+  enum { S = 3, PHI = 5, OMEGA = 6 }; /* S of palm 1, of palm 2 next; the others of joint 1, of joint 2 two further on */
   const long n = bank->n;
-  const double *x = bank->x[bank->now[0]] + member * n, *given = bank->P[bank->now[0]] + member * n * n;
-  double P[MOST_STATES * MOST_STATES], P_next[MOST_STATES * MOST_STATES], x_next[MOST_STATES], J[MOST_STATES * NAMED];
-  double u[1 + MOTION + JOINTS + RIG_INPUTS], angles[JOINTS], rates[JOINTS];
-  memcpy(P, given, n * n * sizeof *P);
-  for (long k = 0; k < steps; k++) {
-    double step[MOST_STATES];
-    for (long i = 0; i < n; i++) step[i] = spread[i * steps + k];
-    for (long i = 0; i < n; i++)
-      for (long j = 0; j < n; j++) P[i * n + j] += step[i] * step[j];
-  }
+  const double *x = bank->x[bank->now[0]] + member * n, *P = bank->P[bank->now[0]] + member * n * n;
+  double P_next[MOST_STATES * MOST_STATES], x_next[MOST_STATES], J[(MOST_STATES + JOINTS) * NAMED];
+  double u[1 + MOTION + JOINTS + RIG_INPUTS], angles[JOINTS], rates[JOINTS], more[JOINTS], by[JOINTS][JOINTS];
   prediction_inputs(bank, palms, rig, t, dt, u);
   const double *in[] = {x, P, u};
   double *out[] = {x_next, P_next};
@@ -447,7 +457,28 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
     variance[PHI + 2 * j] += angles[j];
     variance[OMEGA + 2 * j] += rates[j];
   }
-  for (int i = 0; i < NAMED; i++) variance[i] += uneven[i];
+  for (int i = 0; i < NAMED; i++) variance[i] += besides[i];
+  bows(rig, rig->values, 1, more);
+  for (int i = 0; i < JOINTS; i++) {
+    lifts(rig, i, y[PHI + 2], x_next[RADIUS], by[i]);
+    for (int k = 0; k < JOINTS; k++) y[S + i] += by[i][k] * height(rig, k, rig->values, 1);
+  }
+  for (int j = 0; j < JOINTS; j++) y[PHI + 2 * j] -= more[j];
+  for (long k = 0; k < steps; k++) {
+    double open[NAMED] = {0.0};
+    for (long a = 0; a < n; a++)
+      for (int i = 0; i < NAMED; i++) open[i] += J[a * NAMED + i] * spread[a * steps + k];
+    if (rows > n) {
+      const double *own = spread + n * steps + k;
+      bows(rig, own, steps, more);
+      for (int j = 0; j < JOINTS; j++)
+        for (int i = 0; i < NAMED; i++) open[i] += J[(n + j) * NAMED + i] * (own[(TILT + j) * steps] + more[j]);
+      for (int j = 0; j < JOINTS; j++) open[PHI + 2 * j] -= more[j];
+      for (int i = 0; i < JOINTS; i++)
+        for (int p = 0; p < JOINTS; p++) open[S + i] += by[i][p] * height(rig, p, own, steps);
+    }
+    for (int i = 0; i < NAMED; i++) variance[i] += open[i] * open[i];
+  }
 }
 
 /* One-sigma of the answers of rivals, whose score is within `margin` of the best's, about the best one's, weighted by

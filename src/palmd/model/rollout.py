@@ -15,7 +15,7 @@ from palmd.model.dynamics import Palms, newton_euler
 from palmd.model.integrate import exponential_step
 from palmd.model.kernels import of_columns
 from palmd.model.outputs import CURVATURE_INPUTS, RIG_INPUTS, touch_on
-from palmd.model.shape_map import N, Z, body_of, contacts_of, spin_acceleration
+from palmd.model.shape_map import N, Z, body_of, contacts_of, motion_of, spin_acceleration
 from palmd.model.symbolic import SX, ca
 from palmd.system.mechanism import OPENING, normal_directions
 
@@ -60,10 +60,10 @@ def _step_function(curved: bool) -> ca.Function:
         state = ca.vertcat(moving, x[2:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_on(move, t), rig, touch))
 
-    at_first = spin_acceleration(x, palms_on(move, SX(0)), rig, touch)
-    damping = ca.jacobian(at_first, x[Z.OMEGA0])
-    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
-    (at_first,) = touch.thawed(at_first)
+    beginning = motion_of(x, palms_on(move, SX(0)), rig, touch)
+    braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
+    moving, _ = exponential_step(rates, x, SX(STEP_S), [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
+    (at_first,) = touch.thawed(beginning.alpha0)
     after, palms = ca.vertcat(moving, x[2:]), palms_on(move, SX(STEP_S))
     touch = touch_on(rig, curved, ca.vertsplit(s))  # the step's own searches are behind it
     one, two = contacts_of(after, palms.angles, touch)

@@ -20,6 +20,7 @@ from palmd.model.shape_map import (
     N,
     Z,
     contacts_of,
+    motion_of,
     palms_after,
     spin_acceleration,
 )
@@ -51,8 +52,9 @@ def gather_function(curved: bool = False) -> ca.Function:
         state = ca.vertcat(moving, x[MOVING:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
-    damping = ca.jacobian(spin_acceleration(x, palms_after(palms, jerk, SX(0)), rig, touch), x[Z.OMEGA0])
-    _, J = exponential_step(rates, x, u[0], [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
+    beginning = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
+    braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
+    _, J = exponential_step(rates, x, u[0], [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
     outputs = [J @ transition, *touch.thawed(G_next)]
     return ca.Function("gather", [x, T, G, u], outputs, ["x", "T", "G", "u"], ["T_next", "G_next"])
 

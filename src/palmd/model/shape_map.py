@@ -89,8 +89,8 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
     beginning = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
-    damping = ca.jacobian(beginning.alpha0, x[Z.OMEGA0])
-    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, damping, touch)
+    braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
+    moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
     x_next = ca.vertcat(moved, x[2:])
     (discrepancy,) = touch.thawed(beginning.discrepancy)
     # only two rows of the transition differ from the identity
@@ -128,13 +128,14 @@ def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = 
 
 
 def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
-    """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in x."""
+    """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in (x, φ1, φ2)."""
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     palms, rig = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0)), u[PALM_INPUTS:]
     touch = touch_on(rig, curved)
     one, two = contacts_of(x, palms.angles, touch)
     y = named_outputs(palms, x[Z.OMEGA0], x[Z.PSI], one, two, body_of(x), rig)
-    return ca.Function("named", [x, u], touch.thawed(y, ca.jacobian(y, x)), ["x", "u"], ["y", "J"])
+    J = ca.horzcat(ca.jacobian(y, x), ca.jacobian(y, u)[:, : len(PALMS)])
+    return ca.Function("named", [x, u], touch.thawed(y, J), ["x", "u"], ["y", "J"])
 
 
 def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:

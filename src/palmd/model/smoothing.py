@@ -181,18 +181,23 @@ def step_function(form: Form = SMOOTH) -> ca.Function:
         now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lying)
         return ca.vertcat(moving[1], now.alpha0)
 
-    damping = ca.jacobian(_motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lying).alpha0, x[1])
-    moved, J = exponential_step(rates, y, dt, [0, 1], 1, damping, lying.touch)
+    beginning = _motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lying)
+    braking = ca.jacobian(beginning.softened_alpha0, x[1])
+    moved, J = exponential_step(rates, y, dt, [0, 1], 1, braking, lying.touch)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
 
-def hopping_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → how uncertain ω0 becomes as contacts hop ((rad/s)²/s)."""
+def discrepancy_function(form: Form = SMOOTH) -> ca.Function:
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → what is left open of ω0 ((rad/s)²/s).
+
+    By the law of friction in all, and by contacts that hop alone.
+    """
     x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
     palms, rig = palms_after(u[1:7], u[7:9], SX(0)), u[9:-2]
     lying = _Lying(form.outline, touch_on(rig, form.curved), u[-2:])
-    left_open = _motion(x[0], x[1], p, palms, rig, lying).hopping
-    return ca.Function("hopping", [x, p, u], lying.touch.thawed(left_open), ["x", "p", "u"], ["q"])
+    motion = _motion(x[0], x[1], p, palms, rig, lying)
+    left_open = ca.vertcat(motion.discrepancy, motion.hopping)
+    return ca.Function("discrepancy", [x, p, u], lying.touch.thawed(left_open), ["x", "p", "u"], ["q"])
 
 
 def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
@@ -239,13 +244,13 @@ def _kernels(form: Form) -> list[Kernel]:
     step = step_function(form)
     x, p, u = (ca.SX.sym(step.name_in(i), *step.size_in(i)) for i in range(step.n_in()))
     advance = ca.Function("advance", [x, p, u], [step(x, p, u)[0]], ["x", "p", "u"], ["x_next"])
-    batched = (step, hopping_function(form), contact_function(form), force_function(form))
+    batched = (step, discrepancy_function(form), contact_function(form), force_function(form))
     return [*(of_columns(f, f"{f.name()}_batch", ["p"]) for f in batched), single(advance)]
 
 
 @cache
 def library(curved: bool = False) -> Library:
-    """step, hopping, contact, force, `_batch` each: of columns with the same p; `advance`: a step, no Jacobian."""
+    """step, discrepancy, contact, force, `_batch` each: of columns with the same p; `advance`: a step, no Jacobian."""
     return kernels("smoothing_curved", Form(curved=True)) if curved else kernels("smoothing", SMOOTH)
 
 

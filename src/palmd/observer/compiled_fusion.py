@@ -120,7 +120,7 @@ class Routines:
         self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
         self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, gives=integer)
         told = (pointer, pointer, pointer)
-        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, *told)
+        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, integer, *told)
         self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, gives=integer)
         self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
         self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
@@ -205,10 +205,11 @@ class CompiledRig:
 class CompiledBank:
     """What a bank of shape maps does with readings; `rig` is what `ShapeFilters.rig_error` says of the rig."""
 
-    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, uneven: FloatArray):
+    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, besides: Sequence[FloatArray]):
         """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there.
 
-        `uneven` are variances of `NAMED` that are added to what is told.
+        `besides` are variances of `NAMED` that are added to what is told: where it is open what the rig's constants
+        are, and where a smoother has told that.
         """
         if bank.n > MOST_STATES:
             raise ValueError(f"there is room for {MOST_STATES} states, not {bank.n}")
@@ -224,8 +225,8 @@ class CompiledBank:
             *map(routines.address, kernels), *arrays, ctypes.addressof(now), bank.n, bank.block, bank.memory_s
         )
         self.address = ctypes.addressof(self._now)
-        self._y, self._variance, self._uneven = _Named(), _Named(), _Named(*uneven)
-        self._told = tuple(map(ctypes.addressof, (self._uneven, self._y, self._variance)))
+        self._y, self._variance, self._besides = _Named(), _Named(), tuple(_Named(*each) for each in besides)
+        self._told = tuple(map(ctypes.addressof, (self._y, self._variance)))
         self._apart = _Named()
         self._apart_at = ctypes.addressof(self._apart)
         self._spread, self._rows = _Rows(), _Rows()
@@ -290,10 +291,11 @@ class CompiledBank:
     ) -> tuple[list[float], list[float]]:
         """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`.
 
-        `spread` has a row for each of the filter's states, and may have more.
+        `spread` has a row for each of the filter's states, and perhaps one for each of the rig's constants.
         """
-        by = (None, 0) if spread is None else (self._spread.at(spread), spread.shape[1])
-        self.does.named(self.address, palms.address, rig.address, member, t, dt, *by, *self._told)
+        by = (None, 0, 0) if spread is None else (self._spread.at(spread), *spread.shape)
+        besides = ctypes.addressof(self._besides[spread is not None])
+        self.does.named(self.address, palms.address, rig.address, member, t, dt, *by, besides, *self._told)
         return self._y[:], self._variance[:]
 
     def disagreement(

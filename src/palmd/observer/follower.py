@@ -145,21 +145,27 @@ class Follower:
         return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
 
     def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
+        """What explains the readings, the law of friction doubted only where it does not by itself.
+
+        A doubt from the beginning takes its explanation for what the law leaves open, and answers creep away.
+        """
         present = self._open
         known = self._chain.known(guess.p)
-        search = Search(
-            segment, self._rig, PATIENCE, known, present.start, present.resting_since, self._belief, self._most_forces
-        )
-        finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p))
-        # palms at rest are no reason for doubt here
-        if finding is None or not (finding.fits[0].settled and explained(finding.fits[0], finding.record)):
-            return None
-        return Answer(search, self._judged(search, finding))
+        for doubting in (False, True):
+            search = Search(
+                segment, self._rig, PATIENCE, known, present.start, present.resting_since, self._belief,
+                self._most_forces,
+            )  # fmt: skip
+            finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p), doubting)
+            # palms at rest are no reason for doubt here
+            if finding is not None and finding.fits[0].settled and explained(finding.fits[0], finding.record):
+                return Answer(search, finding if doubting else self._judged(search, finding))
+        return None
 
     def _judged(self, search: Search, finding: Minima) -> Minima:
         """With steps uncertain in which contacts hop."""
         best = finding.fits[0]
-        record = Smoother(search.library, finding.record, search.known).judged(best.guess)
+        record = Smoother(search.library, finding.record, search.known).judged(best.guess, ripple=False)
         if not record.left_open.any():
             return finding
         fit = Smoother(search.library, record, search.known).fit(best.guess, best.noise)
@@ -179,8 +185,10 @@ class Follower:
         self.touched = self._closed | marks_of(felt_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
 
     def _close(self, answer: Answer, first: int, last: int) -> None:
-        """The steps from node `first` to node `last` become a segment."""
-        record, guess = answer.finding.record.between(first, last), answer.finding.fits[0].guess
+        """The steps from node `first` to node `last` become a segment, as sure as the law of friction lets them be."""
+        guess, search = answer.finding.fits[0].guess, answer.search
+        doubted = Smoother(search.library, answer.finding.record, search.known).judged(guess, ripple=True)
+        record = doubted.between(first, last)
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
         self._closed = self._closed | marks_of(felt_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))

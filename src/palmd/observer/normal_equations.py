@@ -253,14 +253,15 @@ class Residuals:
         self._take(guess)
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
-    def hopping(self, guess: Guess) -> FloatArray:
-        """How uncertain ω0 becomes in each step as contacts hop within a vibration ((rad/s)²/s)."""
-        steps, found = len(self.record.dt), np.zeros(len(self._a) + 1)
+    def discrepancy(self, guess: Guess, ripple: bool) -> FloatArray:
+        """What the law of friction leaves open of ω0 in each step ((rad/s)²/s), without `ripple` by hopping alone."""
+        steps, found = len(self.record.dt), np.zeros((len(self._a) + 1, 2))
         self._take(guess)
         self._a[:steps] = guess.x[:-1]
-        self._library.bind("hopping_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
+        self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
         found[steps:] = 0.0
-        return np.minimum(np.nan_to_num(found[: steps + 1], nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
+        left_open = found[: steps + 1, 0 if ripple else 1]
+        return np.minimum(np.nan_to_num(left_open, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
 
     def contacts(self, guess: Guess) -> FloatArray:
         """Each contact reading less its prediction, in sigmas of its noise."""

@@ -28,11 +28,33 @@ class RigError:
 
     def angles(self) -> tuple[float, float]:
         """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
-        v = self.values.tolist()
-        slopes = [
-            4.0 * v[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i)) for i, length in enumerate(self.pad_lengths)
-        ]
-        return v[R.TILT] + slopes[0], v[R.TURN] - slopes[0] - slopes[1]
+        one, two = self.bows(self.values)
+        return float(self.values[R.TILT] + one), float(self.values[R.TURN] + two)
+
+    def bows(self, values: FloatArray) -> FloatArray:
+        """By how much bowed surfaces make φ1 and φ2 larger at the last contacts (rad), of constants (RIG, …)."""
+        one, two = (
+            4.0 * values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i)) for i, length in enumerate(self.pad_lengths)
+        )
+        return np.array([one, -one - two])
+
+    def heights(self, values: FloatArray) -> FloatArray:
+        """How far both surfaces lie above the hinge line at the last contacts (m), of constants (RIG, …)."""
+        return np.array([values[R.STANDOFF + k] + 4.0 * values[R.SAGITTA + k] * self._u(k) ** 2 for k in range(2)])
+
+    def lifts(self, palm: int, opening: float, radius: float) -> FloatArray:
+        """By how much a contact on `palm` (0, 1) is farther from the hinge for each metre that a surface is higher.
+
+        opening: φ2 as in `angles`. radius (m): of the object, about; a curved palm's contact goes by 1/(1 − κ·radius)
+        farther than a flat one's.
+        """
+        slack = 1.0
+        if any(self.curvatures):
+            opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
+            slack = max(1.0 - self.curvatures[palm] * radius, LEAST_SLACK)
+        by = np.full(len(PALMS), 1.0 / math.sin(opening) / slack)
+        by[palm] = math.cos(opening) / math.sin(opening) / slack
+        return by
 
     def on_time(self, sample: PadSample) -> PadSample:
         """The reading at the time of what it tells."""
@@ -47,21 +69,11 @@ class RigError:
         return float(self.most[sample.pad - 1])
 
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
-        """The distance (m) that the pad would tell, had it no error and lay on the hinge line; φ2 as in `angles`.
-
-        `radius` (m) of the object, about: a curved palm's contact goes by 1/(1 − κ·radius) farther than a flat one's.
-        """
+        """The distance (m) that the pad would tell, had it no error and lay on the hinge line; others as in `lifts`."""
         i, v = sample.pad - 1, self.values
         pushed = v[R.FORCE + i] * self.pressing(sample)
-        s = (sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i])
-        self.s[i] = float(s)
-        own, other = (v[R.STANDOFF + k] + 4.0 * v[R.SAGITTA + k] * self._u(k) ** 2 for k in (i, 1 - i))
-        kappa = self.curvatures[i]
-        if kappa or self.curvatures[1 - i]:
-            opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
-            slack = max(1.0 - kappa * radius, LEAST_SLACK)
-            return float(s - (own * math.cos(opening) + other) / math.sin(opening) / slack)
-        return float(s - (own * math.cos(opening) + other) / math.sin(opening))
+        self.s[i] = s = float((sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i]))
+        return float(s - self.lifts(i, opening, radius) @ self.heights(v))
 
     def _u(self, pad: int) -> float:
         return float(self.s[pad]) / self.pad_lengths[pad]

@@ -219,8 +219,14 @@ class Search:
         """
         return self._gone_on_from(guesses, self._at_once(guesses))
 
-    def followed(self, guess: Guess) -> Minima | None:
-        """As `resumed`, contacts pressed as the model has it where that foretells the readings."""
+    def followed(self, guess: Guess, doubting: bool) -> Minima | None:
+        """As `resumed`, contacts pressed as the model has it where that foretells the readings.
+
+        doubting: the steps are as uncertain as the law of friction is along the motion that the model foretells.
+        """
+        if doubting:
+            smoother = Smoother(self.library, self.record, self.known)
+            self.record = smoother.judged(smoother.completed(guess), ripple=True)
         return self._gone_on_from([guess], self._at_once([guess], pressed=True))
 
     def _gone_on_from(self, guesses: Sequence[Guess], at_once: Minima | None) -> Minima | None:

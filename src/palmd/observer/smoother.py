@@ -165,9 +165,13 @@ class Smoother:
         """The record, its contacts pressed as the model has it at `guess` rather than as the pads tell it."""
         return self._residuals.record.pressed_by(self._residuals.pressing(guess))
 
-    def judged(self, guess: Guess) -> Record:
-        """The record, its steps as uncertain as contacts that hop make them at `guess`."""
-        return replace(self._residuals.record, left_open=self._residuals.hopping(guess))
+    def judged(self, guess: Guess, ripple: bool) -> Record:
+        """The record, its steps as uncertain as the law of friction at `guess`, without `ripple` where contacts hop.
+
+        Of motions and constants together the least cost is that of a body so heavy that uncertain steps alone turn it:
+        with `ripple` nothing but what is known beforehand speaks against it.
+        """
+        return replace(self._residuals.record, left_open=self._residuals.discrepancy(guess, ripple))
 
     def places(self, guess: Guess) -> FloatArray:
         """What each contact reading would be without noise (m)."""

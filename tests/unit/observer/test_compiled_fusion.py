@@ -153,6 +153,44 @@ def test_named_values_and_their_variances_are_the_twins(kind, left_by):
             np.testing.assert_allclose(got, wanted, rtol=1e-10, atol=1e-12 * np.abs(wanted).max())
 
 
+@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize("constant", [R.TILT, R.TURN, R.STANDOFF, R.STANDOFF + 1, R.SAGITTA, R.SAGITTA + 1])
+def test_what_a_constant_of_the_rig_leaves_open_is_what_it_changes(kind, constant):
+    """The variance that a step of a constant and of the state with it adds, by doing it."""
+    filters, palms = pair(RIGS[kind], 1, ORDER)
+    each, tracked = filters[0], palms[0]
+    n, random = each.bank.n, np.random.default_rng(3)
+    step = np.zeros((n + RIG_CONSTANTS, 1))
+    step[[Z.PSI, Z.LN_RHO], 0], step[n + constant, 0] = 1e-5 * random.standard_normal(2), 1e-5
+    each.spread, each.bank.P[:] = np.zeros_like(step), 0.0  # large ones would leave no digits to the difference
+    _, least = each.named(0, 0.03, 0.0, tracked)
+    found, at = [], each.bank.x[0].copy()
+    for side in (1.0, -1.0):
+        each.bank.x[0] = at + side * step[:n, 0]
+        each.rig_error.values[constant] += side * 1e-5
+        found.append(each.named(0, 0.03, 0.0, tracked)[0])
+        each.rig_error.values[constant] -= side * 1e-5
+    each.bank.x[0], each.spread = at, step
+    _, more = each.named(0, 0.03, 0.0, tracked)
+    wanted = (np.subtract(*found) / 2) ** 2
+    np.testing.assert_allclose(np.subtract(more, least), wanted, rtol=2e-3, atol=1e-5 * wanted.max())
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_a_calibration_leaves_open_of_the_angles_is_told_before_a_smoother_says_more(compiled):
+    rig = replace(RIGS["flat"], angle_sd=2e-3, gravity_sd=3e-3)
+    filters = ShapeFilters(rig, 1, compiled=compiled)
+    filters.bank.x[:, Z.SHAPE] = 0.02
+    palms = filters.tracker(2e-4)
+    palms.feed(PalmSample(0.0, (0.8, 1.6), (0.0, 0.0), (0.0, 0.0)))
+    angles = [NAMED.index(name) for name in ("phi1", "phi2")]
+    before = np.array(filters.named(0, 0.0, 0.001, palms)[1])[angles]
+    filters.spread = np.zeros((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
+    after = np.array(filters.named(0, 0.0, 0.001, palms)[1])[angles]
+    assert before - after == pytest.approx([4e-6, 4e-6])
+    assert after[0] - after[1] == pytest.approx(9e-6)
+
+
 @pytest.mark.parametrize("one_gauge", [True, False])
 @pytest.mark.parametrize("kind", RIGS)
 def test_by_how_much_rivals_disagree_is_the_twins(kind, one_gauge):

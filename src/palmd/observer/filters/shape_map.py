@@ -28,7 +28,7 @@ from palmd.observer.palms import PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
 from palmd.observer.rig_error import RigError
 from palmd.system.description import RigDescription
-from palmd.system.mechanism import JOINT_RATES, JOINTS, OPENING
+from palmd.system.mechanism import CONTACTS, JOINT_RATES, JOINTS, OPENING, PALMS
 
 _LOW, _HIGH = slice(0, shape_map.N), slice(shape_map.N, None)
 
@@ -52,6 +52,7 @@ def _gain(P: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(P[_HIGH, _HIGH], P[_HIGH, _LOW]).T)
 
 
+_ANGLES, _CONTACTS = ([NAMED.index(name) for name in names] for names in (JOINTS, CONTACTS))
 _JOINTS_AT = [NAMED.index(name) for name in (*JOINTS, *JOINT_RATES)]
 BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 
@@ -85,8 +86,11 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        self._uneven = np.zeros(len(NAMED))  # variances
-        self._uneven[_JOINTS_AT] = np.ravel(rig.uneven) ** 2
+        # variances: where nothing is told of what the rig's constants are, and where something is
+        self._besides = np.zeros((2, len(NAMED)))
+        self._besides[:, _JOINTS_AT] = np.ravel(rig.uneven) ** 2
+        self._besides[:, _ANGLES[0]] += rig.gravity_sd**2  # readings tell φ1 about gravity, not about the rig
+        self._besides[0, _ANGLES] += rig.angle_sd**2
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
         update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
         self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
@@ -95,14 +99,14 @@ class ShapeFilters:
         self._x_next, self._P_next = np.zeros(n), np.zeros((n, n))
         self._u = np.zeros(shape_map.PREDICTION_INPUTS)
         self._v = np.zeros(shape_map.PALM_INPUTS + RIG_INPUTS)
-        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n, len(NAMED)))
+        self._y, self._J = np.zeros(len(NAMED)), np.zeros((n + len(PALMS), len(NAMED)))
         self._predict = library.bind("predict", [self._x, self._P, self._u], [self._x_next, self._P_next])
         self._named = library.bind("named", [self._x_next, self._v], [self._y, self._J])
         self.curvature = np.zeros((CURVATURE_NORMALS, n))
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
         self._routines = Routines(library) if compiled and library.path is not None else None
         self.compiled = (
-            None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig, self._uneven)
+            None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig, tuple(self._besides))
         )
         self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
@@ -219,16 +223,29 @@ class ShapeFilters:
     def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
             return self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
-        self._x[:], self._P[:] = self.bank.x[member], self._whole(member)
+        self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
         self._predict()
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
-        variance = ((self._P_next @ self._J) * self._J).sum(axis=0)
+        n, error, y, spread = self.bank.n, self.rig_error, self._y, self._open()
+        J, by_angles = self._J[:n], self._J[n:]
+        variance = ((self._P_next @ J) * J).sum(axis=0)
         variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
-        variance += self._uneven
-        return self._y.tolist(), variance.tolist()
+        variance += self._besides[int(spread is not None)]
+        by = np.array([error.lifts(k, y[_ANGLES[1]], self._x_next[shape_map.Z.SHAPE]) for k in range(len(PALMS))])
+        y[_CONTACTS] += by @ error.heights(error.values)
+        y[_ANGLES] -= error.bows(error.values)  # a palm's, not its surface's where it is touched
+        if spread is not None:
+            left = J.T @ spread[:n]
+            if len(own := spread[n:]):
+                bows = error.bows(own)
+                left += by_angles.T @ (own[[R.TILT, R.TURN]] + bows)
+                left[_ANGLES] -= bows
+                left[_CONTACTS] += by @ error.heights(own)
+            variance += (left**2).sum(axis=1)
+        return y.tolist(), variance.tolist()
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
         return self.bank.values(self._palms_at(t, palms), self._rig_now())
