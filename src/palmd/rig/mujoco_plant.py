@@ -22,6 +22,7 @@ import numpy as np
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.ellipses import ellipse_of
 from palmd.rig.imperfections import PERFECT, Imperfections
+from palmd.rig.mean_turning import MeanTurning
 from palmd.rig.plant import (
     AS_ASSUMED,
     PAD_LENGTH,
@@ -35,7 +36,7 @@ from palmd.rig.plant import (
 )
 from palmd.rig.shaker import STILL, Shaker, Shaking
 from palmd.rig.shapes import Body
-from palmd.rig.vibrating_plant import FORCE_LAG_S, MOTION_LAG_S
+from palmd.rig.vibrating_plant import FORCE_LAG_S
 from palmd.system.mechanism import PALMS
 
 STEP_S = 25e-6
@@ -141,7 +142,7 @@ class MujocoPlant(Plant):
         self._palms = PalmMotion.at_rest((0.0,) * len(PALMS))
         self._t_touched = [-math.inf] * len(PALMS)
         self._once = self._twice = np.zeros(len(PALMS))  # lagging forces (N)
-        self._turning = (0.0, 0.0)  # lagging rates (rad/s)
+        self._turning = MeanTurning(shaking.period_s) if shaking else None
         self.penetration_m = 0.0
         """The deepest so far."""
         self.step_forces: FloatArray = np.zeros(len(PALMS))
@@ -167,7 +168,8 @@ class MujocoPlant(Plant):
         data.qpos[self._object], data.qvel[self._object] = (q.x, q.y, q.psi), (q.vx, q.vy, q.omega0)
         self._palms = palms
         self._t_touched = [self._t] * len(PALMS)
-        self._turning = (q.omega0, q.omega0)
+        if self._turning:
+            self._turning.begin(self._t, q.psi, q.omega0)
         self._once = self._twice = self.step_forces = self.body.mass * np.array(self._rates[3:])
         for palm, side, force, shaker in zip(PALMS, _SIDES, self._once, self._shakers, strict=True):
             if math.isfinite(shaker.mount.mass):  # the mounts bear the body as it lies there
@@ -197,9 +199,8 @@ class MujocoPlant(Plant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple that the vibration gives it: smoothed, corrected for its lag."""
-        once, twice = self._turning
-        return 2.0 * once - twice
+        """The body's rate (rad/s) without the ripple that the vibration gives it."""
+        return self._turning.rate if self._turning else self.state.omega0
 
     # -- going on -----------------------------------------------------------------------------------------
 
@@ -243,14 +244,13 @@ class MujocoPlant(Plant):
 
     def _take_over(self, dt: float) -> None:
         """The state that everything else here looks at, from the engine's."""
-        q, data, forces, psi = self.state, self._data, self.step_forces, self.state.psi
+        q, data, forces = self.state, self._data, self.step_forces
         q.x, q.y, q.psi = data.qpos[self._object].tolist()
         q.vx, q.vy, q.omega0 = data.qvel[self._object].tolist()
         self._once = self._once + dt / FORCE_LAG_S * (forces - self._once)
         self._twice = self._twice + dt / FORCE_LAG_S * (self._once - self._twice)
-        once, twice = self._turning
-        once += dt / MOTION_LAG_S * ((q.psi - psi) / dt - once)
-        self._turning = once, twice + dt / MOTION_LAG_S * (once - twice)
+        if self._turning:
+            self._turning.take(self._t, q.psi)
         self._t_touched = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_touched, strict=True)]
         if data.ncon:
             self.penetration_m = max(self.penetration_m, -float(data.contact.dist.min()))

@@ -82,6 +82,11 @@ class Shaking:
     relation: Relation
     palms: tuple[Shaker, ...]
 
+    @property
+    def period_s(self) -> float:
+        """The mean of both palms'."""
+        return sum(1.0 / palm.frequency for palm in self.palms) / len(self.palms)
+
 
 def drawn_shaking(
     known: Vibration, rng: np.random.Generator, *, speed: float, pure: bool = False, body_mass: float = 0.1

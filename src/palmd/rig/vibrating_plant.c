@@ -26,7 +26,7 @@ typedef struct {
 typedef struct { /* of one body on one rig */
   const double (*table)[4];
   double rho2, damping, gravity, shake, shaking_hz[SHAKING], travel, base[2];
-  double drift_rate, soft_blow, parting, lost_distance, longest_step, force_lag, motion_lag;
+  double drift_rate, soft_blow, parting, lost_distance, longest_step, force_lag;
   Palm palms[CONTACTS];
   long arc;
 } Scene;
@@ -44,7 +44,7 @@ typedef struct {
   Rates rates;
   double t, fallen, on[CONTACTS], mode[CONTACTS], theta[CONTACTS], preload[CONTACTS];
   double s[CONTACTS], r[CONTACTS], force[CONTACTS], least[CONTACTS], reversals[CONTACTS], stuck_s[CONTACTS];
-  double slow[2][CONTACTS], turning[2]; /* low-passed forces and rate of turning, by two stages each */
+  double slow[2][CONTACTS]; /* low-passed forces, by two stages */
 } Body;
 
 typedef struct {
@@ -497,14 +497,12 @@ static void stepped(const Scene *scene, Body *body, const Motion *motion, double
   for (int k = 0; k < pieces && !body->fallen; k++)
     go_on(scene, body, motion, (t + (k + 1) * dt / pieces) - body->t, &palms, &frame);
   body->t = t + dt;
-  const double share = 1.0 - exp(-dt / scene->force_lag), turn = 1.0 - exp(-dt / scene->motion_lag);
+  const double share = 1.0 - exp(-dt / scene->force_lag);
   for (int i = 0; i < CONTACTS; i++) {
     body->force[i] /= dt;
     body->slow[0][i] += share * (body->force[i] - body->slow[0][i]);
     body->slow[1][i] += share * (body->slow[0][i] - body->slow[1][i]);
   }
-  body->turning[0] += turn * (body->state.w - body->turning[0]);
-  body->turning[1] += turn * (body->turning[0] - body->turning[1]);
 }
 
 /* The beginning: a body that was placed, both contacts closed, slipping as the palms vibrate. */
@@ -521,7 +519,6 @@ void vibrating_plant_place(const Scene *scene, Body *body, const Palms *palms) {
     body->preload[i] = body->rates.f[i], body->force[i] = body->rates.f[i];
     body->slow[0][i] = body->slow[1][i] = body->rates.f[i];
   }
-  body->turning[0] = body->turning[1] = body->state.w;
   settle(scene, body, palms, body->t);
 }
 

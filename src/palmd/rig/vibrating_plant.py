@@ -25,6 +25,7 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.rig.compiled_plant import ROW, ContactBounds, Drive, PackedRun, loaded
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.imperfections import PERFECT, Imperfections
+from palmd.rig.mean_turning import MeanTurning
 from palmd.rig.plant import (
     _DRIFT_RATE,
     _LOST_DISTANCE,
@@ -44,8 +45,8 @@ from palmd.rig.shapes import Body, Support
 from palmd.system.arcs import FLAT
 
 STEPS_PER_PERIOD = 80
-FORCE_LAG_S, MOTION_LAG_S = 2.5e-3, 0.010
-"""Of each of two stages that make means over the vibration: of the pads' forces, and of the turning that is told."""
+FORCE_LAG_S = 2.5e-3
+"""Of each of two stages that make means of the pads' forces over the vibration."""
 _CONTACTS = 2
 _STEPS_PER_RESONANCE = 12.0  # of a mount
 
@@ -72,7 +73,7 @@ class _VibratingScene(ctypes.Structure):
         ("shaking_hz", ctypes.c_double * len(_SHAKING_HZ)),
         *_doubles("travel"),
         *_pairs("base"),
-        *_doubles("drift_rate", "soft_blow", "parting", "lost_distance", "longest_step", "force_lag", "motion_lag"),
+        *_doubles("drift_rate", "soft_blow", "parting", "lost_distance", "longest_step", "force_lag"),
         ("palms", _Palm * _CONTACTS),
         ("arc", ctypes.c_long),
     )
@@ -86,7 +87,7 @@ class _Body(ctypes.Structure):
         *_pairs("f", "given", "ratio"),
         *_doubles("t", "fallen"),
         *_pairs("on", "mode", "theta", "preload", "s", "r", "force", "least", "reversals", "stuck_s"),
-        *_pairs("first_stage", "second_stage", "turning"),
+        *_pairs("first_stage", "second_stage"),
     )
 
 
@@ -114,6 +115,7 @@ class VibratingPlant(CurvedPlant):
         if not resolves(body):
             raise ValueError("resolving a vibration takes a C compiler and a smooth body")
         self.shaking = shaking
+        self._turning = MeanTurning(shaking.period_s)
         self._t_touched = [-math.inf] * _CONTACTS
         super().__init__(
             body, hinge, surface, curvatures,
@@ -129,6 +131,7 @@ class VibratingPlant(CurvedPlant):
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
         self._t_touched = [self._t] * _CONTACTS
+        self._turning.begin(self._t, q.psi, q.omega0)
         self._scene.place(self._memory, palms)
         self._take_over()
 
@@ -160,9 +163,8 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple that the vibration gives it: smoothed, corrected for its lag."""
-        first, second = self._memory.turning
-        return float(2.0 * first - second)
+        """The body's rate (rad/s) without the ripple that the vibration gives it."""
+        return self._turning.rate
 
     @property
     def reversals(self) -> tuple[float, float]:
@@ -183,6 +185,7 @@ class VibratingPlant(CurvedPlant):
         if self.fallen:
             return
         self._scene.advance(self._memory, middle, end, dt)
+        self._turning.take(self._t, self._memory.psi)
         for i in range(_CONTACTS):
             if self._memory.on[i] or self._memory.force[i] > 0.0:
                 self._t_touched[i] = self._t
@@ -214,7 +217,7 @@ class VibratingPlant(CurvedPlant):
             "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity, "shake": self._shake,
             "shaking_hz": _SHAKING_HZ, "travel": travel, "base": base, "drift_rate": _DRIFT_RATE,
             "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
-            "longest_step": min(steps), "force_lag": FORCE_LAG_S, "motion_lag": MOTION_LAG_S,
+            "longest_step": min(steps), "force_lag": FORCE_LAG_S,
             "arc": mode == "arc",
         }  # fmt: skip
         support = self.body.support
