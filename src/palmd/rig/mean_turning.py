@@ -13,13 +13,12 @@ class MeanTurning:
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        self._rate = 0.0
-        self._t: list[float] = []
-        self._psi: list[float] = []
+        self.begin(0.0, 0.0, 0.0)
 
     def begin(self, t: float, psi: float, rate: float) -> None:
         """The body is put there at `t` (s), turned by `psi` (rad) and turning at `rate` (rad/s)."""
-        self._rate, self._t, self._psi = rate, [t], [psi]
+        self._rate = rate
+        self._t, self._psi = [t], [psi]
 
     def take(self, t: float, psi: float) -> None:
         """The body is turned by `psi` (rad) at `t` (s), later than before."""
