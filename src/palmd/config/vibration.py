@@ -29,7 +29,7 @@ class VibrationConfig(Strict):
     transmission: Annotated[FiniteFloat, Field(ge=0, le=1)] | None = None
     """Share of the friction's alternation that the normal forces follow: 1 on a stiff heavy palm."""
     transmission_sd: NotNegative | None = None
-    """How well the transmission is known, one sigma; left out: to 0.15."""
+    """How well the transmission is known, one sigma; left out: to 0.10."""
     law: VibrationLaw = "sign_pairs"
     """`averaged`: the law of friction of old logs; not for real rigs."""
 

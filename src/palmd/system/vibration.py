@@ -25,8 +25,8 @@ RIPPLE_SD = 0.25
 """One sigma of the ripple's effect on the motion, as a share of it, where the frequency is known exactly (study of
 resolved vibrations, 2026-11-29: the law leaves 14 to 58 % of the effect)."""
 UNKNOWN_KAPPA_SD = 0.7
-RIGID_SD = 0.10
-"""One sigma of λ where it is not given: mounts and contacts give a little."""
+TRANSMISSION_SD = 0.10
+"""One sigma of λ where none is given: mounts and contacts give a little."""
 _KAPPA: Mapping[Relation, float] = {
     "independent": 0.0, "in_phase": -1.0, "antiphase": 1.0, "unknown": 0.0, "none": 0.0
 }  # fmt: skip
@@ -92,7 +92,7 @@ class Vibration:
         """One sigma of λ."""
         if self.averaged:
             return 0.0
-        return RIGID_SD if self.transmission is None else self.transmission_sd or 0.0
+        return TRANSMISSION_SD if self.transmission_sd is None else self.transmission_sd
 
     @property
     def ln_speed(self) -> tuple[float, float]:
