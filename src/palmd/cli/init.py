@@ -64,6 +64,17 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return said
 
 
+def whole(*allowed: int) -> Callable[[str], int]:
+    """One of some whole numbers."""
+
+    def read(answer: str) -> int:
+        if answer not in map(str, allowed):
+            raise ValueError(f"one of {', '.join(map(str, allowed))}")
+        return int(answer)
+
+    return read
+
+
 REPORTED = "reported"
 
 
@@ -80,20 +91,46 @@ PADS = {
     "versapad": "Interlink VersaPads on serial lines",
     "strip": "force-sensing strips with palmd's firmware",
     "evdev": "touch devices that Linux knows, touchpads and touch screens",
+    "taxels": "arrays of pressure sensors on serial lines",
 }
-ARMS = {"adept": f"an Adept arm that holds palm {PALMS[-1]}", "dynamixel": "two servos about a fixed axis"}
-PORTS = {"versapad": "/dev/palmd-pad{}", "strip": "/dev/palmd-pad{}", "evdev": "/dev/input/by-path/palmd-pad{}"}
+ARMS = {
+    "adept": f"an Adept arm that holds palm {PALMS[-1]}",
+    "dynamixel": "two DYNAMIXEL servos about a fixed axis",
+    "feetech": "two Feetech servos about a fixed axis",
+}
+PORTS = {"evdev": "/dev/input/by-path/palmd-pad{}"}
+PORT = "/dev/palmd-pad{}"
+
+
+@dataclass(frozen=True, slots=True)
+class Array:
+    """A kind of array of pressure sensors: what it is, how many rows it may have, and usually has, and its pitch."""
+
+    meaning: str
+    rows: tuple[int, ...]
+    usual_rows: int
+    pitch_mm: float
+
+
+ARRAYS = {
+    "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", (7, 14), 14, 4.5),
+    "st0001": Array("60 taxels asked by Modbus (Synria ST-00-01)", (3, 4, 5, 6, 10, 12, 15, 20, 30, 60), 15, 4.0),
+    "text": Array("numbers that a microcontroller prints, a line for each reading", tuple(range(3, 65)), 20, 3.0),
+}
+_TSF85_COLUMNS, _ST0001_TAXELS = 4, 60
 
 
 def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
     """Each with its key; what comes later may depend on the `answers` so far."""
     yield "pads", Prompt(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
     for palm in PALMS:
-        yield f"pad{palm}", Prompt(f"Pad {palm} is at", PORTS[answers["pads"]].format(palm))
+        yield f"pad{palm}", Prompt(f"Pad {palm} is at", PORTS.get(answers["pads"], PORT).format(palm))
     if answers["pads"] == "evdev":
         yield "counts_per_mm", Prompt("Its units for each mm, or reported: as the device reports them", REPORTED,
                                         reported_or(number(1e-3, 1000)))  # fmt: skip
         yield "pressure", Prompt("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+    if answers["pads"] == "taxels":
+        yield from _of_an_array(answers)
     if answers["pads"] == "strip":
         yield "strip_start", Prompt("A strip begins to sense so many mm from the axis", f"{TABLETOP.strip_start:g}",
                                     number(0, 100))  # fmt: skip
@@ -107,6 +144,17 @@ def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
                            number(1, 90))  # fmt: skip
 
 
+def _of_an_array(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
+    meanings = {name: each.meaning for name, each in ARRAYS.items()}
+    yield "protocol", Prompt(f"An array speaks\n{_listed(meanings)}", "text", one_of(meanings))
+    array = ARRAYS[answers["protocol"]]
+    yield "rows", Prompt("It has so many rows along the palm", str(array.usual_rows), whole(*array.rows))
+    if answers["protocol"] == "text":
+        yield "columns", Prompt("and so many columns across it", "4", whole(*range(1, 65)))
+    yield "pitch", Prompt("Neighbouring taxels are so many mm apart", f"{array.pitch_mm:g}", number(0.1, 20))
+    yield "first_row", Prompt("The middle of the first row is so many mm from the axis", "1", number(0, 300))
+
+
 def _listed(words: Mapping[str, str]) -> str:
     return "\n".join(f"  {word:10} {meaning}" for word, meaning in words.items()) + "\nWhich"
 
@@ -117,7 +165,7 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     if answers["tilt"] != 90.0:
         rig["gravity_m_s2"] = round(STANDARD_GRAVITY * math.sin(math.radians(answers["tilt"])), 4)
     arm: dict[str, Any] = {"kind": answers["arm"], "port": answers["port"]}
-    if answers["arm"] == "dynamixel":
+    if answers["arm"] != "adept":
         rig["hinge"] = "fixed"
     lengths = [answers[f"palm{palm}"] for palm in PALMS]
     rig |= {f"palm{palm}_length_mm": length for palm, length in zip(PALMS, lengths, strict=True)}
@@ -131,8 +179,19 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
     if answers["pads"] == "strip":
         start, active = answers["strip_start"], answers["strip_length"]
         pad |= {"zero_mm": start, "length_mm": start + active, "counts_per_mm": round(STRIP_COUNTS / active, 2)}
+    if answers["pads"] == "taxels":
+        pad |= _array(answers)
     pads = {f"palm{palm}": pad | {"port": answers[f"pad{palm}"]} for palm in PALMS}
     return {"rig": rig, "pads": pads, "arm": arm, "plan": PLAN}
+
+
+def _array(answers: Mapping[str, Any]) -> dict[str, Any]:
+    protocol, rows, pitch, first = (answers[key] for key in ("protocol", "rows", "pitch", "first_row"))
+    columns = {"tsf85": _TSF85_COLUMNS, "st0001": _ST0001_TAXELS // rows}.get(protocol) or answers["columns"]
+    return {
+        "protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch, "zero_mm": first,
+        "length_mm": round(first + (rows - 0.5) * pitch, 3),
+    }  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

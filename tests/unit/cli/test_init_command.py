@@ -15,12 +15,13 @@ def init(monkeypatch, path, lines, *arguments):
 
 
 def lines(pads, arm, tilt="90"):
-    of_pads = {"evdev": ["20", "y"], "strip": ["3", "73.5"]}.get(pads, [])
+    of_pads = {"evdev": ["20", "y"], "strip": ["3", "73.5"], "taxels": ["text", "20", "4", "3.5", "2"]}.get(pads, [])
     return [pads, "/dev/a", "/dev/b", *of_pads, arm, "/dev/c", "100", "110", tilt]
 
 
 @pytest.mark.parametrize(
-    ("pads", "arm"), list(itertools.product(("versapad", "strip", "evdev"), ("adept", "dynamixel")))
+    ("pads", "arm"),
+    list(itertools.product(("versapad", "strip", "evdev", "taxels"), ("adept", "dynamixel", "feetech"))),
 )
 def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
     assert init(monkeypatch, tmp_path / "new/my.yaml", lines(pads, arm)) == 0
@@ -37,6 +38,27 @@ def test_every_rig_loads(monkeypatch, tmp_path, pads, arm):
         assert (strip.zero_mm, strip.length_mm, strip.counts_per_mm) == (3.0, 76.5, 222.9)
     if pads == "evdev":
         assert (config.pads.palm1.counts_per_mm, config.pads.palm1.pressure) == (20.0, True)
+    if pads == "taxels":
+        array = config.pads.palm1
+        assert (array.protocol, array.rows, array.columns, array.pitch_mm) == ("text", 20, 4, 3.5)
+        assert (array.zero_mm, array.length_mm) == (2.0, 70.25)
+
+
+@pytest.mark.parametrize(
+    ("answers", "size"),
+    [(["tsf85", "7", "", ""], (7, 4)), (["tsf85", "", "", ""], (14, 4)), (["st0001", "20", "", ""], (20, 3))],
+)
+def test_an_array_has_the_columns_that_its_protocol_knows(monkeypatch, tmp_path, answers, size):
+    told = ["taxels", "/dev/a", "/dev/b", *answers, "feetech", "/dev/c", "100", "100", ""]
+    assert init(monkeypatch, tmp_path / "my.yaml", told) == 0
+    array = load_config(tmp_path / "my.yaml").pads.palm2
+    assert (array.rows, array.columns) == size
+
+
+def test_rows_that_an_array_cannot_have_are_asked_again(monkeypatch, tmp_path, capsys):
+    told = ["taxels", "/dev/a", "/dev/b", "tsf85", "8", "14", "", "", "feetech", "/dev/c", "", "", ""]
+    assert init(monkeypatch, tmp_path / "my.yaml", told) == 0
+    assert "it must be one of 7, 14" in capsys.readouterr().err
 
 
 def test_enter_takes_what_is_usual(monkeypatch, tmp_path):
