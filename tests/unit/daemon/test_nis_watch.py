@@ -67,7 +67,7 @@ def test_its_row_says_what_to_do():
         (1, {}, False),
         (3, {}, False),
         (1, {"palm1": {"zero_mm": 2}, "palm2": {"zero_mm": -2}}, True),
-        (3, {"palm1": {"zero_mm": 2}, "palm2": {"zero_mm": -2}}, True),
+        (4, {"palm1": {"zero_mm": 2}, "palm2": {"zero_mm": -2}}, True),
         (3, {"palm1": {"sagitta_mm": 1}, "palm2": {"sagitta_mm": -1}}, True),
     ],
 )
