@@ -12,12 +12,17 @@ from simulated import Run, pads_changed, simulated
 from palmd.events import Event, FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
+from palmd.observer.chain import Chain
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map, given_the_rig
+from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import gauge_free_sd
+from palmd.observer.record import Record
+from palmd.observer.search import Minima, Search
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
 from palmd.system.mechanism import PALMS
+from palmd.system.vibration import INDEPENDENT
 
 THETA: FloatArray = (np.arange(NORMAL_BINS) + 0.5) * (2 * np.pi / NORMAL_BINS)
 OUTLINE = slice(shape_map.Z.SHAPE, None)
@@ -105,6 +110,37 @@ def test_what_an_answer_looks_at_is_bounded_however_long_it_has_been(rested: Res
     kept = rested[0].kept
     assert kept[36.0] < 1.2 * kept[16.0]
     assert kept[16.0] < 6 * 300
+
+
+def test_what_the_law_of_friction_alone_does_not_explain_is_explained_doubting_it(monkeypatch) -> None:
+    run = simulated("friction", 700, 12.0, vibration=INDEPENDENT)
+    session, asked = Session(1, 0.0), list[bool]()
+    beside, followed = Beside(run), Search.followed
+    assert beside.until(9.0, session) is not None
+
+    def only_doubting(search: Search, guess: Guess, doubting: bool) -> Minima | None:
+        asked.append(doubting)
+        return followed(search, guess, doubting) if doubting else None
+
+    monkeypatch.setattr(Search, "followed", only_doubting)
+    answer = beside.until(12.0, session)
+    assert answer is not None
+    assert asked[:2] == [False, True]
+    error, sd, _ = scored(answer, run)
+    assert error < 3.0 * sd
+
+
+def test_what_a_segment_tells_is_as_uncertain_as_the_law_of_friction(monkeypatch) -> None:
+    left_open, append = list[FloatArray](), Chain.append
+
+    def seen(chain: Chain, record: Record, guess: Guess) -> None:
+        left_open.append(record.left_open)
+        append(chain, record, guess)
+
+    monkeypatch.setattr(Chain, "append", seen)
+    Beside(simulated("friction", 700, 12.0, vibration=INDEPENDENT)).until(12.0, Session(1, 0.0))
+    assert len(left_open) > 1
+    assert all((each > 0.0).mean() > 0.5 for each in left_open)
 
 
 def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_force() -> None:
