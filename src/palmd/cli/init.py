@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from palmd.config.pads import ST0001_TAXELS, TSF85_COLUMNS, TSF85_ROWS
 from palmd.config.tabletop import STRIP_COUNTS, TABLETOP
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
@@ -112,12 +113,12 @@ class Array:
     pitch_mm: float
 
 
+_ST0001_ROWS = tuple(rows for rows in range(3, ST0001_TAXELS + 1) if ST0001_TAXELS % rows == 0)
 ARRAYS = {
-    "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", (7, 14), 14, 4.5),
-    "st0001": Array("60 taxels asked by Modbus (Synria ST-00-01)", (3, 4, 5, 6, 10, 12, 15, 20, 30, 60), 15, 4.0),
+    "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", TSF85_ROWS, max(TSF85_ROWS), 4.5),
+    "st0001": Array("60 taxels asked by Modbus (Synria ST-00-01)", _ST0001_ROWS, 15, 4.0),
     "text": Array("numbers that a microcontroller prints, a line for each reading", tuple(range(3, 65)), 20, 3.0),
 }
-_TSF85_COLUMNS, _ST0001_TAXELS = 4, 60
 
 
 def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
@@ -187,7 +188,7 @@ def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
 
 def _array(answers: Mapping[str, Any]) -> dict[str, Any]:
     protocol, rows, pitch, first = (answers[key] for key in ("protocol", "rows", "pitch", "first_row"))
-    columns = {"tsf85": _TSF85_COLUMNS, "st0001": _ST0001_TAXELS // rows}.get(protocol) or answers["columns"]
+    columns = {"tsf85": TSF85_COLUMNS, "st0001": ST0001_TAXELS // rows}.get(protocol) or answers["columns"]
     return {
         "protocol": protocol, "rows": rows, "columns": columns, "pitch_mm": pitch, "zero_mm": first,
         "length_mm": round(first + (rows - 0.5) * pitch, 3),

@@ -223,7 +223,7 @@ _TAXEL_FRAME_BYTES: Mapping[TaxelProtocolName, Callable[[int], int]] = {
     "text": lambda taxels: 5 * taxels + 1,  # four digits each
 }
 _LINE_SHARE = 0.96  # of its time that a line may be busy
-_TSF85_COLUMNS, _TSF85_ROWS, _ST0001_TAXELS = 4, (7, 14), 60
+TSF85_COLUMNS, TSF85_ROWS, ST0001_TAXELS = 4, (7, 14), 60
 _READINGS_PER_MM = 50.0
 """Readings that one error of place spoils alike, for each mm of its correlation length (docs/reference/devices.md)."""
 
@@ -266,12 +266,12 @@ class TaxelsConfig(PadBase):
     @classmethod
     def _as_the_protocol_has_it(cls, columns: int, info: ValidationInfo) -> int:
         protocol, rows = info.data.get("protocol"), info.data.get("rows", 0)
-        if protocol == "tsf85" and (columns != _TSF85_COLUMNS or rows not in _TSF85_ROWS):
+        if protocol == "tsf85" and (columns != TSF85_COLUMNS or rows not in TSF85_ROWS):
             raise ValueError(
-                f"tsf85 has {_TSF85_COLUMNS} columns, and 7 rows for each of one or two modules; got {rows} x {columns}"
+                f"tsf85 has {TSF85_COLUMNS} columns, and 7 rows for each of one or two modules; got {rows} x {columns}"
             )
-        if protocol == "st0001" and rows * columns != _ST0001_TAXELS:
-            raise ValueError(f"st0001 has {_ST0001_TAXELS} taxels; got {rows} x {columns}")
+        if protocol == "st0001" and rows * columns != ST0001_TAXELS:
+            raise ValueError(f"st0001 has {ST0001_TAXELS} taxels; got {rows} x {columns}")
         return columns
 
     @field_validator("pitch_mm")

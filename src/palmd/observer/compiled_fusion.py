@@ -208,8 +208,8 @@ class CompiledBank:
     def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, besides: Sequence[FloatArray]):
         """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there.
 
-        `besides` are variances of `NAMED` that are added to what is told: where it is open what the rig's constants
-        are, and where a smoother has told that.
+        `besides` are two sets of variances that are added to those of `NAMED`: for use before a smoother has estimated
+        the rig's constants, and after.
         """
         if bank.n > MOST_STATES:
             raise ValueError(f"there is room for {MOST_STATES} states, not {bank.n}")

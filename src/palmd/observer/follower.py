@@ -145,9 +145,9 @@ class Follower:
         return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
 
     def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
-        """What explains the readings, the law of friction doubted only where it does not by itself.
+        """What explains the readings; None where nothing does. Steps are as uncertain as friction at a second try only.
 
-        A doubt from the beginning takes its explanation for what the law leaves open, and answers creep away.
+        In every fit they would bias it towards heavy bodies (`Smoother.judged`).
         """
         present = self._open
         known = self._chain.known(guess.p)

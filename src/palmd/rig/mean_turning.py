@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bisect
 
-_PERIODS = 2
-_BESIDE = 2  # angles on either side of a time that the angle then is interpolated from
+_PERIODS = 2  # whose means give a rate and how it changes (derivation: a straight line)
+_BESIDE = 2  # angles on either side of a time that the angle is interpolated from (derivation: a cubic takes four)
 
 
 class MeanTurning:

@@ -86,7 +86,7 @@ class ShapeFilters:
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        # variances: where nothing is told of what the rig's constants are, and where something is
+        # variances, before a smoother has estimated the rig's constants, and after
         self._besides = np.zeros((2, len(NAMED)))
         self._besides[:, _JOINTS_AT] = np.ravel(rig.uneven) ** 2
         self._besides[:, _ANGLES[0]] += rig.gravity_sd**2  # readings tell φ1 about gravity, not about the rig
