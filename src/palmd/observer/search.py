@@ -46,6 +46,7 @@ node, more than any friction changes it there, then by ten times less each)."""
 
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
+JUDGED = 3  # times that the law's uncertainty is worked out anew along the motion that it led to
 HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
 TURNS: FloatArray = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])  # with φ1, with φ1 + φ2, not at all
 MOTIONS = (0, 1, 2)  # of these
@@ -228,6 +229,23 @@ class Search:
             smoother = Smoother(self.library, self.record, self.known)
             self.record = smoother.judged(smoother.completed(guess), ripple=True)
         return self._gone_on_from([guess], self._at_once([guess], pressed=True))
+
+    def doubted(self, found: Minima) -> Minima:
+        """`found`, which has not settled, with steps as uncertain as the law of friction along its own motion.
+
+        Where contacts stick and slip the law's own corners keep an iteration from settling. Itself where that does not
+        settle either.
+        """
+        record, guess = found.record, found.fits[0].guess
+        for _ in range(JUDGED):
+            record = Smoother(self.library, record, self.known).judged(guess, ripple=True)
+            if not record.left_open.any():
+                break
+            fit = Smoother(self.library, record, self.known).fit(guess, self.noise)
+            if fit.settled and explained(fit, record):
+                return Minima(record, (fit,), found.work)
+            guess = fit.guess
+        return found
 
     def _gone_on_from(self, guesses: Sequence[Guess], at_once: Minima | None) -> Minima | None:
         """`at_once` if that has settled; else window by window from what has explained the readings so far.

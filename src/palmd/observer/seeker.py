@@ -13,7 +13,7 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import MOTIONS, Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
+from palmd.observer.search import AMBIGUOUS, MOTIONS, Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import declared_exact
 
@@ -30,6 +30,10 @@ ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them,
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next, until one confirms what was sure
 STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
+IN_VAIN, RENEWED_S = 2, 2.5
+"""After so many searches in a row that explain nothing, so much of the latest readings is kept: longer records begin
+with what none of the searches passes (study 2026-11-30, explorations 98305 and 563143372: known again after 12 and
+11 s, not after 31 and 23)."""
 
 
 def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
@@ -62,7 +66,7 @@ class Seeker:
         self._rolls = False
         self._motions: tuple[FloatArray, tuple[int, ...]] | None = None  # that explained it, under which belief
         self._survived = self._challenges = 0
-        self._failed = 0
+        self._failed = self._in_vain = 0
         self._doubtful = True
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
@@ -91,6 +95,8 @@ class Seeker:
         challenged = seconds >= self._challenge_s or not self.sure
         if finding is None or challenged or unfit(finding.fits[0], finding.record):
             search, finding = self._sought_blindly(search, finding, hint, seconds)
+        if finding is not None and not finding.fits[0].settled:
+            finding = search.doubted(finding)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         self._start, self._guesses = segment.start, ()
         if answer is not None:
@@ -100,12 +106,22 @@ class Seeker:
         self._doubtful = self._doubtful or self.unexplained
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
-            if self.unexplained and segment.start < segment.steady_since < segment.end - STEADY_S:
-                self.needs_from = segment.steady_since
-            if seconds > LONGEST_S:
-                self.needs_from = max(segment.end - KEPT_S, self.needs_from)
+            self.needs_from = max(self._useful_from(segment, answer), self.needs_from)
             return None
+        self._in_vain = 0
         return answer
+
+    def _useful_from(self, segment: DataSegment, answer: Answer | None) -> float:
+        """Since when readings that are in doubt are of use for the next search (s)."""
+        seconds = segment.lasts
+        ambiguous = answer is not None and doubt(answer.finding.fits[0], answer.finding) == AMBIGUOUS
+        self._in_vain = 0 if ambiguous else self._in_vain + 1  # more readings will tell rivals apart
+        if self._in_vain >= IN_VAIN and seconds > _ATTEMPTS[1].seconds:
+            self._in_vain = 0
+            return segment.end - RENEWED_S
+        if self.unexplained and segment.start < segment.steady_since < segment.end - STEADY_S:
+            return segment.steady_since
+        return segment.end - KEPT_S if seconds > LONGEST_S else -math.inf
 
     def _sought_blindly(
         self, search: Search, finding: Minima | None, hint: FloatArray | None, seconds: float

@@ -15,13 +15,14 @@ from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import MOTIONS, Likeliest, Search, explained, minima
+from palmd.observer.search import MOTIONS, Attempt, Likeliest, Search, explained, minima
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
 from palmd.record.eventlog import read_log
 from palmd.rig.shapes import Body, Support
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
+from palmd.system.vibration import INDEPENDENT
 from tools.studies.simulated import written
 
 RUN = ("friction", 107, 3.0)
@@ -245,3 +246,33 @@ def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig,
     vain.add("blind")
     seek.sought(whole.until(whole.start + 3.1), Search(whole, rig).prior.mean)
     assert order == ["blind", "blind"]
+
+
+def test_after_two_searches_in_vain_it_begins_anew_with_the_latest_readings(rig, monkeypatch):
+    """What no search passes would be at the beginning of every longer record."""
+    monkeypatch.setattr(Search, "blind", lambda *_: None)
+    whole = longest_segment(simulated("friction", 0, 8.0).events)
+    seek, useful = Seeker(rig, seed=0), []
+    for seconds in (3.0, 3.7, 5.0):
+        assert seek.sought(whole.until(whole.start + seconds), None) is None
+        useful.append(seek.needs_from - whole.start)
+    assert useful[:1] == [-math.inf]
+    assert useful[1] == useful[2] == pytest.approx(3.7 - seeker.RENEWED_S, abs=0.02)
+
+
+def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
+    """Where contacts stick and slip, an iteration on the law's corners may go on for ever."""
+    run = simulated("friction", 700, 4.0, vibration=INDEPENDENT)
+    search = Search(longest_segment(run.events), run.rig)
+    found = search.blind(Attempt(2.0, 3), 0)
+    assert found is not None
+    unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
+    doubted = search.doubted(unsettled)
+    assert doubted.fits[0].settled
+    assert doubted.record.left_open.any()
+    assert explained(doubted.fits[0], doubted.record)
+    old = simulated("friction", 0, 4.0)  # by the averaged law, which leaves nothing open
+    search = Search(longest_segment(old.events), old.rig)
+    found = search.blind(Attempt(2.0, 3), 0)
+    unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
+    assert search.doubted(unsettled) is unsettled
