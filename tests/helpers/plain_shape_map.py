@@ -85,7 +85,9 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     c = to_plane @ r
     c1 = to_plane @ (-d * theta1 + rate[:, None] * (t.T @ c))  # ċ, since ṅ = −ω t and ṙ = −d θ̇
     gravity = np.array([0.0, -rig[0]]) + rig[1] * (alpha1 * n[:, 0] - omega1**2 * t[:, 0])
-    slip = t.T @ c1 + omega0 * r
+    longer = rig[14]  # friction's arm than the radius, as a share
+    arms = r * (1 + longer)
+    slip = t.T @ c1 + omega0 * arms - longer * rate[:, None] * r
 
     # n·a = r̈ − 2 ṅ·ċ − n̈·c with n̈ = −α t − ω² n and r̈ = (v − r) θ̇² − d (α − α0); α0's part goes to the left
     known = (v - r) * theta1**2 - d * acceleration[:, None]
@@ -97,7 +99,7 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
         right = np.zeros((x.shape[1], 3), dtype=x.dtype)
         for j in range(2):
             force = n[:, j, None] - mu * direction[j] * t[:, j, None]
-            arm = -(r[j] * n[:, j, None] + d[j] * t[:, j, None])
+            arm = -(arms[j] * n[:, j, None] + d[j] * t[:, j, None])
             left[:, :2, j] = (n.T @ force).T
             left[:, j, 2] = -d[j]
             left[:, 2, j] = arm[0] * force[1] - arm[1] * force[0]
@@ -113,7 +115,7 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     kappa, speed = min(max(kappa + kappa_off, -1.0), 1.0), 2 / math.pi * dither
     half_period *= max(1.0 + period_off, 0.0)
     each = {signs: solved(signs) for signs in SIGN_PAIRS}
-    turning = t.T @ (to_plane @ d) + r  # of each slip with ω0
+    turning = t.T @ (to_plane @ d) + arms  # of each slip with ω0
     drive = turning[:, None] * half_period / 2 * by_sign({signs: of[2] for signs, of in each.items()})
     follows = transmission + transmission_off
 
@@ -124,7 +126,7 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
             s = np.array(signs)[:, None]
             force = share * positive(each[signs][:2])
             forces, rubbed = forces + force, rubbed + s * force
-            pulled = pulled + (share * positive(-each[signs][:2]) * np.abs(d + mu * s * r) / rho2).sum(axis=0)
+            pulled = pulled + (share * positive(-each[signs][:2]) * np.abs(d + mu * s * arms) / rho2).sum(axis=0)
         return np.asarray(solved(mean + follows * (rubbed / forces - mean))[2]), follows * pulled
 
     spin, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))

@@ -15,9 +15,9 @@ from plain_friction import SIGN_PAIRS, by_sign, rippled_directions, sign_shares
 ORDER = 12
 # ln ρ, B, w, c, ln m, the rig's constants, coefficients of h, and maybe more: the smoother's order
 LN_RHO, DRAG, SATURATION, DAMPING, LN_MASS, RIG = range(6)
-KAPPA, TRANSMISSION, PERIOD = RIG + 15, RIG + 16, RIG + 17  # by how much these are off, the period as a share of it
+KAPPA, TRANSMISSION, PERIOD, ARM = range(RIG + 15, RIG + 19)  # by how much these are off, the last two as shares
 STEPS = 2  # of the smoother, to the ripple that agrees with the shares that it makes
-SHAPE = RIG + 18
+SHAPE = RIG + 19
 CONSTANTS = SHAPE + 2 * ORDER + 1
 
 
@@ -95,7 +95,8 @@ class Bodies:
         A[:, 2, 2] = -(rho**2)
         b[:, :2] = (still + hinge[:, None]).T + np.array([0.0, self.gravity])
         b[:, 2] = self.p[DAMPING] * omega0
-        arms = [-h[i] * n[i][:, None] + slope[i] * t[i][:, None] for i in range(2)]
+        longer = self.p[ARM]  # what only friction feels: a body that much larger on palms that much lower
+        arms = [-h[i] * (1 + longer) * n[i][:, None] + slope[i] * t[i][:, None] for i in range(2)]
 
         def solved(directions: Sequence[np.ndarray | int]) -> np.ndarray:
             for i, (mu, arm, direction) in enumerate(zip(friction, arms, directions, strict=True)):
@@ -106,7 +107,8 @@ class Bodies:
 
         speed = 2 / math.pi * dither
         slips = [  # the palm's own points move across t
-            t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) for i, arm in enumerate(arms)
+            t[i] @ (c_dot + np.stack([-omega0 * arm[1], omega0 * arm[0]])) - longer * h[i] * omega[i]
+            for i, arm in enumerate(arms)
         ]
         kappas, transmission = self.kappa + self.p[KAPPA], self.transmission + self.p[TRANSMISSION]
         period = self.half_period * (1 + self.p[PERIOD])

@@ -12,20 +12,7 @@ from palmd.model.contact import Contact, offsets, readings
 from palmd.model.dynamics import BodyConstants, Palms, newton_euler
 
 GRAVITY = 9.81
-AVERAGED = (
-    0,
-    0,
-    0,
-    0,
-    0,
-    0,
-    1,
-    1,
-    0,
-    0,
-    0,
-    0,
-)  # after (g, L1): friction by the averaged law, as in the plant
+AVERAGED = (*[0] * 6, 1, 1, *[0] * 5)  # after (g, L1): friction by the averaged law, as in the plant
 
 
 class Lump:

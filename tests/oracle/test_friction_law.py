@@ -48,7 +48,7 @@ def _motion(
     one, two = (Contact(*map(ca.SX, _ellipse(theta))) for theta in thetas)
     motion = newton_euler(
         Palms(*ca.vertsplit(inputs[:6])), inputs[6], one, two, BodyConstants(*ca.vertsplit(inputs[7:])),
-        ca.SX([9.81, 0, 0, 0, 0, 0, 0, *law, NO_RIPPLE, 0, 0, 0]),
+        ca.SX([9.81, 0, 0, 0, 0, 0, 0, *law, NO_RIPPLE, 0, 0, 0, 0]),
     )  # fmt: skip
     found = ca.Function("motion", [inputs], [ca.vertcat(motion.alpha0, motion.f1, motion.f2)])
     return np.asarray(found([*palms, omega0, *body])).ravel()

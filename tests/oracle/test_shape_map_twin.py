@@ -15,9 +15,10 @@ SAME_FORMULA = 1e-9
 """Relative: the generated C and NumPy compute the same expressions, in another order."""
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = [3.0, -4.0]
-VIBRATION, IN_PHASE = [0.3, 0.8, 0.0, 2e-3, 0.1, -0.05, 0.1], [-1.0, 1.0, 0.0, 2e-3, 0.0, 0.0, 0.0]
-AVERAGED = [0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
-"""κ, λ, whether the old law of friction holds, half a period (s), and by how much κ and λ are off."""
+VIBRATION = [0.3, 0.8, 0.0, 2e-3, 0.1, -0.05, 0.1, 0.02]
+IN_PHASE = [-1.0, 1.0, 0.0, 2e-3, *[0.0] * 4]
+AVERAGED = [0.0, 1.0, 1.0, 0.0, *[0.0] * 4]
+"""κ, λ, whether the old law of friction holds, half a period (s); by how much κ, λ, that and friction's arm are off."""
 RIG = [9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0, *VIBRATION]
 
 

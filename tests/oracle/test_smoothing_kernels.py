@@ -19,7 +19,7 @@ LENGTHS = (0.0555, 0.048)  # of the pads
 FORCE = 0.8  # N
 FLAT = [0.0, 0.0]
 HALF_PERIOD, BRIEF = 2e-3, 2e-4  # s, of a vibration; of one so fast that slips hardly alternate
-INDEPENDENT = [0.0, 1.0, 0.0, HALF_PERIOD, 0.0, 0.0, 0.0]  # κ, λ, not the old law, 1/(2f); by how much these are off
+INDEPENDENT = [0.0, 1.0, 0.0, HALF_PERIOD, *[0.0] * 4]  # κ, λ, not the old law, 1/(2f); by how much these are off
 RIG = [9.81, 0.12, 0.12, 0.0, 0.0, *FLAT, *INDEPENDENT, *LENGTHS]
 PALMS = np.array([0.7, 1.5, 0.4, -0.3, 1.0, -2.0])
 JERK = np.array([3.0, -4.0])
@@ -67,7 +67,7 @@ def _differences(f, y: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 RIG_SD = np.append(
-    np.repeat([1e-4, 3e-3, 3e-5, 2e-3, 2e-4, 2e-3], 2), [0.3, 5e-5, 5e-5, 0.3, 0.1, 0.1]
+    np.repeat([1e-4, 3e-3, 3e-5, 2e-3, 2e-4, 2e-3], 2), [0.3, 5e-5, 5e-5, 0.3, 0.1, 0.1, 0.02]
 )  # as a calibrated rig is known
 SCALE = np.concatenate([[0.1, 10.0, 1e3, 1e-4, 0.1], RIG_SD, np.full(2 * ORDER + 1, 1e-3)])
 
@@ -225,6 +225,25 @@ def test_forces_depend_on_the_relation_and_the_transmission_of_vibrations(
     assert abs(other - wanted) > 1e-4 * wanted, "they matter"
 
 
+@pytest.mark.parametrize("pad", [1, 2])
+def test_friction_alone_feels_that_its_arm_is_longer(pad: int) -> None:
+    psi, omega0, felt = np.array([0.2]), np.array([0.3]), []
+    for mu in (0.0, 0.15):
+        forces = []
+        for arm in (0.0, 0.1):
+            p = _constants(2, mu)
+            p[bodies.ARM] = arm
+            nodes = np.array([[psi.item(), omega0.item()]] * 2)
+            force, _ = _reading(derived(smoothing.force_function), nodes, p, [DT, 0.0, pad, *PALMS, *RIG])
+            twin = Bodies(p[:, None], RIG[0], RIG[1], half_period=HALF_PERIOD)
+            wanted = 0.16 * twin.forces_and_spin(PALMS, psi, omega0)[pad - 1].item()
+            assert force.item() == pytest.approx(wanted, rel=1e-9)
+            forces.append(force.item())
+        felt.append(abs(forces[1] - forces[0]))
+    assert felt[0] == 0.0
+    assert felt[1] > 1e-3
+
+
 def _surface(palm: int, phi: float, s: float, above: float, sagitta: float) -> tuple[np.ndarray, float]:
     """Where a palm's bowed surface is at `s` along it, and the world direction of its tangent there."""
     sign = 3 - 2 * palm  # the object is to the left of palm 1 and to the right of palm 2
@@ -260,7 +279,7 @@ def _touch(p: np.ndarray, phi: tuple[float, float], psi: float) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_pads_reading_on_a_rig_that_is_not_as_described(pad: int, seed: int) -> None:
     p = _constants(2)
-    p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(18)
+    p[bodies.RIG : SHAPE] = RIG_SD * np.random.default_rng(seed).standard_normal(len(RIG_SD))
     zero, scale, _, lag, by_force = p[bodies.RIG + np.array([0, 2, 4, 6, 13]) + pad - 1]
     t = 0.003
     psi = CubicHermiteSpline([0.0, DT], NODES[:, 0], NODES[:, 1])(t - lag)

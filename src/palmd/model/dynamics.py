@@ -14,9 +14,9 @@ from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_norm
 from palmd.model.friction import HOP_NOISE_S, RIPPLE_NOISE_S, SlipResponse, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
-VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 14)
-"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ, of λ and, as a
-share, of 1/(2f)."""
+VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 15)
+"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ, of λ and, as
+shares, of 1/(2f) and of friction's arm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +105,14 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
 def vibrated_of(dither: SX, rig: SX) -> Vibrated:
     """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
     kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
-    kappa_off, transmission_off, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    kappa_off, transmission_off, *_ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
     kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
     return Vibrated(dither, kappa, transmission + transmission_off, averaged)
 
 
 def half_period_of(rig: SX) -> SX:
     """1/(2f) (s) of the palms' vibration, by the kernels' rig inputs; 0 at least."""
-    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + rig[VIBRATION_OFF_INPUTS.stop - 1], 0)
+    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + rig[VIBRATION_OFF_INPUTS.start + 2], 0)
 
 
 def newton_euler(
@@ -123,7 +123,7 @@ def newton_euler(
     Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
-    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ, 2f Δ(1/(2f))): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ, 2f Δ(1/(2f)), b): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
     Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0. steps: to the ripple that agrees with the shares of time that it makes. One is enough for
@@ -142,12 +142,14 @@ def newton_euler(
     c_dot = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, *along)
 
     g_eff = effective_gravity(palms, rig)
+    longer = rig[VIBRATION_OFF_INPUTS.stop - 1]
+    arms = [k.r * (1 + longer) for k in contacts]
     slips, needed = [], []
     for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):
         slip = ca.dot(t, c_dot) + omega0 * k.r + w * k.above
         bending = k.curvature * (slip + k.v * (w - omega0)) / (1 - k.curvature * k.v)  # ± κ ṡ
         turning = w + bending
-        slips.append(slip)
+        slips.append(slip + longer * k.r * (omega0 - w))
         # n_i·a without its α0 term, less what gravity already gives
         needed.append(
             (k.v - k.r) * (turning - omega0) ** 2
@@ -163,17 +165,17 @@ def newton_euler(
     # (A − B diag(μσ)) f = b, after α0 is eliminated by the torque equation
     rho2 = body.rho**2
     A = [[ca.dot(normals[i], normals[j]) + contacts[i].d * contacts[j].d / rho2 for j in range(2)] for i in range(2)]
-    B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * contacts[j].r / rho2 for j in range(2)] for i in range(2)]
+    B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * arms[j] / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
     kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
-    by_turning = [ca.dot(t, kept) + k.r for t, k in zip(tangents, contacts, strict=True)]
-    response = SlipResponse(by_turning, [k.d for k in contacts], [k.r for k in contacts], rho2, half_period_of(rig))
+    by_turning = [ca.dot(t, kept) + arm for t, arm in zip(tangents, arms, strict=True)]
+    response = SlipResponse(by_turning, [k.d for k in contacts], arms, rho2, half_period_of(rig))
     mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response, steps)
 
     def moving(directions: Sequence[SX]) -> tuple[SX, SX, SX]:
         along = [mu * each for mu, each in zip(friction, directions, strict=True)]
         f1, f2 = normal_forces(A, B, b, along)
-        torques = [-(k.d + rubs * k.r) for k, rubs in zip(contacts, along, strict=True)]
+        torques = [-(k.d + rubs * arm) for k, arm, rubs in zip(contacts, arms, along, strict=True)]
         return (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2, f1, f2
 
     alpha0, f1, f2 = moving(mean.directions)

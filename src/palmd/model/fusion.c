@@ -14,15 +14,15 @@
 
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
-#define RIG_INPUTS 14
+#define RIG_INPUTS 15
 #define FRICTION_INPUT 4
-#define VIBRATION_OFF_INPUTS 11 /* of kappa, of the transmission, of the period */
-#define VIBRATION_OFF 3
+#define VIBRATION_OFF_INPUTS 11 /* of kappa, of the transmission, of the period, of friction's arm */
+#define VIBRATION_OFF 4
 #define NAMED 18
 #define MOST_STATES 64
 #define EVENTS 24 /* that can be undone */
 #define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
-enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 18 };
+enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 19 };
 
 const long fusion_sizes[] = {JOINTS,  RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS, NAMED, MOST_STATES, EVENTS,
                              RADIUS,  ZERO,       SCALE,          SAGITTA,              LAG,   STANDOFF,    TILT,

@@ -28,14 +28,14 @@ RIG_INPUTS = VIBRATION_OFF_INPUTS.stop
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
     """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures,
-    κ, λ, whether the old law of friction holds, 1/(2f) of the vibration, and by how much κ, λ are off (0).
+    κ, λ, whether the old law of friction holds, 1/(2f) of the vibration, and by how much these are off (0).
 
     Inputs rather than constants, so that one compiled library serves every rig, and a second one all with curved palms.
     """
     base, arm = rig.arc
     vibration = rig.vibration
     law = vibration.kappa, vibration.likeliest_transmission, float(vibration.averaged)
-    return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures, *law, vibration.half_period, 0.0, 0.0, 0.0])
+    return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures, *law, vibration.half_period, 0.0, 0.0, 0.0, 0.0])
 
 
 def touch_on(rig: SX, curved: bool, near: Sequence[SX] = ()) -> Touch:

@@ -46,7 +46,7 @@ class C(IntEnum):
     DAMPING = 3
     LN_MASS = 4
     RIG = 5
-    SHAPE = 23
+    SHAPE = 24
 
 
 class R(IntEnum):
@@ -56,8 +56,9 @@ class R(IntEnum):
     lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
     than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
     (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are what κ and λ of the palms' vibration are
-    off by, PERIOD is the share by which its period is longer (`model.friction`). Where each pad has its own, pad 2's
-    follows pad 1's. `system.rig_constants` has their names.
+    off by, PERIOD is the share by which its period is longer (`model.friction`), ARM that by which friction's arm about
+    the middle is longer than r. Where each pad has its own, pad 2's follows pad 1's. `system.rig_constants` has their
+    names.
     """
 
     ZERO = 0
@@ -72,6 +73,7 @@ class R(IntEnum):
     KAPPA = 15
     TRANSMISSION = 16
     PERIOD = 17
+    ARM = 18
 
 
 RIG_CONSTANTS = len(RIG_NAMES)
@@ -163,7 +165,7 @@ def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) ->
     felt = _felt(palms.phi1, palms.phi2, psi, p, lying)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    off = ca.vertsplit(p[RIG][R.KAPPA : R.PERIOD + 1])
+    off = ca.vertsplit(p[RIG][R.KAPPA : R.ARM + 1])
     rig = ca.vertcat(
         rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[FRICTION_INPUT + 1 : VIBRATION_OFF_INPUTS.start], *off
     )

@@ -184,7 +184,7 @@ class RolloutPredictor:
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
         self._rig[FRICTION_INPUT] = off[R.FRICTION]
-        self._rig[VIBRATION_OFF_INPUTS] = off[R.KAPPA : R.PERIOD + 1]
+        self._rig[VIBRATION_OFF_INPUTS] = off[R.KAPPA : R.ARM + 1]
         self._angles = off[[R.TILT, R.TURN]]
 
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:

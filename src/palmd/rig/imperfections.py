@@ -96,6 +96,7 @@ class Imperfections:
             "vibration_kappa": 0.0,  # that of the rig's description
             "vibration_transmission": 0.0,
             "vibration_period": 0.0,
+            "friction_arm": 0.0,
         }
 
 

@@ -76,6 +76,8 @@ RIG_TABLE: tuple[RigConstant, ...] = (
                 "the transmission λ of the vibration", "", 1.0, "off", "set rig.vibration.transmission"),
     RigConstant("vibration_period", "", "by which share the vibration's period is longer than described",
                 "the period of the palms' vibration", " %", 1e2, "off", "set rig.vibration.frequency_hz"),
+    RigConstant("friction_arm", "", "by which share friction's arm about the middle is longer than the radius",
+                "friction's arm", " %", 1e2, "off", "see that the palms vibrate along themselves"),
 )  # fmt: skip
 RIG_NAMES = tuple(constant.name for constant in RIG_TABLE)
 
@@ -84,7 +86,8 @@ def prior_sds(rig: RigDescription) -> FloatArray:
     """One-sigma of each constant before any reading, in the order of `RIG_TABLE`."""
     of_pads = [[pad.zero_sd, pad.scale_sd, pad.sagitta_sd, pad.lag_sd, pad.standoff_sd] for pad in rig.pads]
     of_angles = math.hypot(rig.angle_sd, rig.gravity_sd), rig.angle_sd
-    of_vibration = rig.vibration.kappa_sd, rig.vibration.likeliest_transmission_sd, rig.vibration.period_sd
+    vibration = rig.vibration
+    of_vibration = vibration.kappa_sd, vibration.likeliest_transmission_sd, vibration.period_sd, vibration.arm_sd
     return np.array(
         [
             *np.transpose(of_pads).ravel(),

@@ -24,6 +24,10 @@ UNKNOWN_PERIOD_SD = 0.5
 RIPPLE_SD = 0.25
 """One sigma of the ripple's effect on the motion, as a share of it, where the frequency is known exactly (study of
 resolved vibrations, 2026-11-29: the law leaves 14 to 58 % of the effect)."""
+ARM_SD = 0.02
+"""One sigma of the share by which friction's arm about the centre of mass differs from the radius: the law's own error
+(study of logs of three engines, 2026-11-30: 0.01 beyond its own band; a vibration across the palm of 1 % of its speed
+would add 0.02)."""
 UNKNOWN_KAPPA_SD = 0.7
 TRANSMISSION_SD = 0.10
 """One sigma of λ where none is given: mounts and contacts give a little."""
@@ -81,6 +85,11 @@ class Vibration:
             return 0.0
         known = UNKNOWN_PERIOD_SD if self.frequency is None else (self.frequency_sd or 0.0) / self.frequency
         return math.hypot(known, RIPPLE_SD)
+
+    @property
+    def arm_sd(self) -> float:
+        """One sigma of friction's arm about the object's middle, as a share of it: what the law leaves open."""
+        return 0.0 if self.averaged else ARM_SD
 
     @property
     def likeliest_transmission(self) -> float:

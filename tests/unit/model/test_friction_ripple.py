@@ -47,7 +47,7 @@ def spin_rate(half_period: float, kappa: float, steps: int = 2) -> ca.Function:
     palms, omega0, contacts = ca.SX.sym("palms", 6), ca.SX.sym("omega0"), ca.SX.sym("contacts", 6)
     one, two = (Contact(*(contacts[i] for i in rows)) for rows in (range(3), range(3, 6)))
     body = BodyConstants(*(ca.SX(each) for each in (BODY.rho, MU, math.pi / 2 * SPEED, 0.0)))
-    rig = ca.SX([9.81, 0, 0, 0, 0, 0, 0, kappa, 1, 0, half_period, 0, 0, 0])
+    rig = ca.SX([9.81, 0, 0, 0, 0, 0, 0, kappa, 1, 0, half_period, 0, 0, 0, 0])
     motion = newton_euler(Palms(*ca.vertsplit(palms)), omega0, one, two, body, rig, steps)
     return ca.Function("spin_rate", [ca.vertcat(palms, omega0, contacts)], [motion.alpha0])
 

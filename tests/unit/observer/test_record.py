@@ -118,7 +118,7 @@ def test_kernel_inputs_are_padded_with_what_can_be_evaluated():
         assert np.isfinite(inputs).all()
         assert (inputs[:, 0] > 0).all()
     assert record.step_inputs(64)[:10, 0] == pytest.approx(0.01)
-    kappa, transmission, averaged, off = 0.0, 1.0, 0.0, [0.0, 0.0, 0.0]
+    kappa, transmission, averaged, off = 0.0, 1.0, 0.0, [0.0] * 4
     half_period = RIG.vibration.half_period
     wanted = [9.81, *[0.0] * 6, kappa, transmission, averaged, half_period, *off, 0.0555, 0.0555]
     assert record.step_inputs(64)[0, 9:].tolist() == wanted

@@ -212,7 +212,7 @@ def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
 
 
 # told under `vibration`, no constants to be off by
-OF_VIBRATION = {"vibration_kappa", "vibration_transmission", "vibration_period"}
+OF_VIBRATION = {"friction_arm", "vibration_kappa", "vibration_transmission", "vibration_period"}
 
 
 def test_a_log_tells_how_well_its_rig_is_known_and_its_truth_what_it_is_off_by(tmp_path):

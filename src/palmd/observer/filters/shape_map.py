@@ -264,7 +264,7 @@ class ShapeFilters:
 
     def _rig_now(self) -> FloatArray:
         self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
-        self._rig[VIBRATION_OFF_INPUTS] = self.rig_error.values[R.KAPPA : R.PERIOD + 1]
+        self._rig[VIBRATION_OFF_INPUTS] = self.rig_error.values[R.KAPPA : R.ARM + 1]
         return self._rig
 
     def _palms_at(self, t: float, palms: TrackedPalms) -> FloatArray:
