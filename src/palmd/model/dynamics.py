@@ -105,14 +105,15 @@ def effective_gravity(palms: Palms, rig: SX) -> SX:
 def vibrated_of(dither: SX, rig: SX) -> Vibrated:
     """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
     kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
-    kappa_off, transmission_off, *_ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    kappa_off, transmission_off, _, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
     kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
     return Vibrated(dither, kappa, transmission + transmission_off, averaged)
 
 
 def half_period_of(rig: SX) -> SX:
     """1/(2f) (s) of the palms' vibration, by the kernels' rig inputs; 0 at least."""
-    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + rig[VIBRATION_OFF_INPUTS.start + 2], 0)
+    _, _, period_off, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
+    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + period_off, 0)
 
 
 def newton_euler(
@@ -124,6 +125,7 @@ def newton_euler(
     ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
     one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
     `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ, 2f Δ(1/(2f)), b): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
+    Friction acts as on a body that is larger by b r on palms that lie lower by b r (docs/theory/vibration.md).
     Where a palm is curved its tangent at the contact
     turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
     Valid while f1, f2 > 0. steps: to the ripple that agrees with the shares of time that it makes. One is enough for
@@ -142,7 +144,7 @@ def newton_euler(
     c_dot = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, *along)
 
     g_eff = effective_gravity(palms, rig)
-    longer = rig[VIBRATION_OFF_INPUTS.stop - 1]
+    _, _, _, longer = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
     arms = [k.r * (1 + longer) for k in contacts]
     slips, needed = [], []
     for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):

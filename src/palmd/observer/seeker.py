@@ -17,6 +17,7 @@ from palmd.observer.search import AMBIGUOUS, MOTIONS, Attempt, Minima, Search, a
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import declared_exact
 
+UNFOUND = "nothing explains the readings"
 LEAST_S = 1.0  # of readings, before which the bank is as good
 STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
@@ -101,21 +102,20 @@ class Seeker:
         self._start, self._guesses = segment.start, ()
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
-        self._doubtful = answer is None or bool(doubt(answer.finding.fits[0], answer.finding))
+        doubts = UNFOUND if answer is None else doubt(answer.finding.fits[0], answer.finding)
         self.unexplained = answer is None or far_fetched(answer.finding.fits[0], answer.finding.record)
-        self._doubtful = self._doubtful or self.unexplained
+        self._doubtful = bool(doubts) or self.unexplained
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
-            self.needs_from = max(self._useful_from(segment, answer), self.needs_from)
+            self.needs_from = max(self._useful_from(segment, doubts), self.needs_from)
             return None
         self._in_vain = 0
         return answer
 
-    def _useful_from(self, segment: DataSegment, answer: Answer | None) -> float:
-        """Since when readings that are in doubt are of use for the next search (s)."""
+    def _useful_from(self, segment: DataSegment, doubts: str) -> float:
+        """Since when readings are of use for the next search (s), by what is doubted of the last one's answer."""
         seconds = segment.lasts
-        ambiguous = answer is not None and doubt(answer.finding.fits[0], answer.finding) == AMBIGUOUS
-        self._in_vain = 0 if ambiguous else self._in_vain + 1  # more readings will tell rivals apart
+        self._in_vain = 0 if doubts == AMBIGUOUS else self._in_vain + 1  # more readings will tell rivals apart
         if self._in_vain >= IN_VAIN and seconds > _ATTEMPTS[1].seconds:
             self._in_vain = 0
             return segment.end - RENEWED_S

@@ -26,8 +26,8 @@ RIPPLE_SD = 0.25
 resolved vibrations, 2026-11-29: the law leaves 14 to 58 % of the effect)."""
 ARM_SD = 0.02
 """One sigma of the share by which friction's arm about the centre of mass differs from the radius: the law's own error
-(study of logs of three engines, 2026-11-30: 0.01 beyond its own band; a vibration across the palm of 1 % of its speed
-would add 0.02)."""
+(study of seven logs of Chipmunk and Drake, 2026-11-30: 0.01 beyond its own band; a vibration across the palm of 1 % of
+its speed would add 0.02)."""
 UNKNOWN_KAPPA_SD = 0.7
 TRANSMISSION_SD = 0.10
 """One sigma of λ where none is given: mounts and contacts give a little."""
