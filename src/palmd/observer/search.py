@@ -47,8 +47,8 @@ node, more than any friction changes it there, then by ten times less each)."""
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
 JUDGED = 3
-"""Times that the law's uncertainty is evaluated along the motion that it led to (study 2026-11-30: of six logged searches
-five settled after 1, 2, 2, 3 and 5)."""
+"""Times that the law's uncertainty is evaluated along the motion that it led to (study 2026-11-30: of six logged
+searches five settled, after 1, 2, 2, 3 and 5)."""
 HASTY = 5  # steps in a row that may be rejected, where a shorter window can be tried instead
 TURNS: FloatArray = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])  # with φ1, with φ1 + φ2, not at all
 MOTIONS = (0, 1, 2)  # of these
