@@ -85,10 +85,17 @@ def known_of(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor
 
     `scale` as in `Knowledge`.
     """
-    matrix = np.zeros((SIZE, SIZE))
-    matrix[:CONSTANTS, :CONSTANTS] = np.linalg.inv(covariance[:CONSTANTS, :CONSTANTS])
+    matrix = np.zeros((CONSTANTS, CONSTANTS))
+    matrix[:] = np.linalg.inv(covariance[:CONSTANTS, :CONSTANTS])
+    return with_any_node(Factor(p, 0.0, matrix, np.zeros(CONSTANTS), scale))
+
+
+def with_any_node(known: Factor) -> Factor:
+    """What is known of the constants, with a node after them that is anywhere."""
+    matrix, side = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    matrix[:CONSTANTS, :CONSTANTS], side[:CONSTANTS] = known.matrix, known.side
     matrix[CONSTANTS:, CONSTANTS:] = np.diag([ANYWHERE_RAD**-2, ANY_SPIN**-2])
-    return Factor(np.concatenate([p, np.zeros(NODE)]), 0.0, matrix, np.zeros(SIZE), scale)
+    return Factor(np.concatenate([known.about, np.zeros(NODE)]), known.cost, matrix, side, known.scale)
 
 
 def _before(x: FloatArray, window: Record, more: int) -> FloatArray:

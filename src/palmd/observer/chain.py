@@ -10,14 +10,14 @@ memory and time stay bounded. Not for use inside the loop.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, RIG
-from palmd.observer.factor import SIZE, Factor, Knowledge
+from palmd.observer.factor import SIZE, Factor, Knowledge, of_constants
 from palmd.observer.normal_equations import Guess, ProcessNoise, Residuals
 from palmd.observer.record import Record
 
@@ -92,9 +92,7 @@ class Chain:
 
     def prior(self, p: FloatArray) -> Factor:
         """What was believed of the constants beforehand, expanded at `p`."""
-        first = np.zeros(NODE)
-        at = self._prior.terms(p, first)
-        prior = Factor(np.concatenate([p, first]), at.cost, at.matrix, at.side, self._scale).without(_NODE)
+        prior = replace(of_constants(self._prior, p), scale=self._scale)
         return prior if self._revised is None else prior.plus(self._revised)
 
     def renew(self, p: FloatArray, x: FloatArray) -> int:

@@ -155,6 +155,14 @@ class Factor:
         )
 
 
+def of_constants(known: Knowledge, p: FloatArray) -> Factor:
+    """What is known of the constants alone, expanded at `p`."""
+    node = np.zeros(NODE)
+    at = known.terms(p, node)
+    whole = Factor(np.concatenate([p, node]), at.cost, at.matrix, at.side, known.scale)
+    return whole.without(slice(CONSTANTS, SIZE))
+
+
 def given(covariance: FloatArray, known: slice, asked: slice) -> FloatArray:
     """The part `asked` of a covariance, were the part `known` known: its Schur complement."""
     across = covariance[known, asked]

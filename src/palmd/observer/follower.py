@@ -21,14 +21,15 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import felt_normals
-from palmd.observer.search import Minima, Search, explained
-from palmd.observer.smoother import Posterior, Smoother
+from palmd.observer.search import LIVE_BUDGET, SPACING_S, Minima, Search, explained
+from palmd.observer.smoother import Budget, Posterior, Smoother
 
 PATIENCE = 6
 """Windows that may fail before an object is given up (study 2026-11-29, simulated explorations 70011 to 70018: with 2,
 objects were lost whose motion the model explains)."""
 LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration
 OPEN_S = 1.5  # of the latest readings at least that no segment holds
+REACH_S, LEAST_REACH_S = 1.0, 0.5  # of new readings at a time
 LOST_S = 6.0  # of readings that what is known does not explain, after which the object is sought anew
 TAIL_S = 0.5  # before an object was lost: it may have been held already
 
@@ -63,6 +64,11 @@ class _Open:
     guess: Guess
     resting_since: float
 
+    @property
+    def end(self) -> float:
+        """The time of its last node (s)."""
+        return self.start + (len(self.guess.x) - 1) * SPACING_S
+
 
 class Follower:
     """One object while it is on the palms; deterministic, and each call takes bounded time.
@@ -89,18 +95,33 @@ class Follower:
         return self._open.start
 
     def smoothed(self, segment: DataSegment) -> Answer | None:
-        """With the readings of `segment`, as far as they have come; None while they are in doubt."""
+        """With the readings of `segment`, as far as they have come; None while they are in doubt.
+
+        Of many at once, so many after the other that what is open stays short: an answer that came late takes no
+        longer for each of its readings. Where so many are in doubt, twice as many may tell.
+        """
         self._most_forces = tuple(map(max, self._most_forces, segment.most_forces))
-        answer = self._smoothed(segment, self._open.guess)
+        budget, reach, begun = Budget(LIVE_BUDGET), REACH_S, self._open.end
+        while True:
+            end = self._open.end + reach
+            if segment.end < end + LEAST_REACH_S:
+                end = segment.end
+            answer = self._gone_on(segment.until(end), budget)
+            if end == segment.end or budget.left <= 0.0:
+                self.lost = self._open.end <= begun and segment.end - self._open.start > LOST_S
+                return answer
+            reach = 2.0 * reach if answer is None else REACH_S
+
+    def _gone_on(self, segment: DataSegment, budget: Budget) -> Answer | None:
+        answer = self._smoothed(segment, self._open.guess, budget)
         if answer is None:
-            self.lost = segment.end - self._open.start > LOST_S
             return None
         guess = answer.finding.fits[0].guess
         if self._chain.renew(guess.p, guess.x[0]):
-            answer = self._smoothed(segment, guess) or answer
+            answer = self._smoothed(segment, guess, budget) or answer
         likely = self._revised(answer)
         if likely is not None:
-            answer = self._smoothed(segment, likely) or answer
+            answer = self._smoothed(segment, likely, budget) or answer
         self._go_on(answer)
         return answer
 
@@ -126,7 +147,7 @@ class Follower:
         """The object has been taken away; `last` are its last readings."""
         if last.end - TAIL_S < self._open.start + LEAST_S:
             return
-        answer = self._smoothed(last.until(last.end - TAIL_S), self._open.guess)
+        answer = self._smoothed(last.until(last.end - TAIL_S), self._open.guess, Budget(LIVE_BUDGET))
         if answer is not None:
             self._close(answer, 0, len(answer.finding.record.dt))
 
@@ -144,23 +165,19 @@ class Follower:
         self._chain.revise(before.sd, self._belief.sd)
         return replace(fit.guess, p=self._chain.settle(self._belief.within(fit.guess).p))
 
-    def _smoothed(self, segment: DataSegment, guess: Guess) -> Answer | None:
-        """What explains the readings; None where nothing does. Steps are as uncertain as friction at a second try only.
-
-        In every fit they would bias it towards heavy bodies (`Smoother.judged`).
-        """
+    def _smoothed(self, segment: DataSegment, guess: Guess, budget: Budget) -> Answer | None:
+        """What explains the readings; None where nothing does."""
         present = self._open
-        known = self._chain.known(guess.p)
-        for doubting in (False, True):
-            search = Search(
-                segment, self._rig, PATIENCE, known, present.start, present.resting_since, self._belief,
-                self._most_forces,
-            )  # fmt: skip
-            finding = search.followed(Guess(guess.x[: len(search.record.t)], guess.p), doubting)
-            # palms at rest are no reason for doubt here
-            if finding is not None and finding.fits[0].settled and explained(finding.fits[0], finding.record):
-                return Answer(search, finding if doubting else self._judged(search, finding))
-        return None
+        search = Search(
+            segment, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since,
+            self._belief, self._most_forces, budget,
+        )  # fmt: skip
+        finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], pressed=True)
+        # palms at rest are no reason for doubt here
+        if finding is None or not finding.fits[0].settled or not explained(finding.fits[0], finding.record):
+            return None
+        doubted = finding.record.left_open.any()
+        return Answer(search, finding if doubted else self._judged(search, finding))
 
     def _judged(self, search: Search, finding: Minima) -> Minima:
         """With steps uncertain in which contacts hop."""

@@ -24,11 +24,14 @@ from palmd.observer.matching import Felt
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
-from palmd.observer.seeker import Seeker
+from palmd.observer.returned import returned
+from palmd.observer.search import LIVE_BUDGET
+from palmd.observer.seeker import LEAST_S, TELLING_S, Seeker
+from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
-FOUND_S = 8.0  # of readings, after which what has been found is beyond question
+RETURNED_S = 6.0  # of readings, by which an object that was taken away is known again, or never
 ARCHIVED = 4  # objects that were taken away
 
 # Where each state of the shape map stands among (constants, last node).
@@ -59,6 +62,7 @@ class IncrementalSmoother:
         self._hint: FloatArray | None = None
         self._events: list[Event] = []
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
+        self._taken_away: Felt | None = None  # what was on the palms last, unless the readings had contradicted it
         self._frame = 1
         self._unexplained = False  # by the last answer
         self._seeker = Seeker(self._rig, seed)
@@ -115,16 +119,24 @@ class IncrementalSmoother:
         return None if answer is None else self._improvement(answer)
 
     def _sought(self, segment: DataSegment) -> Answer | None:
+        if self._taken_away is not None and LEAST_S < segment.lasts < RETURNED_S:
+            follower = returned(self._taken_away, segment, self._rig, Budget(LIVE_BUDGET))
+            if follower is not None:
+                self._archive = [felt for felt in self._archive if felt is not self._taken_away]
+                self._follower, self._taken_away = follower, None
+                return self._followed(segment, follower)
         answer = self._found = self._seeker.sought(segment, self._hint)
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
-        if answer is None or not (self._archive or segment.lasts >= FOUND_S) or not self._seeker.sure:
+        if answer is None:
+            return None
+        found = self._seeker.sure and answer.search.segment.lasts >= TELLING_S
+        if not found and not self._archive:
             return answer
         follower = Follower(answer)
-        if self._joined(follower):
-            answer = follower.smoothed(segment) or answer
-        elif segment.lasts < FOUND_S:
+        if not self._joined(follower) and not found:
             return answer
+        answer = follower.smoothed(segment) or answer
         self._follower = follower
         self._drop_before(follower.needs_from)
         return answer
@@ -157,6 +169,7 @@ class IncrementalSmoother:
             if felt and self._follower is not None:
                 follower.end(felt[0])
             self._archive = [follower.felt(), *self._archive][:ARCHIVED]
+            self._taken_away = None if follower.lost else self._archive[0]
         self._seek()
 
     def _seek(self) -> None:

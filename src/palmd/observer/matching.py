@@ -67,7 +67,7 @@ def matched(known: Felt, now: Felt, prior: Factor) -> Match | None:
     for _ in range(REFINEMENTS):
         turn += _further(known.turned(turn).told, rest)
     found = known.turned(turn)
-    return Match(Felt(_of_any_small_turn(found.told)[0], found.touched), turn)
+    return Match(Felt(of_any_small_turn(found.told)[0], found.touched), turn)
 
 
 def _weights(known: Factor, rest: Factor) -> FloatArray:
@@ -75,7 +75,7 @@ def _weights(known: Factor, rest: Factor) -> FloatArray:
 
     As `_weight` of both costs together, for all turns at once.
     """
-    free, turns_told = _of_any_small_turn(known)
+    free, turns_told = of_any_small_turn(known)
     R = _turnings()
     matrices = R @ free.matrix @ R.transpose(0, 2, 1)
     away = R @ free.about - rest.about  # the costs are expanded about different points
@@ -90,7 +90,7 @@ def _weights(known: Factor, rest: Factor) -> FloatArray:
     return weights - 0.5 * math.log1p(turns_told) - math.log(DIRECTIONS)
 
 
-def _of_any_small_turn(known: Factor) -> tuple[Factor, float]:
+def of_any_small_turn(known: Factor) -> tuple[Factor, float]:
     """`known` with its gauge open within a step, and how much more narrowly its readings tell that.
 
     To first order a turn by ε moves the outline's coefficients along their own derivative.
@@ -108,7 +108,7 @@ def _of_any_small_turn(known: Factor) -> tuple[Factor, float]:
 
 def _further(known: Factor, rest: Factor) -> float:
     """By how much the likeliest turn lies further than the present one (rad)."""
-    free = _of_any_small_turn(known)[0].plus(rest)
+    free = of_any_small_turn(known)[0].plus(rest)
     p = free.about + free.solved(free.side)
     along = _along(known)
     pull = known.matrix @ along

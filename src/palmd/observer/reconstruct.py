@@ -449,7 +449,7 @@ def _finer(search: Search, finding: Minima, found: Fit) -> _Part:
     smoother = Smoother(search.library, record, prior)
     level = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
     record = replace(smoother.pressed(guess), force_variance=rig.force_variances(level, record.force_pad))
-    finer = minima(search.library, record, prior, [guess], found.noise)
+    finer = minima(lambda each: Smoother(search.library, each, prior), record, [guess], found.noise)
     record, fit = finer.record, finer.fits[0]
     smoother = Smoother(search.library, record, prior)
     for _ in range(MOST_REVISIONS):

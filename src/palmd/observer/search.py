@@ -7,7 +7,7 @@ then grows over the segment, with rivals kept as long as they explain the readin
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model import shape, smoothing
-from palmd.model.compiled import Library
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.beginning import known_of, with_beginning
 from palmd.observer.criticism import RigBelief
@@ -30,7 +29,7 @@ from palmd.observer.object_memory import likely_orientations
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.palms import RESTING_RAD_S, motion_of
 from palmd.observer.record import NO_FORCES, Record, lay_out
-from palmd.observer.smoother import MAX_ITERATIONS, Fit, Smoother
+from palmd.observer.smoother import MAX_ITERATIONS, Budget, Fit, Smoother
 from palmd.system.arcs import circle_radius
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -43,9 +42,13 @@ NOISE = ProcessNoise(1e-8, 1e-5)
 LED_BY_READINGS = (1e5, 1e3, 10.0)
 """Times the process noise, one fit after the other (derivation: at first the spin may differ by 0.1 rad/s from node to
 node, more than any friction changes it there, then by ten times less each)."""
+LED_ITERATIONS = 6
+"""Of each of these fits, which need not settle: they lead to where the last one begins (study 2026-11-30: of sixteen
+logged windows 12 answered after 6, as after 60, in a third of the time)."""
 
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
+LIVE_BUDGET = 80_000.0  # iterations times nodes of a live answer: a second or two of a processor
 JUDGED = 3
 """Times that the law's uncertainty is evaluated along the motion that it led to (study 2026-11-30: of six logged
 searches five settled, after 1, 2, 2, 3 and 5)."""
@@ -128,12 +131,13 @@ class Search:
         resting_since: float = math.inf,
         belief: RigBelief | None = None,
         most_forces: Sequence[float] = NO_FORCES,
+        budget: Budget | None = None,
     ):
         """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
         all a search may find unexplained, and try again with a shorter one. `resting_since` and `most_forces` as in
-        `lay_out`. `belief` in the rig is by default what its description says.
+        `lay_out`. `belief` in the rig is by default what its description says. All fits share the `budget`, if any.
         """
         self.rig = rig
         self._patience = patience
@@ -146,12 +150,19 @@ class Search:
         self._resting_since = resting_since
         self.belief = belief or RigBelief.of(rig)
         self.noise = noise_on(rig)
+        self._budget = budget or Budget()
 
     def believing(self, belief: RigBelief) -> Search:
         """The same segment, searched anew under another belief in the rig."""
         other = copy(self)
         other.__dict__.pop("prior", None)
         other.belief = belief
+        return other
+
+    def knowing(self, known: Knowledge) -> Search:
+        """The same segment, searched by something else that is known of the constants and the first node."""
+        other = copy(self)
+        other._known = known
         return other
 
     @property
@@ -215,22 +226,26 @@ class Search:
         later.record = self.record.between(first, len(self.record.dt))
         return later
 
-    def resumed(self, guesses: Sequence[Guess]) -> Minima | None:
-        """Go on from what was found on a shorter part of the same segment; None if that leads nowhere.
+    def resumed(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
+        """Go on from what was found on a shorter part of the same segment, as far as readings are explained; else None.
 
-        At once to the end of the record where the model foretells it; else window by window.
+        At once to the end of the record where the model foretells it. Else steps are as uncertain as the law of
+        friction is along the motion that it foretells; in every fit that would bias it towards heavy bodies (`Smoother.
+        judged`). Then at once again, and at last window by window: what has explained the readings so far is right, so
+        that each window is worth a second try. pressed: contacts are pressed as the model has it.
         """
-        return self._gone_on_from(guesses, self._at_once(guesses))
-
-    def followed(self, guess: Guess, doubting: bool) -> Minima | None:
-        """As `resumed`, contacts pressed as the model has it where that foretells the readings.
-
-        doubting: the steps are as uncertain as the law of friction is along the motion that the model foretells.
-        """
-        if doubting:
-            smoother = Smoother(self.library, self.record, self.known)
-            self.record = smoother.judged(smoother.completed(guess), ripple=True)
-        return self._gone_on_from([guess], self._at_once([guess], pressed=True))
+        strict = self.record
+        for doubting in (False, True):
+            if doubting:
+                smoother = self.smoother(self.record)
+                self.record = smoother.judged(smoother.completed(guesses[0]), ripple=True)
+            at_once = self._at_once(guesses, pressed)
+            if at_once is not None and at_once.fits[0].settled:
+                return at_once
+        found = self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses, loosens=True) or at_once
+        if found is None:
+            self.record = strict
+        return found
 
     def doubted(self, found: Minima) -> Minima:
         """`found`, which has not settled, with steps as uncertain as the law of friction along its own motion.
@@ -238,12 +253,12 @@ class Search:
         Where contacts stick and slip the law's own corners keep an iteration from settling. Itself where that does not
         settle either.
         """
-        guess, smoother = found.fits[0].guess, Smoother(self.library, found.record, self.known)
+        guess, smoother = found.fits[0].guess, self.smoother(found.record)
         for _ in range(JUDGED):
             record = smoother.judged(guess, ripple=True)
             if not record.left_open.any():
                 break
-            smoother = Smoother(self.library, record, self.known)
+            smoother = self.smoother(record)
             fit = smoother.fit(guess, self.noise)
             if not explained(fit, record):
                 break  # it is not the law's corners that are in the way
@@ -252,24 +267,15 @@ class Search:
             guess = fit.guess
         return found
 
-    def _gone_on_from(self, guesses: Sequence[Guess], at_once: Minima | None) -> Minima | None:
-        """`at_once` if that has settled; else window by window from what has explained the readings so far.
-
-        It is right, so that each window is worth a second try.
-        """
-        if at_once is not None and at_once.fits[0].settled:
-            return at_once
-        return self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses, loosens=True) or at_once
-
     def _at_once(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
         """What explains the whole record, from guesses of which the first foretells it; None else."""
-        smoother = Smoother(self.library, self.record, self.known)
+        smoother = self.smoother(self.record)
         starts = [smoother.completed(guess) for guess in guesses]
         if astray(smoother.residuals(starts[0])).any():
             return None
         if pressed:
             self.record = smoother.pressed(starts[0])
-        found = self._minima(self.record, starts, HASTY)
+        found = self.minima(self.record, starts, HASTY)
         return found if explained(found.fits[0], found.record) else None
 
     def placed(self, p: FloatArray, covariance: FloatArray) -> Minima | None:
@@ -279,13 +285,13 @@ class Search:
         """
         record = self.record.until(self.record.t[0] + PLACED_S)
         guesses = []
-        for psi in self._orientations(p[C.SHAPE :], covariance):
+        for psi in self.orientations(p[C.SHAPE :], covariance):
             turned = p.copy()
             turned[C.SHAPE :] = shape.turned(-psi, ORDER) @ p[C.SHAPE :]
             guesses.append(Guess(np.zeros((len(record.t), NODE)), turned))
         return self._grown_from(record, guesses)
 
-    def _orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
+    def orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
         """ψ of an object that has just been put down, by the first readings of both pads."""
         first = [[sample for sample in self.segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
@@ -295,8 +301,10 @@ class Search:
     def _grown_from(
         self, record: Record, guesses: Sequence[Guess], most_work: float = math.inf, loosens: bool = False
     ) -> Minima | None:
-        """`loosens`: a window that is not explained is tried again with a motion that is noisier at first."""
-        found = self._minima(record, guesses)
+        """As far as readings are explained where it `loosens`: a window that is not is tried again there, with a motion
+        that is noisier at first.
+        """
+        found = self.minima(record, guesses)
         if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
             return None
         failures = work = 0
@@ -308,7 +316,9 @@ class Search:
             while not (_settled(longer) if loosens else explained(longer.fits[0], longer.record)):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
-                    return longer if len(longer.record.t) == len(self.record.t) else None
+                    if len(longer.record.t) == len(self.record.t):
+                        return longer
+                    return found if loosens and len(found.record.t) > len(record.t) else None
                 longer = self._window(self.record.until(now + max(step / 2, LEAST_GROWTH_S)), now, known, loosens)
                 work += longer.work
             found = longer
@@ -319,36 +329,42 @@ class Search:
     def _window(self, record: Record, now: float, known: Sequence[Guess], loosens: bool) -> Minima:
         """The minima of `record`, from what is `known` until `now`; given up soon if a shorter one can be tried."""
         last = float(record.t[-1]) - now < SHORT_GROWTH_S
-        found = self._minima(record, known, MAX_ITERATIONS if last else HASTY)
+        found = self.minima(record, known, MAX_ITERATIONS if last else HASTY)
         if not loosens or _settled(found):
             return found
         loosened = self._loosened(record, known)
         return loosened if _settled(loosened) else found
 
     def _loosened(self, record: Record, known: Sequence[Guess]) -> Minima:
-        """As `_minima`, of a motion that is noisier at first.
+        """As `minima`, of a motion that is noisier at first.
 
         Contacts that slip faster than the palms vibrate make a path bend so sharply with its start and the constants
         that the iteration hardly gets on along it; one that may leave the model's for a moment is led by the readings.
         """
-        smoother, guesses = Smoother(self.library, record, self.known), list(known)
+        smoother, guesses = self.smoother(record), list(known)
         for times in LED_BY_READINGS:
-            guesses = [smoother.fit(guess, self.noise.noisier(times)).guess for guess in guesses]
-        return self._minima(record, guesses)
+            noisier = self.noise.noisier(times)
+            guesses = [smoother.fit(guess, noisier, LED_ITERATIONS).guess for guess in guesses]
+        return self.minima(record, guesses)
 
     def _longer(self, record: Record, fit: Fit) -> Record:
         """A longer window, as far as the fit foretells the readings to come: beyond that it would be led astray."""
         begin, now = record.t[0], record.t[-1]
         longer = self.record.until(begin + GROWTH * (now - begin))
-        smoother = Smoother(self.library, longer, self.known)
+        smoother = self.smoother(longer)
         gone = astray(smoother.residuals(smoother.completed(fit.guess)))
         if not gone.any():
             return longer
         step = longer.contact_step[int(np.argmax(gone))]
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
-    def _minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
-        return minima(self.library, record, self.known, guesses, self.noise, rejections)
+    def smoother(self, record: Record) -> Smoother:
+        """Of a part of the segment, by what the search goes by."""
+        return Smoother(self.library, record, self.known, self._budget)
+
+    def minima(self, record: Record, guesses: Sequence[Guess], rejections: int = MAX_ITERATIONS) -> Minima:
+        """As `minima`, of this search."""
+        return minima(self.smoother, record, guesses, self.noise, rejections)
 
     def likeliest(self, finding: Minima, motions: Sequence[int] = MOTIONS) -> Likeliest:
         """`finding` or, where likelier, what turns as a palm does, or not at all; and whether the readings decide.
@@ -360,7 +376,7 @@ class Search:
         everything looks sharp, than by the right one, about which little does. So it is the evidence that is compared:
         the cost, and how wide each minimum is.
         """
-        smoother, best = Smoother(self.library, finding.record, self.known), finding.fits[0]
+        smoother, best = self.smoother(finding.record), finding.fits[0]
         posterior = smoother.posterior_if_any(best)
         if posterior is None:
             return Likeliest(finding, False, tuple(motions))
@@ -392,13 +408,12 @@ class Search:
             return one or other
         if np.array_equal(one.record.force_variance, other.record.force_variance):
             return Minima(one.record, _distinct([*one.fits, *other.fits]))
-        return self._minima(self.record, [fit.guess for fit in (*one.fits, *other.fits)])
+        return self.minima(self.record, [fit.guess for fit in (*one.fits, *other.fits)])
 
 
 def minima(
-    library: Library,
+    smoother_of: Callable[[Record], Smoother],
     record: Record,
-    known: Knowledge,
     guesses: Sequence[Guess],
     noise: ProcessNoise,
     rejections: int = MAX_ITERATIONS,
@@ -407,12 +422,12 @@ def minima(
 
     Forces are as noisy as they scatter about the best. `rejections` as in `Smoother.fit`.
     """
-    smoother = Smoother(library, record, known)
+    smoother = smoother_of(record)
     found = [smoother.fit(guess, noise, rejections=rejections) for guess in guesses]
     fits, iterations = _distinct(found), sum(fit.iterations for fit in found)
     noisier = _with_scatter_of_forces(record, fits[0])
     if noisier is not record:
-        smoother = Smoother(library, noisier, known)
+        smoother = smoother_of(noisier)
         found = [smoother.fit(fit.guess, noise) for fit in fits]
         fits, iterations = _distinct(found), iterations + sum(fit.iterations for fit in found)
     return Minima(noisier, fits, iterations * len(record.t))

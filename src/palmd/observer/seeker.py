@@ -10,10 +10,23 @@ from palmd.events import FloatArray
 from palmd.model.smoothing import ORDER
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.follower import PATIENCE, Answer
+from palmd.observer.follower import LOST_S, PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import AMBIGUOUS, MOTIONS, Attempt, Minima, Search, agree, doubt, far_fetched, still, unfit
+from palmd.observer.search import (
+    AMBIGUOUS,
+    LIVE_BUDGET,
+    MOTIONS,
+    SPACING_S,
+    Attempt,
+    Minima,
+    Search,
+    agree,
+    doubt,
+    far_fetched,
+    still,
+)
+from palmd.observer.smoother import Budget
 from palmd.system.description import RigDescription
 from palmd.system.rig_constants import declared_exact
 
@@ -26,9 +39,10 @@ _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGU
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
 HINT_SD = 1e-4  # m, of the outline's coefficients
 TELLING_S = 6.0
-"""Of readings: of longer ones, in simulation, whatever alone explained them was right."""
+"""Of readings: of longer ones, in simulation, whatever alone explained them was right; what is sure is followed on."""
 ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next, until one confirms what was sure
+REACH_S, BLIND_S = 2.0, 6.0  # of new readings at a time, and of the first ones
 STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
@@ -69,59 +83,97 @@ class Seeker:
         self._survived = self._challenges = 0
         self._failed = self._in_vain = 0
         self._doubtful = True
+        self._challenged = False
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
     def sought(self, segment: DataSegment, hint: FloatArray | None) -> Answer | None:
-        """What all readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
+        """What the readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
 
-        `hint`: constants that a live filter has settled on, in whatever gauge.
+        `hint`: constants that a live filter has settled on, in whatever gauge. However many readings have come, so many
+        are taken in after the other, and no more once what has been found is beyond question.
         """
+        budget, self._challenged = Budget(LIVE_BUDGET), False
+        while True:
+            known = self._known_until(segment)
+            end = segment.start + BLIND_S if known is None else known + REACH_S
+            if segment.end < end + LEAST_S:
+                end = segment.end
+            answer = self._sought(segment.until(end), hint, segment.end, budget)
+            if answer is None or end == segment.end or answer.finding.record.t[-1] < end - SPACING_S:
+                return answer
+            if budget.left <= 0.0 or (self.sure and end - segment.start >= TELLING_S):
+                return answer
+
+    def _known_until(self, segment: DataSegment) -> float | None:
+        """Up to when what has been found explains the readings of `segment` (s); None where nothing has."""
+        if not self._guesses or segment.start != self._start:
+            return None
+        return segment.start + (len(self._guesses[0].x) - 1) * SPACING_S
+
+    def _sought(
+        self,
+        segment: DataSegment,
+        hint: FloatArray | None,
+        now: float,
+        budget: Budget,
+    ) -> Answer | None:
+        """As `sought`, of all readings of `segment`; the latest that have come are of the time `now` (s)."""
         seconds = segment.lasts
         self.unexplained = False
         if seconds < LEAST_S:
             return None
         rig = with_scatter(self._rig, segment.pads)
-        search = Search(segment, rig, PATIENCE, belief=self._belief)
+        search = Search(segment, rig, PATIENCE, belief=self._belief, budget=budget)
         if still(search.record) or (self._doubtful and search.rested(segment.end) > STILL_KEPT_S):
             self.needs_from = segment.end - STILL_KEPT_S
             return None
         finding: Minima | None = None
-        if self._guesses and segment.start == self._start:
+        known = self._known_until(segment)
+        if known is not None:
             finding = search.resumed(self._guesses)
+            if finding is None and self.sure and now - known < LOST_S:
+                return None  # what was sure is not given up for a moment that is hard to follow
         else:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
         if finding is None and hint is not None and not self._exact:
             finding = _placed(search, hint)
-        challenged = seconds >= self._challenge_s or not self.sure
-        if finding is None or challenged or unfit(finding.fits[0], finding.record):
+        if finding is None or (self._to_challenge(seconds) and len(finding.record.t) == len(search.record.t)):
+            self._challenged = True
             search, finding = self._sought_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
             finding = search.doubted(finding)
         answer = None if finding is None else self._criticised(Answer(search, finding))
-        self._start, self._guesses = segment.start, ()
+        before, self._start, self._guesses = self._guesses, segment.start, ()
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
         doubts = UNFOUND if answer is None else doubt(answer.finding.fits[0], answer.finding)
         self.unexplained = answer is None or far_fetched(answer.finding.fits[0], answer.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
+        if self._doubtful and budget.left <= 0.0 and known is not None and now - known < LOST_S:
+            self._guesses, self.unexplained = self._guesses or before, False
+            return None  # there has been no time to tell
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
-            self.needs_from = max(self._useful_from(segment, doubts), self.needs_from)
+            self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
         self._in_vain = 0
         return answer
 
-    def _useful_from(self, segment: DataSegment, doubts: str) -> float:
+    def _to_challenge(self, seconds: float) -> bool:
+        """Whether what explains so many seconds is to be set against a blind search: in an answer once at most."""
+        return (seconds >= self._challenge_s or not self.sure) and not self._challenged
+
+    def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
         """Since when readings are of use for the next search (s), by what is doubted of the last one's answer."""
-        seconds = segment.lasts
+        seconds = now - segment.start
         self._in_vain = 0 if doubts == AMBIGUOUS else self._in_vain + 1  # more readings will tell rivals apart
         if self._in_vain >= IN_VAIN and seconds > _ATTEMPTS[1].seconds:
             self._in_vain = 0
-            return segment.end - RENEWED_S
-        if self.unexplained and segment.start < segment.steady_since < segment.end - STEADY_S:
+            return now - RENEWED_S
+        if self.unexplained and segment.start < segment.steady_since < now - STEADY_S:
             return segment.steady_since
-        return segment.end - KEPT_S if seconds > LONGEST_S else -math.inf
+        return now - KEPT_S if seconds > LONGEST_S else -math.inf
 
     def _sought_blindly(
         self, search: Search, finding: Minima | None, hint: FloatArray | None, seconds: float

@@ -21,7 +21,7 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import joined
-from palmd.observer.search import Search, explained, minima, still
+from palmd.observer.search import Search, explained, still
 from palmd.observer.sided import SidedSearch, in_order
 from palmd.observer.sided_fits import LEAST_S, Candidate
 from palmd.observer.validity import SHARP_M
@@ -98,7 +98,7 @@ def explained_smoothly(search: Search, told: Reconstruction, others: Sequence[Se
     p[RIG], p[C.SHAPE :] = told.rig, coefficients_of(told.h, ORDER)
     guess = Guess(np.stack([psi - psi[0], omega0], axis=1), p)
     for belief in (search.belief, search.belief.suspended()):
-        found = minima(search.library, record, search.believing(belief).known, [guess], search.noise)
+        found = search.believing(belief).minima(record, [guess])
         if explained(found.fits[0], found.record):
             return True
     return False

@@ -28,6 +28,13 @@ CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls b
 LEAST_FALL = 1e-3  # of the cost, by which a correction must lower it
 
 
+@dataclass(slots=True)
+class Budget:
+    """Iterations times nodes that fits may still take between them: what bounds the time of a live answer."""
+
+    left: float = math.inf
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended.
@@ -95,10 +102,14 @@ class Posterior:
 class Smoother:
     """The least-squares problem of one record; `fit` may be called with many guesses and process noises."""
 
-    def __init__(self, library: Library, record: Record, known: Knowledge):
-        """Binds the kernels to arrays of the record's size; `known` is about the constants and the first node."""
+    def __init__(self, library: Library, record: Record, known: Knowledge, budget: Budget | None = None):
+        """Binds the kernels to arrays of the record's size; `known` is about the constants and the first node.
+
+        Fits end unsettled when the `budget` is spent; by default there is none.
+        """
         self._residuals = Residuals(library, record)
         self._known = known
+        self._budget = budget or Budget()
 
     def knowing(self, known: Knowledge) -> Self:
         """The same problem with something else known beforehand; kernels and arrays are shared."""
@@ -126,8 +137,12 @@ class Smoother:
         if not math.isfinite(now.cost):
             return Fit(guess, noise, math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, 0, False)
         damping, count, rejected, settled = FIRST_DAMPING, 0, 0, False
-        while count < iterations and rejected < rejections and damping < MAX_DAMPING and not settled:
+        budget, nodes = self._budget, len(guess.x)
+        while (
+            count < iterations and rejected < rejections and damping < MAX_DAMPING and not settled and budget.left > 0
+        ):
             count += 1
+            budget.left -= nodes
             step = _solved(now, damping, self._known.scale)
             if step is None:
                 damping *= 6.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,14 +116,15 @@ def test_what_an_answer_looks_at_is_bounded_however_long_it_has_been(rested: Res
 def test_what_the_law_of_friction_alone_does_not_explain_is_explained_doubting_it(monkeypatch) -> None:
     run = simulated("friction", 700, 12.0, vibration=INDEPENDENT)
     session, asked = Session(1, 0.0), list[bool]()
-    beside, followed = Beside(run), Search.followed
+    beside, minima = Beside(run), Search.minima
     assert beside.until(9.0, session) is not None
 
-    def only_doubting(search: Search, guess: Guess, doubting: bool) -> Minima | None:
+    def only_doubting(search: Search, record: Record, *rest: Any) -> Minima:
+        found, doubting = minima(search, record, *rest), bool(record.left_open.any())
         asked.append(doubting)
-        return followed(search, guess, doubting) if doubting else None
+        return found if doubting else replace(found, fits=(replace(found.fits[0], settled=False),))
 
-    monkeypatch.setattr(Search, "followed", only_doubting)
+    monkeypatch.setattr(Search, "minima", only_doubting)
     answer = beside.until(12.0, session)
     assert answer is not None
     assert asked[:2] == [False, True]

@@ -9,7 +9,7 @@ from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.factor import Factor
-from palmd.observer.matching import Felt, _of_any_small_turn, _weight, _weights, matched
+from palmd.observer.matching import Felt, _weight, _weights, matched, of_any_small_turn
 
 RANDOM = np.random.default_rng(3)
 RADIUS = 0.02
@@ -69,7 +69,7 @@ def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
 def test_the_turn_itself_is_not_told_by_what_was_known():
     """Its gauge is open: what the joined record knows of the orientation comes from the overlap alone."""
     known = felt(an_object(), 1.0, 3.0)
-    free, told = _of_any_small_turn(known.told)
+    free, told = of_any_small_turn(known.told)
     along, h = np.zeros(CONSTANTS), 1e-6
     along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.told.about[C.SHAPE :] / (2 * h)
     assert told > 1.0
@@ -96,7 +96,7 @@ def test_all_turns_at_once_are_weighed_as_each_by_itself():
     known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).told.plus(a_prior())
     weights = _weights(known.told, rest)
     for number in (0, 17, 120):
-        free, told = _of_any_small_turn(known.turned(number * math.tau / 240).told)
+        free, told = of_any_small_turn(known.turned(number * math.tau / 240).told)
         wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(told) - math.log(240)
         assert weights[number] == pytest.approx(wanted, rel=1e-9)
 
