@@ -13,13 +13,18 @@ from simulated import Run, pads_changed, simulated
 from palmd.events import Event, FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
+from palmd.observer import follower
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import NORMAL_BINS
+from palmd.observer.data_segment import longest_segment
 from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map, given_the_rig
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.record import Record
+from palmd.observer.returned import returned
 from palmd.observer.search import Minima, Search
+from palmd.observer.seeker import TELLING_S
+from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.score import score_outline
 from palmd.system.mechanism import PALMS
@@ -288,3 +293,49 @@ def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> Non
     assert np.allclose(P + of_state @ of_state.T, J @ covariance[np.ix_(_FROM, _FROM)] @ J.T)
     assert np.allclose(of_state @ of_rig.T, J @ covariance[_FROM, RIG])
     assert np.allclose(of_rig @ of_rig.T, covariance[RIG, RIG])
+
+
+def test_an_object_that_was_felt_well_is_followed_on_sooner_than_a_new_one() -> None:
+    run = simulated("rig", 710, 36.0, absences=((9.0, 10.0), (18.0, 19.0), (27.0, 28.0)))
+    beside = Beside(run)
+    for number, (start, end) in enumerate(((0.0, 9.0), (10.02, 18.0))):
+        beside.until(start, Session(number, math.inf))
+        assert beside.until(end, Session(number + 1, start)) is not None
+    beside.until(19.02, Session(2, math.inf))
+    again = beside.until(19.02 + 0.75 * TELLING_S, Session(3, 19.02))
+    assert again is not None
+    assert again.established
+    error, sd, _ = scored(again, run)
+    assert error < 2.0 * sd
+
+
+def test_another_object_is_not_known_again() -> None:
+    one, other = (simulated("rig", seed, 8.0) for seed in (710, 711))
+    beside = Beside(one)
+    beside.until(8.0, Session(1, 0.0))
+    known = beside.smoother._follower
+    assert known is not None
+    segments = [longest_segment(run.events) for run in (one, other)]
+    assert all(segments)
+    budgets = Budget(), Budget()
+    found = [returned(known.felt(), each, one.rig, budget) for each, budget in zip(segments, budgets, strict=True)]
+    assert found[0] is not None
+    assert found[1] is None
+
+
+def test_an_answer_that_came_late_is_made_good_in_parts_within_the_budget(monkeypatch) -> None:
+    run, session = simulated("rig", 710, 20.0), Session(1, 0.0)
+    beside = Beside(run)
+    assert beside.until(9.0, session) is not None
+    monkeypatch.setattr(follower, "LIVE_BUDGET", 4000.0)
+    beside.smoother.add(session, [event for event in run.events if event.t_sample > 9.0])
+    times = []
+    while not times or times[-1] < 19.9:
+        answer = beside.smoother.answer()
+        assert answer is not None
+        assert answer.established
+        assert not times or answer.t > times[-1]
+        times.append(answer.t)
+    assert len(times) > 2
+    error, sd, _ = scored(answer, run)
+    assert error < 2.5 * sd

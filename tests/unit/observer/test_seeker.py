@@ -15,7 +15,7 @@ from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
-from palmd.observer.search import MOTIONS, Attempt, Likeliest, Search, explained, minima
+from palmd.observer.search import MOTIONS, Attempt, Likeliest, Search, explained
 from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
 from palmd.record.eventlog import read_log
@@ -56,7 +56,7 @@ def spinning_disc():
     dither = math.exp(p[C.SATURATION])
     p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = p[C.LN_RHO] + math.log(16e-3), p[C.DRAG] / dither, dither**-2.0
     start = Guess(np.stack([spin * t, np.full(len(t), spin)], axis=1), p)
-    return search, minima(search.library, search.record, search.known, [start], search.noise)
+    return search, search.minima(search.record, [start])
 
 
 @pytest.mark.xfail(strict=False, reason="the disc that is begun spinning ends at 2.96 rad of turn, where 4 are wanted")
@@ -276,3 +276,22 @@ def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
     found = search.blind(Attempt(2.0, 3), 0)
     unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
     assert search.doubted(unsettled) is unsettled
+
+
+def test_what_was_sure_is_not_given_up_for_a_moment_that_is_hard_to_follow(rig, asked, monkeypatch):
+    order, _ = asked
+    whole = longest_segment(simulated("friction", 107, 10.0).events)
+    seek, resumed = Seeker(rig, 0), Search.resumed
+    assert seek.sought(whole.until(whole.start + 1.5), None) is not None
+    assert seek.sure
+    with monkeypatch.context() as hard:
+        hard.setattr(Search, "resumed", lambda *_: None)
+        assert seek.sought(whole.until(whole.start + 2.5), None) is None
+        assert not seek.unexplained
+        assert order == ["blind"]
+    monkeypatch.setattr(Search, "resumed", resumed)
+    assert seek.sought(whole.until(whole.start + 2.8), None) is not None
+    assert order == ["blind"]
+    monkeypatch.setattr(Search, "resumed", lambda *_: None)
+    seek.sought(whole, None)
+    assert len(order) > 1  # it is sought anew once that has lasted too long

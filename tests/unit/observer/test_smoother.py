@@ -15,7 +15,7 @@ from palmd.observer.factor import GAUGE_SD
 from palmd.observer.marginal import marginalised
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import Smoother, _most_on_the_way
+from palmd.observer.smoother import Budget, Smoother, _most_on_the_way
 
 SECONDS = 0.4
 
@@ -248,3 +248,18 @@ def test_a_guess_moves_to_other_nodes_along_its_cubic(problem):
         np.column_stack([CubicHermiteSpline(t, *problem.guess.x.T)(halfway, order) for order in (0, 1)])
     )
     assert problem.guess.on(t, t).x == pytest.approx(problem.guess.x, abs=1e-12)
+
+
+def test_fits_that_share_a_budget_end_where_it_is_spent():
+    run = simulated("rig", 1, 2.0)
+    search = Search(longest_segment(run.events), run.rig)
+    nodes, budget = len(search.record.t), Budget()
+    guess = Guess(np.zeros((nodes, NODE)), search.prior.mean.copy())
+    guess.p[[C.LN_RHO, C.DRAG, C.SATURATION]] = np.log(0.7 * guess.p[C.SHAPE]), 20.0, 1e4
+    free = Smoother(search.library, search.record, search.known, budget).fit(guess, NOISE)
+    assert free.iterations > 3
+    budget.left = 3 * nodes
+    short = Smoother(search.library, search.record, search.known, budget)
+    assert short.fit(guess, NOISE).iterations == 3
+    again = short.fit(guess, NOISE)
+    assert (again.iterations, again.settled) == (0, False)
