@@ -165,6 +165,12 @@ class Search:
         other._known = known
         return other
 
+    def spending(self, budget: Budget) -> Search:
+        """The same, with a budget of its own."""
+        other = copy(self)
+        other._budget = budget
+        return other
+
     @property
     def known(self) -> Knowledge:
         """What the search goes by: what was known beforehand, else the blind prior."""

@@ -83,7 +83,6 @@ class Seeker:
         self._survived = self._challenges = 0
         self._failed = self._in_vain = 0
         self._doubtful = True
-        self._challenged = False
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
@@ -93,7 +92,7 @@ class Seeker:
         `hint`: constants that a live filter has settled on, in whatever gauge. However many readings have come, so many
         are taken in after the other, and no more once what has been found is beyond question.
         """
-        budget, self._challenged = Budget(LIVE_BUDGET), False
+        budget = Budget(LIVE_BUDGET)
         while True:
             known = self._known_until(segment)
             end = segment.start + BLIND_S if known is None else known + REACH_S
@@ -138,8 +137,7 @@ class Seeker:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
         if finding is None and hint is not None and not self._exact:
             finding = _placed(search, hint)
-        if finding is None or (self._to_challenge(seconds) and len(finding.record.t) == len(search.record.t)):
-            self._challenged = True
+        if finding is None or (self._to_challenge(search, finding) and segment.end == now):
             search, finding = self._sought_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
             finding = search.doubted(finding)
@@ -158,11 +156,14 @@ class Seeker:
             self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
         self._in_vain = 0
+        if answer is not None and known is not None and segment.end - known > LEAST_S and seconds > TELLING_S:
+            self._survived += len(answer.finding.fits) == 1  # it has foretold what came since, and alone
         return answer
 
-    def _to_challenge(self, seconds: float) -> bool:
-        """Whether what explains so many seconds is to be set against a blind search: in an answer once at most."""
-        return (seconds >= self._challenge_s or not self.sure) and not self._challenged
+    def _to_challenge(self, search: Search, finding: Minima) -> bool:
+        """Whether what explains all readings is to be set against a blind search."""
+        due = search.segment.lasts >= self._challenge_s or not self.sure
+        return due and len(finding.record.t) == len(search.record.t)
 
     def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
         """Since when readings are of use for the next search (s), by what is doubted of the last one's answer."""
@@ -187,7 +188,10 @@ class Seeker:
         attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
         if finding is None and attempt.free:
             search = search.believing(self._belief.suspended())
-        blind = search.blind(attempt, self._seed)
+        budget = Budget(LIVE_BUDGET)
+        blind = search.spending(budget).blind(attempt, self._seed)
+        if blind is None and budget.left <= 0.0 and finding is not None:
+            return search, finding  # that it has come to nothing tells nothing
         if blind is None and finding is None and hint is not None and self._exact:
             blind = _placed(search, hint)  # dear, and what it is held against elsewhere are rides here
         merged = search.merged(finding, blind)
