@@ -62,7 +62,7 @@ class IncrementalSmoother:
         self._hint: FloatArray | None = None
         self._events: list[Event] = []
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
-        self._taken_away: Felt | None = None  # what was on the palms last, unless the readings had contradicted it
+        self._taken_away: Felt | None = None  # what was on the palms last, where it was known to the end
         self._frame = 1
         self._unexplained = False  # by the last answer
         self._seeker = Seeker(self._rig, seed)
@@ -119,12 +119,15 @@ class IncrementalSmoother:
         return None if answer is None else self._improvement(answer)
 
     def _sought(self, segment: DataSegment) -> Answer | None:
-        if self._taken_away is not None and LEAST_S < segment.lasts < RETURNED_S:
-            follower = returned(self._taken_away, segment, self._rig, Budget(LIVE_BUDGET))
+        known = self._taken_away
+        if known is not None and LEAST_S < segment.lasts < RETURNED_S:
+            self._taken_away = None  # it is not tried again where numbers fail
+            follower = returned(known, segment, self._rig, Budget(LIVE_BUDGET))
             if follower is not None:
-                self._archive = [felt for felt in self._archive if felt is not self._taken_away]
-                self._follower, self._taken_away = follower, None
+                self._archive = [felt for felt in self._archive if felt is not known]
+                self._follower = follower
                 return self._followed(segment, follower)
+            self._taken_away = known
         answer = self._found = self._seeker.sought(segment, self._hint)
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
@@ -169,7 +172,8 @@ class IncrementalSmoother:
             if felt and self._follower is not None:
                 follower.end(felt[0])
             self._archive = [follower.felt(), *self._archive][:ARCHIVED]
-            self._taken_away = None if follower.lost else self._archive[0]
+            sure = self._follower is not None or self._seeker.sure
+            self._taken_away = self._archive[0] if sure and not follower.lost else None
         self._seek()
 
     def _seek(self) -> None:

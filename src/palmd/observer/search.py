@@ -245,6 +245,8 @@ class Search:
             if doubting:
                 smoother = self.smoother(self.record)
                 self.record = smoother.judged(smoother.completed(guesses[0]), ripple=True)
+                if not self.record.left_open.any():
+                    break
             at_once = self._at_once(guesses, pressed)
             if at_once is not None and at_once.fits[0].settled:
                 return at_once

@@ -25,6 +25,7 @@ from palmd.observer.search import (
     doubt,
     far_fetched,
     still,
+    unfit,
 )
 from palmd.observer.smoother import Budget
 from palmd.system.description import RigDescription
@@ -63,10 +64,10 @@ class Seeker:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long. Where
-    none are, on flat palms, it is what is likelier than an object that rides on a palm or hangs between both. On a
-    fixed hinge it takes two that begin with palms that rub unequally, one way and the other, and no rival that explains
-    the readings nearly as well.
+    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long, or
+    what has foretold a second or more of a long record. Where none are, on flat palms, it is what is likelier than an
+    object that rides on a palm or hangs between both. On a fixed hinge it takes two that begin with palms that rub
+    unequally, one way and the other, and no rival that explains the readings nearly as well.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
@@ -162,7 +163,7 @@ class Seeker:
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
         """Whether what explains all readings is to be set against a blind search."""
-        due = search.segment.lasts >= self._challenge_s or not self.sure
+        due = search.segment.lasts >= self._challenge_s or not self.sure or bool(unfit(finding.fits[0], finding.record))
         return due and len(finding.record.t) == len(search.record.t)
 
     def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:

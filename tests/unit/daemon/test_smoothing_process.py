@@ -135,11 +135,10 @@ def test_closing_ends_it_at_once(run: Run) -> None:
     assert not Path(process._process._folder.name).exists()
 
 
-@pytest.mark.parametrize(("others_s", "paused_s"), [(0.0, 1.0), (0.4, 0.6), (5.0, 0.0)])
-def test_it_pauses_for_what_others_have_not_had_already(
-    monkeypatch: pytest.MonkeyPatch, others_s: float, paused_s: float
-) -> None:
-    """An answer costs a second of the processor, and `others_s` more without: half is left to others."""
+@pytest.mark.parametrize("others_s", [0.0, 0.1, 5.0])
+def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.MonkeyPatch, others_s: float) -> None:
+    """An answer costs a second of the processor, and `others_s` more without: the rest of its share is for others."""
+    paused_s = max(1.0 / smoothing.SHARE - 1.0 - others_s, 0.0)
     clock = Clock(others_s)
     monkeypatch.setattr(smoothing, "meet", clock.meet)
     monkeypatch.setattr(smoothing, "time", clock)
