@@ -25,7 +25,7 @@ from palmd.system.description import RigDescription
 BATCH_S = 0.05  # of events that go out in one message
 HIGH_WATER = 100  # messages on their way: five seconds
 KEPT_EVENTS = 1000  # for a process that does not take them: some four seconds; packing them takes 1 ms
-SHARE = 0.8  # of one core that the process takes at most, and that only before it has found anything
+SHARE = 0.8  # of one core, at most (study 2026-11-30: at 0.5 hard motions leave 5 s between two answers)
 NICENESS = 3  # after the loop, but not so far behind others that its answers come too late
 
 Answer = TypeVar("Answer")

@@ -91,7 +91,7 @@ def known_of(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor
 
 
 def with_any_node(known: Factor) -> Factor:
-    """What is known of the constants, with a node after them that is anywhere."""
+    """Knowledge of the constants, extended by a node of unknown state (`ANYWHERE_RAD`, `ANY_SPIN`)."""
     matrix, side = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     matrix[:CONSTANTS, :CONSTANTS], side[:CONSTANTS] = known.matrix, known.side
     matrix[CONSTANTS:, CONSTANTS:] = np.diag([ANYWHERE_RAD**-2, ANY_SPIN**-2])

@@ -156,7 +156,7 @@ class Factor:
 
 
 def of_constants(known: Knowledge, p: FloatArray) -> Factor:
-    """What is known of the constants alone, expanded at `p`."""
+    """The marginal of the constants, expanded at `p`; raises LinAlgError where the node is not observed."""
     node = np.zeros(NODE)
     at = known.terms(p, node)
     whole = Factor(np.concatenate([p, node]), at.cost, at.matrix, at.side, known.scale)

@@ -29,7 +29,7 @@ PATIENCE = 6
 objects were lost whose motion the model explains)."""
 LEAST_S = 1.0  # of readings at the end of a segment that are worth an iteration
 OPEN_S = 1.5  # of the latest readings at least that no segment holds
-REACH_S, LEAST_REACH_S = 1.0, 0.5  # of new readings at a time
+REACH_S = 1.0  # of new readings in one step (choice: half a segment)
 LOST_S = 6.0  # of readings that what is known does not explain, after which the object is sought anew
 TAIL_S = 0.5  # before an object was lost: it may have been held already
 
@@ -95,16 +95,16 @@ class Follower:
         return self._open.start
 
     def smoothed(self, segment: DataSegment) -> Answer | None:
-        """With the readings of `segment`, as far as they have come; None while they are in doubt.
+        """The estimate with the readings of `segment`, as far as the budget allows; None while they are not explained.
 
-        Of many at once, so many after the other that what is open stays short: an answer that came late takes no
-        longer for each of its readings. Where so many are in doubt, twice as many may tell.
+        Readings are processed in steps of `REACH_S`, so that the open part stays short and the work is proportional to
+        their number. After a step that is rejected the next one is twice as long.
         """
         self._most_forces = tuple(map(max, self._most_forces, segment.most_forces))
         budget, reach, begun = Budget(LIVE_BUDGET), REACH_S, self._open.end
         while True:
             end = self._open.end + reach
-            if segment.end < end + LEAST_REACH_S:
+            if segment.end < end + REACH_S / 2:
                 end = segment.end
             answer = self._gone_on(segment.until(end), budget)
             if end == segment.end or budget.left <= 0.0:

@@ -24,14 +24,13 @@ from palmd.observer.matching import Felt
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
-from palmd.observer.returned import returned
+from palmd.observer.reidentification import reidentified
 from palmd.observer.search import LIVE_BUDGET
 from palmd.observer.seeker import LEAST_S, TELLING_S, Seeker
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
-RETURNED_S = 6.0  # of readings, by which an object that was taken away is known again, or never
 ARCHIVED = 4  # objects that were taken away
 
 # Where each state of the shape map stands among (constants, last node).
@@ -62,7 +61,7 @@ class IncrementalSmoother:
         self._hint: FloatArray | None = None
         self._events: list[Event] = []
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
-        self._taken_away: Felt | None = None  # what was on the palms last, where it was known to the end
+        self._taken_away: Felt | None = None  # the last object, unless it was rejected or never confirmed
         self._frame = 1
         self._unexplained = False  # by the last answer
         self._seeker = Seeker(self._rig, seed)
@@ -120,9 +119,9 @@ class IncrementalSmoother:
 
     def _sought(self, segment: DataSegment) -> Answer | None:
         known = self._taken_away
-        if known is not None and LEAST_S < segment.lasts < RETURNED_S:
-            self._taken_away = None  # it is not tried again where numbers fail
-            follower = returned(known, segment, self._rig, Budget(LIVE_BUDGET))
+        if known is not None and LEAST_S < segment.lasts < TELLING_S:
+            self._taken_away = None  # not tried again after a numerical failure
+            follower = reidentified(known, segment, self._rig, Budget(LIVE_BUDGET))
             if follower is not None:
                 self._archive = [felt for felt in self._archive if felt is not known]
                 self._follower = follower

@@ -38,17 +38,20 @@ SPACING_S = 0.01  # of the nodes while looking for the answer
 FIRST_LOOK_S = 0.3  # readings that tell the object's size
 PLACED_S = 0.4  # readings that orientations are first judged by
 FIRST_READINGS, ORIENTATIONS = 5, 10
+PLACED_SD_M = 1e-4  # of the outline's coefficients, where its orientation is sought
 NOISE = ProcessNoise(1e-8, 1e-5)
 LED_BY_READINGS = (1e5, 1e3, 10.0)
 """Times the process noise, one fit after the other (derivation: at first the spin may differ by 0.1 rad/s from node to
 node, more than any friction changes it there, then by ten times less each)."""
 LED_ITERATIONS = 6
-"""Of each of these fits, which need not settle: they lead to where the last one begins (study 2026-11-30: of sixteen
-logged windows 12 answered after 6, as after 60, in a third of the time)."""
+"""Of each of these fits, which need not converge, since they only initialise the next one (study 2026-11-30: with 6 as
+with 60 iterations, 12 of 16 logged windows converged, in a third of the time)."""
 
 GROWTH, LEAST_GROWTH_S, SHORT_GROWTH_S = 1.6, 0.1, 0.15
 PATIENCE = 12
-LIVE_BUDGET = 80_000.0  # iterations times nodes of a live answer: a second or two of a processor
+LIVE_BUDGET = 80_000.0
+"""Iterations times nodes of one live answer: 1.3 s of processor time (study 2026-11-30: 16 µs each; with 120,000
+answers came up to 6 s late)."""
 JUDGED = 3
 """Times that the law's uncertainty is evaluated along the motion that it led to (study 2026-11-30: of six logged
 searches five settled, after 1, 2, 2, 3 and 5)."""
@@ -233,12 +236,12 @@ class Search:
         return later
 
     def resumed(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
-        """Go on from what was found on a shorter part of the same segment, as far as readings are explained; else None.
+        """Continue fits of a shorter part of the segment, as far as readings are explained; None without any progress.
 
-        At once to the end of the record where the model foretells it. Else steps are as uncertain as the law of
-        friction is along the motion that it foretells; in every fit that would bias it towards heavy bodies (`Smoother.
-        judged`). Then at once again, and at last window by window: what has explained the readings so far is right, so
-        that each window is worth a second try. pressed: contacts are pressed as the model has it.
+        First in one window to the end of the record. Where that does not converge, the process noise includes the
+        discrepancy of the friction law along the predicted motion; included in every fit it would bias ρ towards heavy
+        bodies (`Smoother.judged`). Then in one window again, at last in growing ones, each of them tried twice.
+        pressed: contacts are pressed as the model predicts.
         """
         strict = self.record
         for doubting in (False, True):
@@ -286,31 +289,33 @@ class Search:
         found = self.minima(self.record, starts, HASTY)
         return found if explained(found.fits[0], found.record) else None
 
-    def placed(self, p: FloatArray, covariance: FloatArray) -> Minima | None:
-        """Start from the constants `p`, at rest as the outline is most likely to lie; None if that leads nowhere.
+    def placed(self, p: FloatArray) -> Minima | None:
+        """Start from the constants `p`, at rest at the likeliest orientations; None where none of them is explained.
 
-        `covariance` is of the outline's coefficients (m²). ψ is gauge: it is the outline that is turned.
+        ψ is gauge: it is the outline that is turned.
         """
         record = self.record.until(self.record.t[0] + PLACED_S)
         guesses = []
-        for psi in self.orientations(p[C.SHAPE :], covariance):
+        for psi in self.orientations(p[C.SHAPE :]):
             turned = p.copy()
             turned[C.SHAPE :] = shape.turned(-psi, ORDER) @ p[C.SHAPE :]
             guesses.append(Guess(np.zeros((len(record.t), NODE)), turned))
         return self._grown_from(record, guesses)
 
-    def orientations(self, outline: FloatArray, covariance: FloatArray) -> FloatArray:
-        """ψ of an object that has just been put down, by the first readings of both pads."""
+    def orientations(self, outline: FloatArray) -> FloatArray:
+        """The likeliest ψ (rad) of an outline (m) that has just been put down, by the first readings of both pads."""
         first = [[sample for sample in self.segment.pads if sample.pad == pad][:FIRST_READINGS] for pad in PALMS]
         contacts = [float(np.mean([sample.s for sample in samples])) for samples in first]
         palms = motion_of(self.path.at(np.array([first[0][0].t_sample]))[0])
+        covariance = PLACED_SD_M**2 * np.eye(len(outline))
         return likely_orientations(outline, covariance, contacts, palms, self.rig, ORIENTATIONS)
 
     def _grown_from(
         self, record: Record, guesses: Sequence[Guess], most_work: float = math.inf, loosens: bool = False
     ) -> Minima | None:
-        """As far as readings are explained where it `loosens`: a window that is not is tried again there, with a motion
-        that is noisier at first.
+        """Fit windows that grow to the end of the record; None where one is rejected.
+
+        loosens: a rejected window is tried again with more process noise at first, and progress so far is returned.
         """
         found = self.minima(record, guesses)
         if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.smoothing import ORDER
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.follower import LOST_S, PATIENCE, Answer
@@ -38,12 +37,12 @@ _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
 _BEGUN = (0.5, -0.5)  # with palms that rub so unequally
 _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGUN)
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
-HINT_SD = 1e-4  # m, of the outline's coefficients
 TELLING_S = 6.0
-"""Of readings: of longer ones, in simulation, whatever alone explained them was right; what is sure is followed on."""
+"""Of readings. In simulation every hypothesis that was the only one to explain longer records was right; once
+confirmed, it is handed to the follower."""
 ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
 CHALLENGE = 2.0  # by how much the record grows from one blind search to the next, until one confirms what was sure
-REACH_S, BLIND_S = 2.0, 6.0  # of new readings at a time, and of the first ones
+REACH_S = 2.0  # of new readings in one step (choice: twice the follower's, since all readings are fitted again)
 STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
 LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
@@ -63,11 +62,11 @@ def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
 class Seeker:
     """Deterministic for a given seed and the same calls.
 
-    Where constants of the rig are open, short records are often explained as well by an outline a millimetre off: then
-    only what a second blind search comes to as well is to be vouched for, or what none finds a rival of for long, or
-    what has foretold a second or more of a long record. Where none are, on flat palms, it is what is likelier than an
-    object that rides on a palm or hangs between both. On a fixed hinge it takes two that begin with palms that rub
-    unequally, one way and the other, and no rival that explains the readings nearly as well.
+    Where constants of the rig are uncertain, a wrong outline often explains a short record as well. There a hypothesis
+    is confirmed by a second blind search with the same result, by blind searches of a long record that find no rival,
+    or by its prediction of the last second or more of one. Where none are, on flat palms, it must be likelier than an
+    object that turns with a palm or not at all. On a fixed hinge two confirmations are needed, by searches that begin
+    with unequal friction, one way and the other, and no rival may explain the readings nearly as well.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
@@ -90,13 +89,14 @@ class Seeker:
     def sought(self, segment: DataSegment, hint: FloatArray | None) -> Answer | None:
         """What the readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
 
-        `hint`: constants that a live filter has settled on, in whatever gauge. However many readings have come, so many
-        are taken in after the other, and no more once what has been found is beyond question.
+        `hint`: constants that a live filter has settled on, in whatever gauge. Readings are processed in steps of
+        `REACH_S` until the budget is spent or the hypothesis can be handed to the follower; the answer may be of an
+        earlier time than the last reading.
         """
         budget = Budget(LIVE_BUDGET)
         while True:
             known = self._known_until(segment)
-            end = segment.start + BLIND_S if known is None else known + REACH_S
+            end = segment.start + TELLING_S if known is None else known + REACH_S
             if segment.end < end + LEAST_S:
                 end = segment.end
             answer = self._sought(segment.until(end), hint, segment.end, budget)
@@ -106,7 +106,7 @@ class Seeker:
                 return answer
 
     def _known_until(self, segment: DataSegment) -> float | None:
-        """Up to when what has been found explains the readings of `segment` (s); None where nothing has."""
+        """End of the readings of `segment` that the hypotheses explain (s); None where there is no hypothesis."""
         if not self._guesses or segment.start != self._start:
             return None
         return segment.start + (len(self._guesses[0].x) - 1) * SPACING_S
@@ -118,7 +118,7 @@ class Seeker:
         now: float,
         budget: Budget,
     ) -> Answer | None:
-        """As `sought`, of all readings of `segment`; the latest that have come are of the time `now` (s)."""
+        """As `sought`, in one step to the end of `segment`; `now`: the time of the last reading of all (s)."""
         seconds = segment.lasts
         self.unexplained = False
         if seconds < LEAST_S:
@@ -133,11 +133,11 @@ class Seeker:
         if known is not None:
             finding = search.resumed(self._guesses)
             if finding is None and self.sure and now - known < LOST_S:
-                return None  # what was sure is not given up for a moment that is hard to follow
+                return None  # one step that is hard to fit does not reject a confirmed hypothesis
         else:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
         if finding is None and hint is not None and not self._exact:
-            finding = _placed(search, hint)
+            finding = search.placed(hint)
         if finding is None or (self._to_challenge(search, finding) and segment.end == now):
             search, finding = self._sought_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
@@ -151,18 +151,18 @@ class Seeker:
         self._doubtful = bool(doubts) or self.unexplained
         if self._doubtful and budget.left <= 0.0 and known is not None and now - known < LOST_S:
             self._guesses, self.unexplained = self._guesses or before, False
-            return None  # there has been no time to tell
+            return None  # the budget was spent: neither accepted nor rejected
         if self._doubtful:
             self._failed += seconds > _ATTEMPTS[0].seconds
             self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
         self._in_vain = 0
         if answer is not None and known is not None and segment.end - known > LEAST_S and seconds > TELLING_S:
-            self._survived += len(answer.finding.fits) == 1  # it has foretold what came since, and alone
+            self._survived += len(answer.finding.fits) == 1  # the only one, and it predicted them
         return answer
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
-        """Whether what explains all readings is to be set against a blind search."""
+        """Whether a hypothesis that explains all readings is due for a challenge by a blind search."""
         due = search.segment.lasts >= self._challenge_s or not self.sure or bool(unfit(finding.fits[0], finding.record))
         return due and len(finding.record.t) == len(search.record.t)
 
@@ -192,9 +192,9 @@ class Seeker:
         budget = Budget(LIVE_BUDGET)
         blind = search.spending(budget).blind(attempt, self._seed)
         if blind is None and budget.left <= 0.0 and finding is not None:
-            return search, finding  # that it has come to nothing tells nothing
+            return search, finding  # a search that was cut short is no evidence
         if blind is None and finding is None and hint is not None and self._exact:
-            blind = _placed(search, hint)  # dear, and what it is held against elsewhere are rides here
+            blind = search.placed(hint)  # dear, and what it is held against elsewhere are rides here
         merged = search.merged(finding, blind)
         again = self.sure and agree(finding, blind)
         self._survived = self._challenges_survived(finding, blind, merged, seconds)
@@ -257,8 +257,3 @@ class Seeker:
                 break
             answer = Answer(anew, found)
         return answer
-
-
-def _placed(search: Search, constants: FloatArray) -> Minima | None:
-    """What is found from constants that a live filter has settled on."""
-    return search.placed(constants, HINT_SD**2 * np.eye(2 * ORDER + 1))

@@ -30,7 +30,7 @@ LEAST_FALL = 1e-3  # of the cost, by which a correction must lower it
 
 @dataclass(slots=True)
 class Budget:
-    """Iterations times nodes that fits may still take between them: what bounds the time of a live answer."""
+    """Iterations times nodes that fits may still use between them; bounds the processor time of a live answer."""
 
     left: float = math.inf
 
@@ -105,7 +105,7 @@ class Smoother:
     def __init__(self, library: Library, record: Record, known: Knowledge, budget: Budget | None = None):
         """Binds the kernels to arrays of the record's size; `known` is about the constants and the first node.
 
-        Fits end unsettled when the `budget` is spent; by default there is none.
+        Fits end unsettled when the `budget` is spent; by default it is unlimited.
         """
         self._residuals = Residuals(library, record)
         self._known = known

@@ -21,7 +21,7 @@ from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.record import Record
-from palmd.observer.returned import returned
+from palmd.observer.reidentification import reidentified
 from palmd.observer.search import Minima, Search
 from palmd.observer.seeker import TELLING_S
 from palmd.observer.smoother import Budget
@@ -295,7 +295,7 @@ def test_what_the_rig_leaves_open_and_the_rest_are_the_whole_covariance() -> Non
     assert np.allclose(of_rig @ of_rig.T, covariance[RIG, RIG])
 
 
-def test_an_object_that_was_felt_well_is_followed_on_sooner_than_a_new_one() -> None:
+def test_a_known_object_is_reidentified_sooner_than_a_blind_search_confirms_a_new_one() -> None:
     run = simulated("rig", 710, 36.0, absences=((9.0, 10.0), (18.0, 19.0), (27.0, 28.0)))
     beside = Beside(run)
     for number, (start, end) in enumerate(((0.0, 9.0), (10.02, 18.0))):
@@ -309,7 +309,7 @@ def test_an_object_that_was_felt_well_is_followed_on_sooner_than_a_new_one() -> 
     assert error < 2.0 * sd
 
 
-def test_another_object_is_not_known_again() -> None:
+def test_another_object_is_not_reidentified() -> None:
     one, other = (simulated("rig", seed, 8.0) for seed in (710, 711))
     beside = Beside(one)
     beside.until(8.0, Session(1, 0.0))
@@ -318,12 +318,12 @@ def test_another_object_is_not_known_again() -> None:
     segments = [longest_segment(run.events) for run in (one, other)]
     assert all(segments)
     budgets = Budget(), Budget()
-    found = [returned(known.felt(), each, one.rig, budget) for each, budget in zip(segments, budgets, strict=True)]
+    found = [reidentified(known.felt(), each, one.rig, budget) for each, budget in zip(segments, budgets, strict=True)]
     assert found[0] is not None
     assert found[1] is None
 
 
-def test_an_answer_that_came_late_is_made_good_in_parts_within_the_budget(monkeypatch) -> None:
+def test_a_backlog_of_readings_is_processed_in_parts_within_the_budget(monkeypatch) -> None:
     run, session = simulated("rig", 710, 20.0), Session(1, 0.0)
     beside = Beside(run)
     assert beside.until(9.0, session) is not None

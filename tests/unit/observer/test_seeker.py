@@ -278,7 +278,7 @@ def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
     assert search.doubted(unsettled) is unsettled
 
 
-def test_what_was_sure_is_not_given_up_for_a_moment_that_is_hard_to_follow(rig, asked, monkeypatch):
+def test_one_step_that_is_not_explained_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 10.0).events)
     seek, resumed = Seeker(rig, 0), Search.resumed
@@ -294,4 +294,4 @@ def test_what_was_sure_is_not_given_up_for_a_moment_that_is_hard_to_follow(rig, 
     assert order == ["blind"]
     monkeypatch.setattr(Search, "resumed", lambda *_: None)
     seek.sought(whole, None)
-    assert len(order) > 1  # it is sought anew once that has lasted too long
+    assert len(order) > 1  # after `LOST_S` a new search is started

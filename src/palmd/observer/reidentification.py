@@ -1,0 +1,58 @@
+"""Re-identification: the last object is assumed to be back at an unknown orientation. Not for use inside the loop.
+
+Its constants are known and only orientation and motion are not, so that a few seconds of readings can be enough. A
+blind search needs longer, and a second one that confirms it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from palmd.model.smoothing import C
+from palmd.observer.beginning import with_any_node
+from palmd.observer.data_segment import DataSegment
+from palmd.observer.factor import of_constants
+from palmd.observer.follower import PATIENCE, Answer, Follower
+from palmd.observer.matching import Felt, of_any_small_turn
+from palmd.observer.noise import with_scatter
+from palmd.observer.normal_equations import Guess
+from palmd.observer.search import PLACED_S, Search, explained
+from palmd.observer.smoother import Budget, Fit
+from palmd.system.description import RigDescription
+
+MOST_ORIENTATIONS = 3  # that are propagated to the end of the readings (choice: the budget ends most earlier)
+
+
+def reidentified(known: Felt, segment: DataSegment, rig: RigDescription, budget: Budget) -> Follower | None:
+    """A follower of the `known` object through all of `segment`; None where it is not confirmed.
+
+    A fit to the readings is not enough: an outline is free where it was not touched, so that a wrong orientation may
+    fit as well. `Follower.join` weighs the evidence against other orientations and other objects. Raises LinAlgError
+    where the normal equations are singular.
+    """
+    search = Search(segment, with_scatter(rig, segment.pads), PATIENCE, budget=budget)
+    for fit in _orientations(known, search)[:MOST_ORIENTATIONS]:
+        psi = float(fit.guess.x[0, 0])
+        information = of_any_small_turn(known.turned(-psi).told)[0]
+        p = fit.guess.p.copy()
+        p[C.SHAPE :] = information.about[C.SHAPE :]
+        prior = replace(search.prior, told=information)
+        finding = search.knowing(prior).resumed([Guess(fit.guess.x - [psi, 0.0], p)])
+        if finding is None or len(finding.record.t) < len(search.record.t):
+            continue
+        if finding.fits[0].settled and explained(finding.fits[0], finding.record):
+            follower = Follower(Answer(search, finding))
+            return follower if follower.join([known]) is not None else None
+    return None
+
+
+def _orientations(known: Felt, search: Search) -> list[Fit]:
+    """Fits of the first readings from the likeliest orientations, without those that are rejected; least cost first."""
+    record, p = search.record.until(float(search.record.t[0]) + PLACED_S), known.told.about
+    prior = with_any_node(known.told.plus(of_constants(search.prior, p)))
+    smoother = search.knowing(prior).smoother(record)
+    starts = (Guess(np.tile([psi, 0.0], (len(record.t), 1)), p) for psi in search.orientations(p[C.SHAPE :]))
+    fits = (smoother.fit(start, search.noise) for start in starts)
+    return sorted((fit for fit in fits if explained(fit, record)), key=lambda fit: fit.cost)
