@@ -14,7 +14,6 @@ import numpy.typing as npt
 from plain_friction import (
     SIGN_PAIRS,
     by_sign,
-    mean_direction,
     positive,
     rippled_directions,
     sign_shares,
@@ -22,7 +21,7 @@ from plain_friction import (
 )
 
 from palmd.events import FloatArray
-from palmd.model.friction import HOP_NOISE_S, LEAST_FORCE, RIPPLE_NOISE_S
+from palmd.model.friction import FRICTION_NOISE_S, HOP_NOISE_S, LEAST_FORCE
 from palmd.model.shape import HARMONICS
 from palmd.model.shape_map import N, Z
 
@@ -31,6 +30,7 @@ Array = npt.NDArray[Any]  # real or complex
 EPSILON = 1e-30
 _K = np.arange(1, HARMONICS + 1)[:, None]
 _SERIES_TERMS = 20
+_LOG_MU_STEP = 1e-5
 _OWN_RATE_STEP = 3e-4  # rad/s: slips change by far less than the speed that hides friction
 
 
@@ -63,7 +63,7 @@ def spin_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
 
 
 def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, Array]:
-    """α0 (rad/s²), what the law of friction leaves open of ω0 ((rad/s)²/s), and α0 of softened friction (rad/s²).
+    """α0 (rad/s²), the density of its error ((rad/s²)²/Hz), and α0 of softened friction (rad/s²).
 
     Per unit mass, unknowns (f1, f2, α0); palms φ1 … α2, rig as `rig_inputs`.
     With N = (n1, n2)ᵀ and c the centre of mass, N c = r twice differentiated gives n_i·a; a = Σ f_j F_j + g. On palms
@@ -120,19 +120,35 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
     follows = transmission + transmission_off
 
     def averaged_over(mean: Array, lag: Array) -> tuple[Array, Array]:
-        """α0, and the part of it that comes of contacts being pulled."""
+        """Directions of friction, and the part of α0 that comes of contacts being pulled."""
         forces, rubbed, pulled = np.full_like(mean, LEAST_FORCE), np.zeros_like(mean), 0.0
         for signs, share in sign_shares(mean, kappa, lag):
             s = np.array(signs)[:, None]
             force = share * positive(each[signs][:2])
             forces, rubbed = forces + force, rubbed + s * force
             pulled = pulled + (share * positive(-each[signs][:2]) * np.abs(d + mu * s * arms) / rho2).sum(axis=0)
-        return np.asarray(solved(mean + follows * (rubbed / forces - mean))[2]), follows * pulled
+        return mean + follows * (rubbed / forces - mean), follows * pulled
 
-    spin, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
-    steady, _ = averaged_over(mean_direction(slip / speed), np.zeros(x.shape[1]))
+    directions, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
     softened, _ = averaged_over(softened_direction(slip, speed, drive), np.zeros(x.shape[1]))
-    return spin, RIPPLE_NOISE_S * (spin - steady) ** 2 + HOP_NOISE_S * pulled**2, softened
+    more = [1 + _LOG_MU_STEP * row[:, None] for row in np.eye(2)]
+    less = [1 - _LOG_MU_STEP * row[:, None] for row in np.eye(2)]
+    by_mu = [
+        (solved(directions * up)[2] - solved(directions * down)[2]) / (2 * _LOG_MU_STEP)
+        for up, down in zip(more, less, strict=True)
+    ]
+    error = FRICTION_NOISE_S * (by_mu[0] ** 2 + by_mu[1] ** 2) + HOP_NOISE_S * pulled**2
+    return np.asarray(solved(directions)[2]), error, np.asarray(solved(softened)[2])
+
+
+def left_open(x: FloatArray, u: FloatArray) -> float:
+    """Variance ((rad/s)²) of ω0 that the law of friction leaves after a step; u as in `transition`.
+
+    Of an error of α0 that is white noise, ω0 relaxing at softened friction's rate: q (e^{2 z} − 1)/2z dt.
+    """
+    state = x[:, None].astype(complex)
+    rate = _own_rate(state, u[1:7], u[9:])
+    return float((motion(state, u[1:7], u[9:])[1] * _phi(1, 2 * rate * u[0]) * u[0])[0].real)
 
 
 def transition(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -145,13 +161,7 @@ def _moved(x: Array, u: FloatArray) -> Array:
     """ETDRK4 (Cox and Matthews 2002), exact for softened friction's rate of ω0; with none it is Runge–Kutta."""
     dt, palms, jerk, rig = u[0], u[1:7], u[7:9], u[9:]
 
-    def spin_at(off: float) -> Array:
-        elsewhere = x.copy()
-        elsewhere[Z.OMEGA0] += off
-        return motion(elsewhere, palms, rig)[2]
-
-    h = _OWN_RATE_STEP
-    own_rate = (8 * (spin_at(h) - spin_at(-h)) - (spin_at(2 * h) - spin_at(-2 * h))) / (12 * h)
+    own_rate = _own_rate(x, palms, rig)
     z = np.stack([np.zeros_like(own_rate), own_rate * dt])
 
     def rest(y: Array, t: float) -> Array:
@@ -173,6 +183,18 @@ def _moved(x: Array, u: FloatArray) -> Array:
     p1, p2, p3 = (dt * _phi(k, z) for k in (1, 2, 3))
     y = np.exp(z) * y + (p1 - 3 * p2 + 4 * p3) * n0 + 2 * (p2 - 2 * p3) * (n1 + n2) + (4 * p3 - p2) * n3
     return np.concatenate([y, x[2:]])
+
+
+def _own_rate(x: Array, palms: FloatArray, rig: FloatArray) -> Array:
+    """∂α0/∂ω0 (1/s) of softened friction."""
+
+    def spin_at(off: float) -> Array:
+        elsewhere = x.copy()
+        elsewhere[Z.OMEGA0] += off
+        return motion(elsewhere, palms, rig)[2]
+
+    h = _OWN_RATE_STEP
+    return np.asarray((8 * (spin_at(h) - spin_at(-h)) - (spin_at(2 * h) - spin_at(-2 * h))) / (12 * h))
 
 
 def _phi(order: int, z: Array) -> Array:

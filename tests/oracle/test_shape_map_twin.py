@@ -50,8 +50,8 @@ def test_the_c_predicts_as_the_numpy_twin(kernels, seed, mu, law):
     kernels.bind("predict", [x, P, u], [x_c, P_c])()
     x_np, F = plain_shape_map.transition(x, u)
     Q = np.zeros(n)
-    left_open = plain_shape_map.motion(x[:, None], PALMS, u[9:])[1].item()
-    Q[:2] = np.array([shape_map.Q_PSI, shape_map.Q_OMEGA0 + left_open]) * u[0]
+    Q[:2] = np.array([shape_map.Q_PSI, shape_map.Q_OMEGA0]) * u[0]
+    Q[1] += plain_shape_map.left_open(x, u)
     P_np = F @ P @ F.T + np.diag(Q)
     assert abs(x_np[1] - x[1]) > 1e-3, "the spin must change for this to say anything"
     assert x_c == pytest.approx(x_np, rel=SAME_FORMULA, abs=SAME_FORMULA * abs(x_np).max())

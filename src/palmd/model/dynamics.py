@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_normals, tangent
-from palmd.model.friction import HOP_NOISE_S, RIPPLE_NOISE_S, SlipResponse, Vibrated, averaged, normal_forces
+from palmd.model.friction import FRICTION_NOISE_S, HOP_NOISE_S, SlipResponse, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
 VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 15)
@@ -73,8 +73,8 @@ class BodyConstants:
 class Motion:
     """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
 
-    least: the least force on each contact within a vibration (m/s²). discrepancy: density ((rad/s)²/s) of what the law
-    of friction leaves open of ω0, 0 where nothing vibrates; hopping: the part of it where contacts hop.
+    least: the least force on each contact within a vibration (m/s²). discrepancy: spectral density ((rad/s²)²/Hz) of
+    the error of α0 that the law of friction leaves, 0 of the old law; hopping: the part of it where contacts hop.
     softened_alpha0: α0 with the directions `Averaged.softened`; its derivative in ω0 is the rate for
     `exponential_step`. α0's own jumps where the ripple begins to stick, and the step would, too.
     """
@@ -181,7 +181,17 @@ def newton_euler(
         return (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2, f1, f2
 
     alpha0, f1, f2 = moving(mean.directions)
-    by_ripple = alpha0 - moving(mean.without_ripple)[0]
+    along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
+    torques = [-(k.d + rubs * arm) for k, arm, rubs in zip(contacts, arms, along, strict=True)]
+
+    def by_friction(i: int) -> SX:
+        """∂α0/∂ln μ_i: of the force's own torque, and of both normal forces, which change with it."""
+        rubbing = along[i] * (f1, f2)[i]
+        f1_change, f2_change = normal_forces(A, B, [row[i] * rubbing for row in B], along)
+        change: SX = (f1_change * torques[0] + f2_change * torques[1] - rubbing * arms[i]) / rho2
+        return change
+
     hopping = HOP_NOISE_S * mean.pulled**2
-    discrepancy, softened_alpha0 = RIPPLE_NOISE_S * by_ripple**2 + hopping, moving(mean.softened)[0]
+    uncertain = (1 - rig[VIBRATION_INPUTS][2]) * FRICTION_NOISE_S * (by_friction(0) ** 2 + by_friction(1) ** 2)
+    discrepancy, softened_alpha0 = uncertain + hopping, moving(mean.softened)[0]
     return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), discrepancy, hopping, softened_alpha0)

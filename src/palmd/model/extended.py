@@ -15,7 +15,7 @@ from functools import cache
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, offsets
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
-from palmd.model.integrate import exponential_step
+from palmd.model.integrate import exponential_step, variance_share
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs
 from palmd.model.shape import COEFFICIENTS, HARMONICS, contact_at, harmonics
@@ -116,7 +116,7 @@ def predict_function() -> ca.Function:
     moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, braking)
     Q = SX.zeros(MOVING)
     Q[X.R1] = Q[X.R2] = Q[X.S1] = Q[X.S2] = Q_LENGTH
-    Q[X.OMEGA0] = Q_OMEGA0 + beginning.discrepancy
+    Q[X.OMEGA0] = Q_OMEGA0 + beginning.discrepancy * variance_share(braking, u[0])
     Q[X.OMEGA1] = Q[X.OMEGA2] = Q_PALM_RATE
     # only the moving rows of the transition differ from the identity
     top = J @ P

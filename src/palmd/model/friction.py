@@ -26,12 +26,13 @@ period than the smooth kink rounds off)."""
 RELAXED = 0.7
 """Share of the way of each step but the first towards the ripple that agrees with its shares (numerics: whole steps
 overshoot, as a larger ripple makes for more equal shares)."""
-RIPPLE_NOISE_S = 0.02
-"""Process noise (s) of ω0 over the square of the ripple's effect on α0 (study of resolved vibrations, 2026-11-29:
-median of the law's error)."""
+FRICTION_NOISE_S = 1e-4
+"""Spectral density (s) of α0's error over the square of what friction at a contact contributes to α0: 2 ε² τ of a force
+that is off by ε = 2 % for τ = 0.12 s at a time (study of resolved vibrations, 2026-11-30, eight demos over wires with
+μ 0.05 to 0.25: medians of 0.7e-4 to 4.5e-4; third harmonics of 2 %, as shakers have them, do as much)."""
 HOP_NOISE_S = 2.0
-"""The same over the square of what would pull where a contact hops (same study: order of magnitude, as logs differ by
-more than ten times)."""
+"""The same over the square of what would pull where a contact hops (study of resolved vibrations, 2026-11-29: order of
+magnitude, as logs differ by more than ten times)."""
 BRIEF = KINK / 2  # share of time that the smooth kink leaves to the other sign at a slip of 1.2 V
 SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 SLOPE = math.pi / 2
@@ -259,14 +260,13 @@ class Averaged:
     """What friction does in the mean over the vibration.
 
     directions: of friction at each contact, with which one solve of the contact equations gives the mean forces;
-    without_ripple: the same if the body's slip had no ripple; softened: the same by `softened_speeds`, which vary with
-    the slips about as much as the ripple makes `directions` vary, and without jumps. pair_forces, shares, wedged:
+    softened: the same by `softened_speeds`, which vary with the slips about as much as the ripple makes `directions`
+    vary, and without jumps. pair_forces, shares, wedged:
     normal forces (m/s²) and share of time of each of `SIGN_PAIRS`, and whether the body is wedged then. transmission:
     λ, 0 with the averaged law. pulled: see the function of that name.
     """
 
     directions: tuple[SX, ...]
-    without_ripple: tuple[SX, ...]
     softened: tuple[SX, ...]
     pair_forces: tuple[tuple[SX, ...], ...]
     shares: tuple[SX, ...]
@@ -312,9 +312,8 @@ def averaged(
 
     drive = drives(forces, mu, body)
     found, shares = directions(*rippled_directions(slip, speed, drive, kappa, steps))
-    steady, _ = directions([mean_direction(u / speed) for u in slip], SX(0))
     slower = softened_speeds(speed, drive)
     softened, _ = directions([mean_direction(u / v) for u, v in zip(slip, slower, strict=True)], SX(0))
     held = tuple(wedged(A, B, friction) for friction in _by_pair(mu))
     hopping = transmission * pulled(forces, shares, mu, body)
-    return Averaged(found, steady, softened, forces, shares, held, transmission, hopping)
+    return Averaged(found, softened, forces, shares, held, transmission, hopping)

@@ -53,6 +53,14 @@ def exponential_step(
     return moved, J
 
 
+def variance_share(rate: SX, dt: SX) -> SX:
+    """(e²ᶻ − 1)/2z, z = rate · dt: what is left after dt of the variance that a white acceleration adds to a speed.
+
+    The speed relaxes at the `rate` (1/s), negative of one that decays.
+    """
+    return _exprel(2 * rate * dt)
+
+
 def _elementwise(f: Callable[[SX], SX], z: SX) -> SX:
     # most entries are structurally zero: there the weights are Runge–Kutta's plain numbers
     return ca.vertcat(*(f(z[i]) if not z[i].is_zero() else f(SX(0)) for i in range(z.shape[0])))

@@ -12,7 +12,7 @@ from functools import cache
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, readings
 from palmd.model.dynamics import BodyConstants, Motion, Palms, newton_euler
-from palmd.model.integrate import exponential_step
+from palmd.model.integrate import exponential_step, variance_share
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import RIG_INPUTS, named_outputs, touch_on
 from palmd.model.shape import HARMONICS, contact_at
@@ -92,7 +92,7 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
     braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
     moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
     x_next = ca.vertcat(moved, x[2:])
-    (discrepancy,) = touch.thawed(beginning.discrepancy)
+    (discrepancy,) = touch.thawed(beginning.discrepancy * variance_share(braking, dt))
     # only two rows of the transition differ from the identity
     top = J @ P
     corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0 + discrepancy)) * dt

@@ -16,7 +16,7 @@ from functools import cache
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, alongs, readings, tangent_joints
 from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Motion, Palms, newton_euler
-from palmd.model.integrate import exponential_step
+from palmd.model.integrate import exponential_step, variance_share
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, touch_on
 from palmd.model.shape import contact_at
@@ -198,7 +198,8 @@ def discrepancy_function(form: Form = SMOOTH) -> ca.Function:
     palms, rig = palms_after(u[1:7], u[7:9], SX(0)), u[9:-2]
     lying = _Lying(form.outline, touch_on(rig, form.curved), u[-2:])
     motion = _motion(x[0], x[1], p, palms, rig, lying)
-    left_open = ca.vertcat(motion.discrepancy, motion.hopping)
+    braking = ca.jacobian(motion.softened_alpha0, x[1])
+    left_open = ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0])
     return ca.Function("discrepancy", [x, p, u], lying.touch.thawed(left_open), ["x", "p", "u"], ["q"])
 
 

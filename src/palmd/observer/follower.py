@@ -21,7 +21,8 @@ from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import felt_normals
-from palmd.observer.search import LIVE_BUDGET, SPACING_S, Minima, Search, explained
+from palmd.observer.pad_map import with_shared_errors
+from palmd.observer.search import LED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
 from palmd.observer.smoother import Budget, Posterior, Smoother
 
 PATIENCE = 6
@@ -73,7 +74,8 @@ class _Open:
 class Follower:
     """One object while it is on the palms; deterministic, and each call takes bounded time.
 
-    `touched`: on which normals. `lost`: the readings contradict what is known.
+    `touched`: on which normals. `lost`: the readings contradict what is known. `psi`: ψ (rad) when it was last
+    felt, NaN before `end`.
     """
 
     def __init__(self, found: Answer):
@@ -83,10 +85,11 @@ class Follower:
         self._belief = found.search.belief
         self._most_forces = found.search.segment.most_forces
         finding = found.finding
-        record = Smoother(found.search.library, finding.record, found.search.known).pressed(finding.fits[0].guess)
-        found = replace(found, finding=replace(finding, record=record))
+        record = found.search.smoother(finding.record).pressed(finding.fits[0].guess)
+        found = self._weighed(replace(found, finding=replace(finding, record=record)))
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
+        self.psi = math.nan
         self._go_on(found)
 
     @property
@@ -125,15 +128,16 @@ class Follower:
         self._go_on(answer)
         return answer
 
-    def join(self, archive: Sequence[Felt]) -> Felt | None:
+    def join(self, archive: Sequence[Felt], turn: float | None = None) -> Felt | None:
         """Join the first of what was felt before that is of the same object beyond doubt; which that was.
 
-        What was linearised too far away to be weighed is of no object beyond doubt.
+        turn (rad): by which its ψ is known to be larger here, of the same object; else the evidence decides. What was
+        linearised too far away to be weighed is of no object beyond doubt.
         """
         now = self.felt()
         for known in archive:
             try:
-                found = matched(known, now, self._chain.prior(self._open.guess.p))
+                found = matched(known, now, self._chain.prior(self._open.guess.p), turn)
             except np.linalg.LinAlgError:
                 continue
             if found is not None:
@@ -145,11 +149,16 @@ class Follower:
 
     def end(self, last: DataSegment) -> None:
         """The object has been taken away; `last` are its last readings."""
-        if last.end - TAIL_S < self._open.start + LEAST_S:
-            return
-        answer = self._smoothed(last.until(last.end - TAIL_S), self._open.guess, Budget(LIVE_BUDGET))
-        if answer is not None:
-            self._close(answer, 0, len(answer.finding.record.dt))
+        guess = self._open.guess
+        if last.end - TAIL_S > self._open.start + LEAST_S:
+            answer = self._smoothed(last.until(last.end - TAIL_S), guess, Budget(LIVE_BUDGET))
+            if answer is not None:
+                guess = answer.finding.fits[0].guess
+                self._close(answer, 0, len(answer.finding.record.dt))
+        search = self._search(last, guess, Budget())
+        if len(search.record.t) >= len(guess.x):
+            guess = search.smoother(search.record).completed(guess)
+        self.psi = float(guess.x[-1, 0])
 
     def felt(self) -> Felt:
         """What the chain tells of the object."""
@@ -167,26 +176,32 @@ class Follower:
 
     def _smoothed(self, segment: DataSegment, guess: Guess, budget: Budget) -> Answer | None:
         """What explains the readings; None where nothing does."""
-        present = self._open
-        search = Search(
-            segment, self._rig, PATIENCE, self._chain.known(guess.p), present.start, present.resting_since,
-            self._belief, self._most_forces, budget,
-        )  # fmt: skip
-        finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], pressed=True)
+        search = self._search(segment, guess, budget)
+        finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], pressed=True, strict=False)
         # palms at rest are no reason for doubt here
-        if finding is None or not finding.fits[0].settled or not explained(finding.fits[0], finding.record):
+        if finding is None or not finding.fits[0].settled or not search.explained(finding.fits[0], finding.record):
             return None
-        doubted = finding.record.left_open.any()
-        return Answer(search, finding if doubted else self._judged(search, finding))
+        answer = self._weighed(Answer(search, finding))
+        return answer if explained(answer.finding.fits[0], answer.finding.record) else None
 
-    def _judged(self, search: Search, finding: Minima) -> Minima:
-        """With steps uncertain in which contacts hop."""
-        best = finding.fits[0]
-        record = Smoother(search.library, finding.record, search.known).judged(best.guess, ripple=False)
-        if not record.left_open.any():
-            return finding
-        fit = Smoother(search.library, record, search.known).fit(best.guess, best.noise)
-        return Minima(record, (fit,), finding.work)
+    def _search(self, segment: DataSegment, guess: Guess, budget: Budget) -> Search:
+        """The open part up to the end of `segment`, by all that the chain says."""
+        return Search(
+            segment, self._rig, PATIENCE, self._chain.known(guess.p), self._open.start, self._open.resting_since,
+            self._belief, self._most_forces, budget, math.inf,
+        )  # fmt: skip
+
+    def _weighed(self, answer: Answer) -> Answer:
+        """The same readings, each as uncertain as what errors that last make of many.
+
+        The law of friction and the pads' errors of place are off the same way for many readings in a row. Fits that
+        are asked whether they explain the readings must not know of it: nearly everything would.
+        """
+        search, best = answer.search, answer.finding.fits[0]
+        record = search.smoother(answer.finding.record).judged(best.guess, ripple=True)
+        record = with_shared_errors(record, search.rig)
+        fit = search.smoother(record).fit(best.guess, best.noise, LED_ITERATIONS)
+        return Answer(search, Minima(record, (fit,), answer.finding.work))
 
     def _go_on(self, answer: Answer) -> None:
         """What is older than `OPEN_S` becomes part of the chain, the rest is open."""
@@ -202,10 +217,9 @@ class Follower:
         self.touched = self._closed | marks_of(felt_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
 
     def _close(self, answer: Answer, first: int, last: int) -> None:
-        """The steps from node `first` to node `last` become a segment, as sure as the law of friction lets them be."""
-        guess, search = answer.finding.fits[0].guess, answer.search
-        doubted = Smoother(search.library, answer.finding.record, search.known).judged(guess, ripple=True)
-        record = doubted.between(first, last)
+        """The steps from node `first` to node `last` become a segment."""
+        guess = answer.finding.fits[0].guess
+        record = answer.finding.record.between(first, last)
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
         self._closed = self._closed | marks_of(felt_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))

@@ -16,6 +16,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, Improvement, PalmSample, Unexplained
 from palmd.model import shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
+from palmd.observer.contacts import GONE_S
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
@@ -62,6 +63,7 @@ class IncrementalSmoother:
         self._events: list[Event] = []
         self._archive: list[Felt] = []  # of objects that were taken away, the latest first
         self._taken_away: Felt | None = None  # the last object, unless it was rejected or never confirmed
+        self._left: tuple[float, float] | None = None  # when (s) it was last felt, and its ψ (rad) then
         self._frame = 1
         self._unexplained = False  # by the last answer
         self._seeker = Seeker(self._rig, seed)
@@ -78,8 +80,9 @@ class IncrementalSmoother:
         self._events += events
         self._hint = None if session.hint is None else constants_of(session.hint)
         if session.begun != self._session.begun:
+            felt = data_segments([event for event in self._events if event.t_sample < session.begun])
             try:
-                self._end(data_segments([event for event in self._events if event.t_sample < session.begun]))
+                self._end(felt)
             except NUMERICAL_FAILURES:  # what was felt of it is lost
                 self._seek()
             self._drop_before(session.begun)
@@ -118,16 +121,18 @@ class IncrementalSmoother:
         return None if answer is None else self._improvement(answer)
 
     def _sought(self, segment: DataSegment) -> Answer | None:
-        known = self._taken_away
+        known, budget = self._taken_away, Budget(LIVE_BUDGET)
         if known is not None and LEAST_S < segment.lasts < TELLING_S:
             self._taken_away = None  # not tried again after a numerical failure
-            follower = reidentified(known, segment, self._rig, Budget(LIVE_BUDGET))
+            half = Budget(LIVE_BUDGET / 2)
+            follower = reidentified(known, segment, self._rig, half, self._hopped_from(segment.start))
             if follower is not None:
                 self._archive = [felt for felt in self._archive if felt is not known]
                 self._follower = follower
                 return self._followed(segment, follower)
             self._taken_away = known
-        answer = self._found = self._seeker.sought(segment, self._hint)
+            budget.left += half.left - LIVE_BUDGET / 2
+        answer = self._found = self._seeker.sought(segment, self._hint, budget)
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
         if answer is None:
@@ -161,6 +166,10 @@ class IncrementalSmoother:
         self._archive = [felt for felt in self._archive if felt is not known]
         return known is not None
 
+    def _hopped_from(self, t: float) -> float | None:
+        """ψ (rad) of the last object if it is back at `t` (s) so soon that nobody can have exchanged it."""
+        return self._left[1] if self._left is not None and t - self._left[0] < GONE_S else None
+
     def _end(self, felt: Sequence[DataSegment]) -> None:
         """The object is away, or must be sought again; `felt` are the last readings of it."""
         follower = self._follower
@@ -168,11 +177,12 @@ class IncrementalSmoother:
             found = self._found.finding.until(float(self._found.finding.record.t[-1]) - TAIL_S)
             follower = Follower(Answer(self._found.search, found)) if found is not None else None
         if follower is not None:
-            if felt and self._follower is not None:
+            if felt:
                 follower.end(felt[0])
             self._archive = [follower.felt(), *self._archive][:ARCHIVED]
             sure = self._follower is not None or self._seeker.sure
             self._taken_away = self._archive[0] if sure and not follower.lost else None
+            self._left = (felt[-1].end, follower.psi) if felt else None
         self._seek()
 
     def _seek(self) -> None:

@@ -51,23 +51,30 @@ class Match:
     turn: float
 
 
-def matched(known: Felt, now: Felt, prior: Factor) -> Match | None:
+def matched(known: Felt, now: Felt, prior: Factor, turn: float | None = None) -> Match | None:
     """What `known` tells in the gauge of `now`; None if it may be another object, or lie in several ways.
 
-    `prior` is what is believed of any object.
+    `prior` is what is believed of any object. turn (rad): about that of the gauges where the object is the same.
     """
-    alone = _weight_apart(known.told, now.told, prior)
     rest = now.told.plus(prior)
-    weights = _weights(known.told, rest)
-    best = int(np.argmax(weights))
-    away = np.abs(np.remainder(_TURNS - _TURNS[best] + math.pi, math.tau) - math.pi) > APART_RAD
-    if weights[best] - max(alone, float(weights[away].max())) < CERTAIN:
+    if turn is None:
+        turn = _certain_turn(known.told, now.told, rest, prior)
+    if turn is None:
         return None
-    turn = float(_TURNS[best])
     for _ in range(REFINEMENTS):
         turn += _further(known.turned(turn).told, rest)
     found = known.turned(turn)
     return Match(Felt(of_any_small_turn(found.told)[0], found.touched), turn)
+
+
+def _certain_turn(known: Factor, now: Factor, rest: Factor, prior: Factor) -> float | None:
+    """The turn that stands out from all others and from another object; None where none does."""
+    alone, weights = _weight_apart(known, now, prior), _weights(known, rest)
+    best = int(np.argmax(weights))
+    away = np.abs(np.remainder(_TURNS - _TURNS[best] + math.pi, math.tau) - math.pi) > APART_RAD
+    if weights[best] - max(alone, float(weights[away].max())) < CERTAIN:
+        return None
+    return float(_TURNS[best])
 
 
 def _weights(known: Factor, rest: Factor) -> FloatArray:

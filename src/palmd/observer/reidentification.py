@@ -23,36 +23,41 @@ from palmd.observer.smoother import Budget, Fit
 from palmd.system.description import RigDescription
 
 MOST_ORIENTATIONS = 3  # that are propagated to the end of the readings (choice: the budget ends most earlier)
+HOPPED_RAD = (0.0, -0.1, 0.1)  # from where it was: what falls for 0.1 s and turns at 1 rad/s at most
 
 
-def reidentified(known: Felt, segment: DataSegment, rig: RigDescription, budget: Budget) -> Follower | None:
+def reidentified(
+    known: Felt, segment: DataSegment, rig: RigDescription, budget: Budget, psi: float | None = None
+) -> Follower | None:
     """A follower of the `known` object through all of `segment`; None where it is not confirmed.
 
     A fit to the readings is not enough: an outline is free where it was not touched, so that a wrong orientation may
-    fit as well. `Follower.join` weighs the evidence against other orientations and other objects. Raises LinAlgError
+    fit as well. `Follower.join` weighs the evidence against other orientations and other objects. psi (rad): near which
+    it lies, if it was away for so short a time that it is the same object; then a fit is enough. Raises LinAlgError
     where the normal equations are singular.
     """
     search = Search(segment, with_scatter(rig, segment.pads), PATIENCE, budget=budget)
-    for fit in _orientations(known, search)[:MOST_ORIENTATIONS]:
-        psi = float(fit.guess.x[0, 0])
-        information = of_any_small_turn(known.turned(-psi).told)[0]
+    for fit in _orientations(known, search, psi)[:MOST_ORIENTATIONS]:
+        turn = -float(fit.guess.x[0, 0])
+        information = of_any_small_turn(known.turned(turn).told)[0]
         p = fit.guess.p.copy()
         p[C.SHAPE :] = information.about[C.SHAPE :]
         prior = replace(search.prior, told=information)
-        finding = search.knowing(prior).resumed([Guess(fit.guess.x - [psi, 0.0], p)])
+        finding = search.knowing(prior).resumed([Guess(fit.guess.x + np.array([turn, 0.0]), p)])
         if finding is None or len(finding.record.t) < len(search.record.t):
             continue
         if finding.fits[0].settled and explained(finding.fits[0], finding.record):
             follower = Follower(Answer(search, finding))
-            return follower if follower.join([known]) is not None else None
+            return follower if follower.join([known], None if psi is None else turn) is not None else None
     return None
 
 
-def _orientations(known: Felt, search: Search) -> list[Fit]:
+def _orientations(known: Felt, search: Search, psi: float | None) -> list[Fit]:
     """Fits of the first readings from the likeliest orientations, without those that are rejected; least cost first."""
     record, p = search.record.until(float(search.record.t[0]) + PLACED_S), known.told.about
     prior = with_any_node(known.told.plus(of_constants(search.prior, p)))
     smoother = search.knowing(prior).smoother(record)
-    starts = (Guess(np.tile([psi, 0.0], (len(record.t), 1)), p) for psi in search.orientations(p[C.SHAPE :]))
+    likely = search.orientations(p[C.SHAPE :]) if psi is None else psi + np.array(HOPPED_RAD)
+    starts = (Guess(np.tile([each, 0.0], (len(record.t), 1)), p) for each in likely)
     fits = (smoother.fit(start, search.noise) for start in starts)
     return sorted((fit for fit in fits if explained(fit, record)), key=lambda fit: fit.cost)

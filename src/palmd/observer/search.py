@@ -135,12 +135,14 @@ class Search:
         belief: RigBelief | None = None,
         most_forces: Sequence[float] = NO_FORCES,
         budget: Budget | None = None,
+        most_strain: float = MOST_STRAIN,
     ):
         """Lays out the segment's readings from `start` (s) on; compiles the smoother the first time.
 
         `known` is about the constants and the first node, by default the blind prior. `patience` is how many windows in
         all a search may find unexplained, and try again with a shorter one. `resting_since` and `most_forces` as in
         `lay_out`. `belief` in the rig is by default what its description says. All fits share the `budget`, if any.
+        `most_strain`: see `explained`.
         """
         self.rig = rig
         self._patience = patience
@@ -154,6 +156,7 @@ class Search:
         self.belief = belief or RigBelief.of(rig)
         self.noise = noise_on(rig)
         self._budget = budget or Budget()
+        self._most_strain = most_strain
 
     def believing(self, belief: RigBelief) -> Search:
         """The same segment, searched anew under another belief in the rig."""
@@ -235,27 +238,27 @@ class Search:
         later.record = self.record.between(first, len(self.record.dt))
         return later
 
-    def resumed(self, guesses: Sequence[Guess], pressed: bool = False) -> Minima | None:
+    def resumed(self, guesses: Sequence[Guess], pressed: bool = False, strict: bool = True) -> Minima | None:
         """Continue fits of a shorter part of the segment, as far as readings are explained; None without any progress.
 
         First in one window to the end of the record. Where that does not converge, the process noise includes the
         discrepancy of the friction law along the predicted motion; included in every fit it would bias ρ towards heavy
         bodies (`Smoother.judged`). Then in one window again, at last in growing ones, each of them tried twice.
-        pressed: contacts are pressed as the model predicts.
+        pressed: contacts are pressed as the model predicts. strict: whether to begin without that discrepancy, which
+        is of use where nothing else is known of ρ.
         """
-        strict = self.record
-        for doubting in (False, True):
-            if doubting:
-                smoother = self.smoother(self.record)
-                self.record = smoother.judged(smoother.completed(guesses[0]), ripple=True)
-                if not self.record.left_open.any():
-                    break
-            at_once = self._at_once(guesses, pressed)
-            if at_once is not None and at_once.fits[0].settled:
-                return at_once
+        described = self.record
+        at_once = self._at_once(guesses, pressed) if strict else None
+        if at_once is None or not at_once.fits[0].settled:
+            smoother = self.smoother(self.record)
+            self.record = smoother.judged(smoother.completed(guesses[0]), ripple=True)
+            if not strict or self.record.left_open.any():
+                at_once = self._at_once(guesses, pressed)
+        if at_once is not None and at_once.fits[0].settled:
+            return at_once
         found = self._grown_from(self.record.steps(len(guesses[0].x) - 1), guesses, loosens=True) or at_once
         if found is None:
-            self.record = strict
+            self.record = described
         return found
 
     def doubted(self, found: Minima) -> Minima:
@@ -271,7 +274,7 @@ class Search:
                 break
             smoother = self.smoother(record)
             fit = smoother.fit(guess, self.noise)
-            if not explained(fit, record):
+            if not self.explained(fit, record):
                 break  # it is not the law's corners that are in the way
             if fit.settled:
                 return Minima(record, (fit,), found.work)
@@ -287,7 +290,7 @@ class Search:
         if pressed:
             self.record = smoother.pressed(starts[0])
         found = self.minima(self.record, starts, HASTY)
-        return found if explained(found.fits[0], found.record) else None
+        return found if self.explained(found.fits[0], found.record) else None
 
     def placed(self, p: FloatArray) -> Minima | None:
         """Start from the constants `p`, at rest at the likeliest orientations; None where none of them is explained.
@@ -318,7 +321,7 @@ class Search:
         loosens: a rejected window is tried again with more process noise at first, and progress so far is returned.
         """
         found = self.minima(record, guesses)
-        if len(record.t) < len(self.record.t) and not explained(found.fits[0], found.record):
+        if len(record.t) < len(self.record.t) and not self.explained(found.fits[0], found.record):
             return None
         failures = work = 0
         while len(found.record.t) < len(self.record.t):
@@ -326,7 +329,7 @@ class Search:
             longer = self._window(self._longer(found.record, found.fits[0]), now, known, loosens)
             work += longer.work
             # near an unstable equilibrium a long window ends on the wrong side of it
-            while not (_settled(longer) if loosens else explained(longer.fits[0], longer.record)):
+            while not (self._settled(longer) if loosens else self.explained(longer.fits[0], longer.record)):
                 step, failures = float(longer.record.t[-1]) - now, failures + 1
                 if step < SHORT_GROWTH_S or failures > self._patience or work > most_work:
                     if len(longer.record.t) == len(self.record.t):
@@ -343,10 +346,10 @@ class Search:
         """The minima of `record`, from what is `known` until `now`; given up soon if a shorter one can be tried."""
         last = float(record.t[-1]) - now < SHORT_GROWTH_S
         found = self.minima(record, known, MAX_ITERATIONS if last else HASTY)
-        if not loosens or _settled(found):
+        if not loosens or self._settled(found):
             return found
         loosened = self._loosened(record, known)
-        return loosened if _settled(loosened) else found
+        return loosened if self._settled(loosened) else found
 
     def _loosened(self, record: Record, known: Sequence[Guess]) -> Minima:
         """As `minima`, of a motion that is noisier at first.
@@ -370,6 +373,14 @@ class Search:
             return longer
         step = longer.contact_step[int(np.argmax(gone))]
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
+
+    def explained(self, fit: Fit, record: Record) -> bool:
+        """As the function of that name, by this search's limit of strain."""
+        return explained(fit, record, self._most_strain)
+
+    def _settled(self, found: Minima) -> bool:
+        best = found.fits[0]
+        return best.settled and self.explained(best, found.record)
 
     def smoother(self, record: Record) -> Smoother:
         """Of a part of the segment, by what the search goes by."""
@@ -396,7 +407,7 @@ class Search:
         most, rival, able = -math.inf, best, list[int]()
         for motion in motions:
             fit = smoother.fit(self._riding(best.guess.p, motion), self.noise, RIDE_ITERATIONS)
-            if not explained(fit, finding.record):
+            if not self.explained(fit, finding.record):
                 continue
             able.append(motion)
             found = None if _difference(fit, best) <= DIFFERENT_M else smoother.posterior_if_any(fit)
@@ -486,15 +497,13 @@ def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
     return tuple(distinct)
 
 
-def _settled(found: Minima) -> bool:
-    best = found.fits[0]
-    return best.settled and explained(best, found.record)
+def explained(fit: Fit, record: Record, most_strain: float = MOST_STRAIN) -> bool:
+    """Whether contacts and forces are explained to their noise, by a motion of the model and a likely object.
 
-
-def explained(fit: Fit, record: Record) -> bool:
-    """Whether contacts and forces are explained to their noise, by a motion of the model and a likely object."""
+    most_strain: by how much what is known beforehand may be contradicted (twice a log-likelihood).
+    """
     forces = len(record.force_value)
-    slack, strain = fit.slack > MOST_SLACK * len(record.contact_value), fit.strain > MOST_STRAIN
+    slack, strain = fit.slack > MOST_SLACK * len(record.contact_value), fit.strain > most_strain
     if slack or strain or fit.astray > ASTRAY_READINGS:
         return False
     return consistent(fit.chi2, len(record.contact_value)) and (not forces or consistent(fit.force_chi2, forces))

@@ -86,14 +86,14 @@ class Seeker:
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
-    def sought(self, segment: DataSegment, hint: FloatArray | None) -> Answer | None:
+    def sought(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Answer | None:
         """What the readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
 
         `hint`: constants that a live filter has settled on, in whatever gauge. Readings are processed in steps of
-        `REACH_S` until the budget is spent or the hypothesis can be handed to the follower; the answer may be of an
-        earlier time than the last reading.
+        `REACH_S` until the `budget`, by default `LIVE_BUDGET`, is spent or the hypothesis can be handed to the
+        follower; the answer may be of an earlier time than the last reading.
         """
-        budget = Budget(LIVE_BUDGET)
+        budget = budget or Budget(LIVE_BUDGET)
         while True:
             known = self._known_until(segment)
             end = segment.start + TELLING_S if known is None else known + REACH_S
@@ -189,7 +189,7 @@ class Seeker:
         attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
         if finding is None and attempt.free:
             search = search.believing(self._belief.suspended())
-        budget = Budget(LIVE_BUDGET)
+        budget = Budget(LIVE_BUDGET / 2)
         blind = search.spending(budget).blind(attempt, self._seed)
         if blind is None and budget.left <= 0.0 and finding is not None:
             return search, finding  # a search that was cut short is no evidence

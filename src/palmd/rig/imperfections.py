@@ -128,18 +128,13 @@ def drawn(rig: RigDescription, *seed: int) -> Imperfections:
 
 
 def configured(config: Config, seed: int) -> Imperfections:
-    """What `rig.imperfections` asks for; `calibrated` is drawn by `seed` from the configuration's own `_sd`.
-
-    Pads have smooth errors of place where `map_sd_mm` is given: live observers, which have no map, would be misled.
-    """
+    """What `rig.imperfections` asks for; `calibrated` is drawn by `seed` from the configuration's own `_sd`."""
     asked = config.rig.imperfections
     if asked == "none":
         return PERFECT
     if asked == "calibrated":  # the emulated actuator has its play itself
         rig = replace(rig_description(config), angle_sd=math.radians(config.rig.angle_sd_deg))
-        given = ("map_sd_mm" in pad.model_fields_set for pad in config.pads.each())
-        pads = (pad if own else replace(pad, map_sd=0.0) for pad, own in zip(rig.pads, given, strict=True))
-        return drawn(replace(rig, pads=tuple(pads)), seed)
+        return drawn(rig, seed)
     return Imperfections(
         tuple(_pad(getattr(asked, f"palm{palm}")) for palm in PALMS),
         tuple(math.radians(getattr(asked, f"{joint}_deg")) for joint in JOINTS),

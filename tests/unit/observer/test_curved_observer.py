@@ -20,6 +20,7 @@ from palmd.model.smoothing import R
 from palmd.observer.coverage import NORMAL_BINS, Coverage, contact_bins
 from palmd.observer.reconstruct import most_lying, reconstruct
 from palmd.observer.rig_error import RigError
+from palmd.observer.search import Search
 from palmd.record.eventlog import read_log
 from palmd.record.recognition import NONE_OF_THESE, verdict
 from palmd.record.replay import replay
@@ -67,16 +68,21 @@ def test_taken_for_flat_it_is_not_claimed(cradle):
 def test_what_fits_another_rig_only_is_searched_for_once_more(cradle, monkeypatch, as_described):
     """Dome 2042 of `python -m tools.studies curved`: a worse minimum that a contradicted rig made fit was claimed."""
     _, log, _ = cradle
-    refined, looks = reconstruct_module._refined, []
+    refined, blind, searches = reconstruct_module._refined, Search.blind, []
 
     def told(*args):
-        looks.append(refined(*args))
-        return replace(looks[-1], as_described=looks[-1].as_described and as_described)
+        found = refined(*args)
+        return replace(found, as_described=found.as_described and as_described)
+
+    def counted(*args):
+        searches.append(args)
+        return blind(*args)
 
     monkeypatch.setattr(reconstruct_module, "_refined", told)
-    answer = reconstruct(log.events, log.rig)  # a second look at its first 4 s alone finds nothing to refine
+    monkeypatch.setattr(Search, "blind", counted)
+    answer = reconstruct(log.events, log.rig)
     assert answer.converged
-    assert (len(looks) > 1) == (not as_described)
+    assert (len(searches) > 1) == (not as_described)
 
 
 def test_told_to_be_far_more_concave_than_they_are_nothing_is_claimed_and_it_says_why(cradle):
