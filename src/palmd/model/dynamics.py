@@ -174,24 +174,23 @@ def newton_euler(
     response = SlipResponse(by_turning, [k.d for k in contacts], arms, rho2, half_period_of(rig))
     mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response, steps)
 
-    def moving(directions: Sequence[SX]) -> tuple[SX, SX, SX]:
+    def moving(directions: Sequence[SX]) -> tuple[SX, tuple[SX, SX], list[SX], list[SX]]:
         along = [mu * each for mu, each in zip(friction, directions, strict=True)]
-        f1, f2 = normal_forces(A, B, b, along)
+        forces = normal_forces(A, B, b, along)
         torques = [-(k.d + rubs * arm) for k, arm, rubs in zip(contacts, arms, along, strict=True)]
-        return (f1 * torques[0] + f2 * torques[1] - body.damping * omega0) / rho2, f1, f2
+        spin = (forces[0] * torques[0] + forces[1] * torques[1] - body.damping * omega0) / rho2
+        return spin, forces, along, torques
 
-    alpha0, f1, f2 = moving(mean.directions)
-    along = [mu * each for mu, each in zip(friction, mean.directions, strict=True)]
-    torques = [-(k.d + rubs * arm) for k, arm, rubs in zip(contacts, arms, along, strict=True)]
+    alpha0, (f1, f2), along, torques = moving(mean.directions)
 
-    def by_friction(i: int) -> SX:
+    def by_friction(i: int, f: SX) -> SX:
         """∂α0/∂ln μ_i: of the force's own torque, and of both normal forces, which change with it."""
-        rubbing = along[i] * (f1, f2)[i]
+        rubbing = along[i] * f
         f1_change, f2_change = normal_forces(A, B, [row[i] * rubbing for row in B], along)
         change: SX = (f1_change * torques[0] + f2_change * torques[1] - rubbing * arms[i]) / rho2
         return change
 
     hopping = HOP_NOISE_S * mean.pulled**2
-    uncertain = (1 - rig[VIBRATION_INPUTS][2]) * FRICTION_NOISE_S * (by_friction(0) ** 2 + by_friction(1) ** 2)
+    uncertain = (1 - rig[VIBRATION_INPUTS][2]) * FRICTION_NOISE_S * (by_friction(0, f1) ** 2 + by_friction(1, f2) ** 2)
     discrepancy, softened_alpha0 = uncertain + hopping, moving(mean.softened)[0]
     return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), discrepancy, hopping, softened_alpha0)

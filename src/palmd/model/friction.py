@@ -261,9 +261,9 @@ class Averaged:
 
     directions: of friction at each contact, with which one solve of the contact equations gives the mean forces;
     softened: the same by `softened_speeds`, which vary with the slips about as much as the ripple makes `directions`
-    vary, and without jumps. pair_forces, shares, wedged:
-    normal forces (m/s²) and share of time of each of `SIGN_PAIRS`, and whether the body is wedged then. transmission:
-    λ, 0 with the averaged law. pulled: see the function of that name.
+    vary, and without jumps. pair_forces, shares, wedged: normal forces (m/s²) and share of time of each of
+    `SIGN_PAIRS`, and whether the body is wedged then. transmission: λ, 0 with the averaged law. pulled: see the
+    function of that name.
     """
 
     directions: tuple[SX, ...]

@@ -198,7 +198,7 @@ class Follower:
         are asked whether they explain the readings must not know of it: nearly everything would.
         """
         search, best = answer.search, answer.finding.fits[0]
-        record = search.smoother(answer.finding.record).judged(best.guess, ripple=True)
+        record = search.smoother(answer.finding.record).judged(best.guess)
         record = with_shared_errors(record, search.rig)
         fit = search.smoother(record).fit(best.guess, best.noise, LED_ITERATIONS)
         return Answer(search, Minima(record, (fit,), answer.finding.work))

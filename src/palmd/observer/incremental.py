@@ -130,7 +130,7 @@ class IncrementalSmoother:
                 self._archive = [felt for felt in self._archive if felt is not known]
                 self._follower = follower
                 return self._followed(segment, follower)
-            self._taken_away = known
+            self._taken_away, self._left = known, None  # wherever it lies, if it is the same
             budget.left += half.left - LIVE_BUDGET / 2
         answer = self._found = self._seeker.sought(segment, self._hint, budget)
         self._unexplained = self._seeker.unexplained

@@ -253,14 +253,14 @@ class Residuals:
         self._take(guess)
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
-    def discrepancy(self, guess: Guess, ripple: bool) -> FloatArray:
-        """What the law of friction leaves open of ω0 in each step ((rad/s)²/s), without `ripple` by hopping alone."""
+    def discrepancy(self, guess: Guess, hopping_only: bool) -> FloatArray:
+        """What the law of friction leaves open of ω0 in each step ((rad/s)²/s), or contacts that hop alone do."""
         steps, found = len(self.record.dt), np.zeros((len(self._a) + 1, 2))
         self._take(guess)
         self._a[:steps] = guess.x[:-1]
         self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
         found[steps:] = 0.0
-        left_open = found[: steps + 1, 0 if ripple else 1]
+        left_open = found[: steps + 1, int(hopping_only)]
         return np.minimum(np.nan_to_num(left_open, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
 
     def contacts(self, guess: Guess) -> FloatArray:

@@ -459,7 +459,7 @@ def _finer(search: Search, finding: Minima, found: Fit) -> _Part:
         prior = replace(prior, sd=np.concatenate([prior.sd[: C.RIG], belief.sd, prior.sd[C.SHAPE :]]))
         smoother = Smoother(search.library, record, prior)
         fit = smoother.fit(belief.within(fit.guess), fit.noise)
-    record = smoother.judged(fit.guess, ripple=False)
+    record = smoother.judged(fit.guess, hopping_only=True)
     if record.left_open.any():
         fit = _fitted(Smoother(search.library, record, prior), fit.guess, fit.noise)
     mapped = _mapped(search, record, prior, fit) if has_map(rig) else None

@@ -251,7 +251,7 @@ class Search:
         at_once = self._at_once(guesses, pressed) if strict else None
         if at_once is None or not at_once.fits[0].settled:
             smoother = self.smoother(self.record)
-            self.record = smoother.judged(smoother.completed(guesses[0]), ripple=True)
+            self.record = smoother.judged(smoother.completed(guesses[0]))
             if not strict or self.record.left_open.any():
                 at_once = self._at_once(guesses, pressed)
         if at_once is not None and at_once.fits[0].settled:
@@ -269,7 +269,7 @@ class Search:
         """
         guess, smoother = found.fits[0].guess, self.smoother(found.record)
         for _ in range(JUDGED):
-            record = smoother.judged(guess, ripple=True)
+            record = smoother.judged(guess)
             if not record.left_open.any():
                 break
             smoother = self.smoother(record)

@@ -180,13 +180,13 @@ class Smoother:
         """The record, its contacts pressed as the model has it at `guess` rather than as the pads tell it."""
         return self._residuals.record.pressed_by(self._residuals.pressing(guess))
 
-    def judged(self, guess: Guess, ripple: bool) -> Record:
-        """The record, its steps as uncertain as the law of friction at `guess`, without `ripple` where contacts hop.
+    def judged(self, guess: Guess, hopping_only: bool = False) -> Record:
+        """The record, its steps as uncertain as the law of friction at `guess`, or as that is where contacts hop.
 
         Of motions and constants together the least cost is that of a body so heavy that uncertain steps alone turn it:
-        with `ripple` nothing but what is known beforehand speaks against it.
+        but for `hopping_only`, nothing but what is known beforehand speaks against it.
         """
-        return replace(self._residuals.record, left_open=self._residuals.discrepancy(guess, ripple))
+        return replace(self._residuals.record, left_open=self._residuals.discrepancy(guess, hopping_only))
 
     def places(self, guess: Guess) -> FloatArray:
         """What each contact reading would be without noise (m)."""

@@ -26,6 +26,7 @@ from palmd.observer.search import Minima, Search
 from palmd.observer.seeker import TELLING_S
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
+from palmd.rig.smooth_error import drawn_error
 from palmd.score import score_outline
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import INDEPENDENT
@@ -148,6 +149,25 @@ def test_what_a_segment_tells_is_as_uncertain_as_the_law_of_friction(monkeypatch
     Beside(simulated("friction", 700, 12.0, vibration=INDEPENDENT)).until(12.0, Session(1, 0.0))
     assert len(left_open) > 1
     assert all((each > 0.0).mean() > 0.5 for each in left_open)
+
+
+def test_bands_hold_on_pads_whose_errors_of_place_many_readings_share() -> None:
+    sd_m, length_m = 7e-5, 3e-3
+    run = simulated("rig", 710, 16.0)
+    errors = [
+        drawn_error(sd_m, length_m, pad.length, np.random.default_rng(2 + palm))
+        for palm, pad in zip(PALMS, run.rig.pads, strict=True)
+    ]
+
+    def off(sample: PadSample) -> PadSample:
+        return replace(sample, s=sample.s + errors[sample.pad - 1].at(sample.s))
+
+    rig = run.rig.with_pads(map_sd=sd_m, map_length=length_m)
+    answer = Beside(Run(tuple(pads_changed(run.events, off)), rig, run.truth, run.palms)).until(16.0, Session(1, 0.0))
+    assert answer is not None
+    assert answer.established
+    error, sd, _ = scored(answer, run)
+    assert error < 3.0 * sd
 
 
 def test_what_presses_a_pad_beyond_its_scale_is_followed_though_that_tells_no_force() -> None:
@@ -303,6 +323,18 @@ def test_a_known_object_is_reidentified_sooner_than_a_blind_search_confirms_a_ne
         assert beside.until(end, Session(number + 1, start)) is not None
     beside.until(19.02, Session(2, math.inf))
     again = beside.until(19.02 + 0.75 * TELLING_S, Session(3, 19.02))
+    assert again is not None
+    assert again.established
+    error, sd, _ = scored(again, run)
+    assert error < 2.0 * sd
+
+
+def test_an_object_that_hops_is_known_again_where_it_lay() -> None:
+    run, away, back = simulated("rig", 710, 12.0), 9.0, 9.1
+    beside = Beside(run)
+    assert beside.until(away, Session(1, 0.0)) is not None
+    beside.until(back, Session(1, math.inf))
+    again = beside.until(back + 2.0, Session(2, back))
     assert again is not None
     assert again.established
     error, sd, _ = scored(again, run)
