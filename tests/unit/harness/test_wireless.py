@@ -228,5 +228,5 @@ def test_what_is_felt_to_have_a_corner_is_tipped():
     body = thing("nut", np.random.default_rng(1)).body
     run = Wireless(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)
     run.start()
-    list(run.run(3.0))
+    list(run.run(4.0))
     assert "corners" in run.core.exploring.reason
