@@ -131,12 +131,8 @@ def motion(x: Array, palms: FloatArray, rig: FloatArray) -> tuple[Array, Array, 
 
     directions, pulled = averaged_over(*rippled_directions(slip, speed, drive, kappa))
     softened, _ = averaged_over(softened_direction(slip, speed, drive), np.zeros(x.shape[1]))
-    more = [1 + _LOG_MU_STEP * row[:, None] for row in np.eye(2)]
-    less = [1 - _LOG_MU_STEP * row[:, None] for row in np.eye(2)]
-    by_mu = [
-        (solved(directions * up)[2] - solved(directions * down)[2]) / (2 * _LOG_MU_STEP)
-        for up, down in zip(more, less, strict=True)
-    ]
+    steps = _LOG_MU_STEP * np.eye(2)[:, :, None]
+    by_mu = [(solved(directions * (1 + h))[2] - solved(directions * (1 - h))[2]) / (2 * _LOG_MU_STEP) for h in steps]
     error = FRICTION_NOISE_S * (by_mu[0] ** 2 + by_mu[1] ** 2) + HOP_NOISE_S * pulled**2
     return np.asarray(solved(directions)[2]), error, np.asarray(solved(softened)[2])
 

@@ -65,9 +65,9 @@ class Chain:
         while len(self._segments) > self._kept:
             self._fold()
 
-    def learn(self, told: Factor) -> None:
+    def learn(self, information: Factor) -> None:
         """Take what other readings tell of the constants."""
-        self._learnt = told if self._learnt is None else self._learnt.plus(told)
+        self._learnt = information if self._learnt is None else self._learnt.plus(information)
 
     def revise(self, before: FloatArray, sd: FloatArray) -> None:
         """Believe the rig's constants to be known to `sd`, no longer to `before`; one-sigmas.
@@ -86,7 +86,7 @@ class Chain:
         """What all of this says of the constants and of the last node, expanded at `p`; the prior included."""
         return self._forward(p)[-1]
 
-    def told(self, p: FloatArray) -> Factor:
+    def information(self, p: FloatArray) -> Factor:
         """What all of this says of the constants without the prior, expanded at `p`."""
         return self.known(p).without(_NODE).less(self.prior(p))
 

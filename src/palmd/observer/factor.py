@@ -46,14 +46,14 @@ class Knowledge(Protocol):
 class Prior:
     """Independent Gaussian belief about the constants and ω0 (rad/s) before anything is felt; ψ is gauge: 0.
 
-    In place of ln ρ, B and w, `mean` and `sd` hold for ln(ρ/h0), h0 the mean radius, for μ and for ln u_d. `told`: what
-    other records of the object tell of the constants.
+    In place of ln ρ, B and w, `mean` and `sd` hold for ln(ρ/h0), h0 the mean radius, for μ and for ln u_d.
+    `information`: what other records of the object determine of the constants.
     """
 
     mean: FloatArray
     sd: FloatArray
     omega0_sd: float
-    told: Factor | None = None
+    information: Factor | None = None
 
     @property
     def scale(self) -> FloatArray:
@@ -79,11 +79,11 @@ class Prior:
         rows[C.SATURATION, C.SATURATION] = -0.5 * dither**2 / self.sd[C.SATURATION]
         miss /= sd
         cost, matrix, side = float(miss @ miss), rows.T @ rows, -(rows.T @ miss)
-        if self.told is not None:
-            told = self.told.moved(p[:CONSTANTS])
-            cost += told.cost - self.told.cost
-            matrix[:CONSTANTS, :CONSTANTS] += told.matrix
-            side[:CONSTANTS] += told.side
+        if self.information is not None:
+            further = self.information.moved(p[:CONSTANTS])
+            cost += further.cost - self.information.cost
+            matrix[:CONSTANTS, :CONSTANTS] += further.matrix
+            side[:CONSTANTS] += further.side
         return Terms(cost, cost, matrix, side)
 
 

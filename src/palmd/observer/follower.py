@@ -23,7 +23,7 @@ from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import felt_normals
 from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.search import LED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
-from palmd.observer.smoother import Budget, Posterior, Smoother
+from palmd.observer.smoother import Budget, Posterior
 
 PATIENCE = 6
 """Windows that may fail before an object is given up (study 2026-11-29, simulated explorations 70011 to 70018: with 2,
@@ -45,8 +45,7 @@ class Answer:
     @cached_property
     def posterior(self) -> Posterior | None:
         """How sure the best fit is of itself, by what the search went by; None where it is no minimum."""
-        smoother = Smoother(self.search.library, self.finding.record, self.search.known)
-        return smoother.posterior_if_any(self.finding.fits[0])
+        return self.search.smoother(self.finding.record).posterior_if_any(self.finding.fits[0])
 
     @cached_property
     def belief(self) -> RigBelief:
@@ -86,7 +85,7 @@ class Follower:
         self._most_forces = found.search.segment.most_forces
         finding = found.finding
         record = found.search.smoother(finding.record).pressed(finding.fits[0].guess)
-        found = self._weighed(replace(found, finding=replace(finding, record=record)))
+        found = _weighed(replace(found, finding=replace(finding, record=record)))
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
         self.psi = math.nan
@@ -141,7 +140,7 @@ class Follower:
             except np.linalg.LinAlgError:
                 continue
             if found is not None:
-                self._chain.learn(found.felt.told)
+                self._chain.learn(found.felt.information)
                 self._closed = self._closed | found.felt.touched
                 self.touched = self.touched | found.felt.touched
                 return known
@@ -162,7 +161,7 @@ class Follower:
 
     def felt(self) -> Felt:
         """What the chain tells of the object."""
-        return Felt(self._chain.told(self._open.guess.p), self._closed)
+        return Felt(self._chain.information(self._open.guess.p), self._closed)
 
     def _revised(self, answer: Answer) -> Guess | None:
         """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
@@ -181,7 +180,7 @@ class Follower:
         # palms at rest are no reason for doubt here
         if finding is None or not finding.fits[0].settled or not search.explained(finding.fits[0], finding.record):
             return None
-        answer = self._weighed(Answer(search, finding))
+        answer = _weighed(Answer(search, finding))
         return answer if explained(answer.finding.fits[0], answer.finding.record) else None
 
     def _search(self, segment: DataSegment, guess: Guess, budget: Budget) -> Search:
@@ -190,18 +189,6 @@ class Follower:
             segment, self._rig, PATIENCE, self._chain.known(guess.p), self._open.start, self._open.resting_since,
             self._belief, self._most_forces, budget, math.inf,
         )  # fmt: skip
-
-    def _weighed(self, answer: Answer) -> Answer:
-        """The same readings, each as uncertain as what errors that last make of many.
-
-        The law of friction and the pads' errors of place are off the same way for many readings in a row. Fits that
-        are asked whether they explain the readings must not know of it: nearly everything would.
-        """
-        search, best = answer.search, answer.finding.fits[0]
-        record = search.smoother(answer.finding.record).judged(best.guess)
-        record = with_shared_errors(record, search.rig)
-        fit = search.smoother(record).fit(best.guess, best.noise, LED_ITERATIONS)
-        return Answer(search, Minima(record, (fit,), answer.finding.work))
 
     def _go_on(self, answer: Answer) -> None:
         """What is older than `OPEN_S` becomes part of the chain, the rest is open."""
@@ -223,3 +210,16 @@ class Follower:
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
         self._closed = self._closed | marks_of(felt_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))
+
+
+def _weighed(answer: Answer) -> Answer:
+    """The same readings with errors of long correlation, as covariances need them, fitted anew.
+
+    The law of friction and the pads' errors of place are off in the same way for many readings in a row. The fit that
+    decides whether the readings are explained must not include this: nearly every fit would pass.
+    """
+    search, best = answer.search, answer.finding.fits[0]
+    record = search.smoother(answer.finding.record).judged(best.guess)
+    record = with_shared_errors(record, search.rig)
+    fit = search.smoother(record).fit(best.guess, best.noise, LED_ITERATIONS)
+    return Answer(search, Minima(record, (fit,), answer.finding.work))

@@ -131,7 +131,7 @@ class IncrementalSmoother:
                 self._follower = follower
                 return self._followed(segment, follower)
             self._taken_away, self._left = known, None  # wherever it lies, if it is the same
-            budget.left += half.left - LIVE_BUDGET / 2
+            budget = Budget(LIVE_BUDGET / 2 + half.left)
         answer = self._found = self._seeker.sought(segment, self._hint, budget)
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)

@@ -33,13 +33,13 @@ _OUTLINE = slice(C.SHAPE, CONSTANTS)
 class Felt:
     """What a record's readings tell of the constants, without a prior, and which normals were touched."""
 
-    told: Factor
+    information: Factor
     touched: Marks
 
     def turned(self, turn: float) -> Felt:
         """The same in a gauge in which ψ is larger by `turn` (rad)."""
-        R, told = _turning(turn), self.told
-        moved = Factor(R @ told.about, told.cost, R @ told.matrix @ R.T, R @ told.side, told.scale)
+        R, old = _turning(turn), self.information
+        moved = Factor(R @ old.about, old.cost, R @ old.matrix @ R.T, R @ old.side, old.scale)
         return Felt(moved, turned_marks(self.touched, turn))
 
 
@@ -56,15 +56,15 @@ def matched(known: Felt, now: Felt, prior: Factor, turn: float | None = None) ->
 
     `prior` is what is believed of any object. turn (rad): about that of the gauges where the object is the same.
     """
-    rest = now.told.plus(prior)
+    rest = now.information.plus(prior)
     if turn is None:
-        turn = _certain_turn(known.told, now.told, rest, prior)
+        turn = _certain_turn(known.information, now.information, rest, prior)
     if turn is None:
         return None
     for _ in range(REFINEMENTS):
-        turn += _further(known.turned(turn).told, rest)
+        turn += _further(known.turned(turn).information, rest)
     found = known.turned(turn)
-    return Match(Felt(of_any_small_turn(found.told)[0], found.touched), turn)
+    return Match(Felt(of_any_small_turn(found.information)[0], found.touched), turn)
 
 
 def _certain_turn(known: Factor, now: Factor, rest: Factor, prior: Factor) -> float | None:

@@ -309,16 +309,16 @@ class _Part:
     @property
     def blind(self) -> Prior:
         """What was believed of any object, on this rig as the segment tells it to be."""
-        return replace(self.known, told=None)
+        return replace(self.known, information=None)
 
     def felt(self) -> Felt:
         """What its readings tell of the object, and those that have been joined to it."""
         chain = Chain(self.search.library, self.fit.noise, self.blind)
-        if self.known.told is not None:
-            chain.learn(self.known.told)
+        if self.known.information is not None:
+            chain.learn(self.known.information)
         chain.append(self.record, self.fit.guess)
         p = self.fit.guess.p
-        return Felt(chain.told(p), marks_of(felt_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
+        return Felt(chain.information(p), marks_of(felt_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -510,8 +510,8 @@ def _joined(main: _Part, part: _Part) -> tuple[_Part, _Joined] | None:
     found = matched(part.felt(), main.felt(), prior)
     if found is None:
         return None
-    told = found.felt.told if main.known.told is None else main.known.told.plus(found.felt.told)
-    known = replace(main.known, told=told)
+    before, further = main.known.information, found.felt.information
+    known = replace(main.known, information=further if before is None else before.plus(further))
     fit = Smoother(main.search.library, main.record, known).fit(main.fit.guess, main.fit.noise)
     if not fit.settled:
         return None

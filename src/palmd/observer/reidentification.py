@@ -23,7 +23,7 @@ from palmd.observer.smoother import Budget, Fit
 from palmd.system.description import RigDescription
 
 MOST_ORIENTATIONS = 3  # that are propagated to the end of the readings (choice: the budget ends most earlier)
-HOPPED_RAD = (0.0, -0.1, 0.1)  # from where it was: what falls for 0.1 s and turns at 1 rad/s at most
+HOPPED_RAD = (0.0, -0.1, 0.1)  # initial offsets from the last orientation (choice: 1 rad/s for 0.1 s; the fits move on)
 
 
 def reidentified(
@@ -39,10 +39,10 @@ def reidentified(
     search = Search(segment, with_scatter(rig, segment.pads), PATIENCE, budget=budget)
     for fit in _orientations(known, search, psi)[:MOST_ORIENTATIONS]:
         turn = -float(fit.guess.x[0, 0])
-        information = of_any_small_turn(known.turned(turn).told)[0]
+        information = of_any_small_turn(known.turned(turn).information)[0]
         p = fit.guess.p.copy()
         p[C.SHAPE :] = information.about[C.SHAPE :]
-        prior = replace(search.prior, told=information)
+        prior = replace(search.prior, information=information)
         finding = search.knowing(prior).resumed([Guess(fit.guess.x + np.array([turn, 0.0]), p)])
         if finding is None or len(finding.record.t) < len(search.record.t):
             continue
@@ -54,8 +54,8 @@ def reidentified(
 
 def _orientations(known: Felt, search: Search, psi: float | None) -> list[Fit]:
     """Fits of the first readings from the likeliest orientations, without those that are rejected; least cost first."""
-    record, p = search.record.until(float(search.record.t[0]) + PLACED_S), known.told.about
-    prior = with_any_node(known.told.plus(of_constants(search.prior, p)))
+    record, p = search.record.until(float(search.record.t[0]) + PLACED_S), known.information.about
+    prior = with_any_node(known.information.plus(of_constants(search.prior, p)))
     smoother = search.knowing(prior).smoother(record)
     likely = search.orientations(p[C.SHAPE :]) if psi is None else psi + np.array(HOPPED_RAD)
     starts = (Guess(np.tile([each, 0.0], (len(record.t), 1)), p) for each in likely)

@@ -64,7 +64,7 @@ def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
 
 def test_without_the_prior_it_is_the_prior_less(smoothed):
     chain, p = cut(smoothed), smoothed[1].fits[0].guess.p
-    told, prior = chain.told(p), chain.prior(p)
+    told, prior = chain.information(p), chain.prior(p)
     known = chain.known(p).without(slice(CONSTANTS, None))
     assert told.plus(prior).matrix == pytest.approx(known.matrix)
     assert told.matrix[C.DAMPING, C.DAMPING] < known.matrix[C.DAMPING, C.DAMPING]
@@ -74,9 +74,9 @@ def test_what_it_learns_besides_adds_to_it(smoothed):
     p = smoothed[1].fits[0].guess.p
     for kept in (60, 2):
         chain, twice = cut(smoothed, kept), cut(smoothed, kept)
-        twice.learn(chain.told(p))
+        twice.learn(chain.information(p))
         gained = twice.known(p).matrix[:CONSTANTS, :CONSTANTS] - chain.known(p).matrix[:CONSTANTS, :CONSTANTS]
-        assert gained == pytest.approx(chain.told(p).matrix, rel=1e-6, abs=1e-6 * np.abs(gained).max())
+        assert gained == pytest.approx(chain.information(p).matrix, rel=1e-6, abs=1e-6 * np.abs(gained).max())
 
 
 def test_a_chain_linearised_elsewhere_comes_to_the_same_when_it_is_renewed(smoothed, monkeypatch):
@@ -134,7 +134,7 @@ def test_another_belief_in_the_rig_is_as_if_it_had_been_held_from_the_beginning(
     late, early = cut(smoothed, kept), cut((doubting, finding), kept)
     late.revise(search.belief.sd, doubting.belief.sd)
     scale = np.sqrt(np.diagonal(early.known(p).matrix))
-    for of in (Chain.known, Chain.told, Chain.prior):
+    for of in (Chain.known, Chain.information, Chain.prior):
         one, other = of(late, p).matrix, of(early, p).matrix
         of_these = np.outer(scale, scale)[: len(one), : len(one)]
         assert one / of_these == pytest.approx(other / of_these, abs=1e-5)

@@ -217,7 +217,7 @@ def test_what_was_kept_and_cannot_be_weighed_is_passed_over() -> None:
     beside.until(7.0, Session(0, 0.0))
     beside.until(8.02, Session(1, math.inf))
     (kept,) = beside.smoother._archive
-    spoilt = replace(kept, told=replace(kept.told, matrix=-kept.told.matrix))
+    spoilt = replace(kept, information=replace(kept.information, matrix=-kept.information.matrix))
     beside.smoother._archive = [spoilt]
     answer = beside.until(14.0, Session(1, 8.02))
     assert answer is not None

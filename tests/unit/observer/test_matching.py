@@ -58,7 +58,7 @@ def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
     found = matched(known, now, a_prior())
     assert found is not None
     assert math.remainder(found.turn - by, math.tau) == pytest.approx(0.0, abs=1e-3)
-    joined = found.felt.told.plus(now.told).plus(a_prior())
+    joined = found.felt.information.plus(now.information).plus(a_prior())
     best = joined.about + joined.solved(joined.side)
     theta = 1.0 - by + np.linspace(-1.5, 1.5, 50)
     assert shape.basis(theta, ORDER) @ (best - turned(p, by))[C.SHAPE :] == pytest.approx(0.0, abs=6 * SD)
@@ -69,9 +69,9 @@ def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
 def test_the_turn_itself_is_not_told_by_what_was_known():
     """Its gauge is open: what the joined record knows of the orientation comes from the overlap alone."""
     known = felt(an_object(), 1.0, 3.0)
-    free, told = of_any_small_turn(known.told)
+    free, told = of_any_small_turn(known.information)
     along, h = np.zeros(CONSTANTS), 1e-6
-    along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.told.about[C.SHAPE :] / (2 * h)
+    along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.information.about[C.SHAPE :] / (2 * h)
     assert told > 1.0
     assert along @ free.matrix @ along < 1.1 * (math.tau / 240) ** -2
 
@@ -93,10 +93,10 @@ def test_a_circle_may_lie_anyhow():
 
 def test_all_turns_at_once_are_weighed_as_each_by_itself():
     p = an_object()
-    known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).told.plus(a_prior())
-    weights = _weights(known.told, rest)
+    known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).information.plus(a_prior())
+    weights = _weights(known.information, rest)
     for number in (0, 17, 120):
-        free, told = of_any_small_turn(known.turned(number * math.tau / 240).told)
+        free, told = of_any_small_turn(known.turned(number * math.tau / 240).information)
         wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(told) - math.log(240)
         assert weights[number] == pytest.approx(wanted, rel=1e-9)
 
