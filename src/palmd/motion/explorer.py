@@ -138,7 +138,8 @@ class Explorer:
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
-        careful = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
+        unsharp = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
+        careful = unsharp or not outlook.vouched_for
         wanted = self._wanted(outlook, touched)
         roads = None if careful else self._roads(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, None if roads is None else roads.near)

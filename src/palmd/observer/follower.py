@@ -42,6 +42,16 @@ class Answer:
     search: Search
     finding: Minima
 
+    @property
+    def end(self) -> float:
+        """The time of the last reading that is explained (s); the search may have had later ones."""
+        return float(self.finding.record.t[-1])
+
+    @property
+    def lasts(self) -> float:
+        """For how long the readings are explained (s)."""
+        return self.end - self.search.segment.start
+
     @cached_property
     def posterior(self) -> Posterior | None:
         """How sure the best fit is of itself, by what the search went by; None where it is no minimum."""

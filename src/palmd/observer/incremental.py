@@ -26,7 +26,7 @@ from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
 from palmd.observer.reidentification import reidentified
-from palmd.observer.search import LIVE_BUDGET
+from palmd.observer.search import LIVE_BUDGET, SPACING_S
 from palmd.observer.seeker import LEAST_S, TELLING_S, Seeker
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
@@ -137,7 +137,7 @@ class IncrementalSmoother:
         self._drop_before(self._seeker.needs_from)
         if answer is None:
             return None
-        found = self._seeker.sure and answer.search.segment.lasts >= TELLING_S
+        found = self._seeker.sure and answer.lasts > TELLING_S - SPACING_S
         if not found and not self._archive:
             return answer
         follower = Follower(answer)
@@ -174,7 +174,7 @@ class IncrementalSmoother:
         """The object is away, or must be sought again; `felt` are the last readings of it."""
         follower = self._follower
         if follower is None and self._found is not None:
-            found = self._found.finding.until(float(self._found.finding.record.t[-1]) - TAIL_S)
+            found = self._found.finding.until(self._found.end - TAIL_S)
             follower = Follower(Answer(self._found.search, found)) if found is not None else None
         if follower is not None:
             if felt:
@@ -222,8 +222,7 @@ class IncrementalSmoother:
             touched &= self._seeker.sure and not against.any()
             against = np.zeros_like(against)
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(covariance)[RIG])
-        t = float(record.t[-1])
-        return Improvement(t, x, P, self._frame, established, touched, rig, rig_sd, spread, against)
+        return Improvement(answer.end, x, P, self._frame, established, touched, rig, rig_sd, spread, against)
 
 
 def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

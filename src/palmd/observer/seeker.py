@@ -100,7 +100,7 @@ class Seeker:
             if segment.end < end + LEAST_S:
                 end = segment.end
             answer = self._sought(segment.until(end), hint, segment.end, budget)
-            if answer is None or end == segment.end or answer.finding.record.t[-1] < end - SPACING_S:
+            if answer is None or end == segment.end or answer.end < end - SPACING_S:
                 return answer
             if budget.left <= 0.0 or (self.sure and end - segment.start >= TELLING_S):
                 return answer
@@ -157,7 +157,7 @@ class Seeker:
             self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
         self._in_vain = 0
-        if answer is not None and known is not None and segment.end - known > LEAST_S and seconds > TELLING_S:
+        if answer is not None and known is not None and answer.end - known > LEAST_S and answer.lasts > TELLING_S:
             self._survived += len(answer.finding.fits) == 1  # the only one, and it predicted them
         return answer
 
