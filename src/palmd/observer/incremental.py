@@ -27,11 +27,12 @@ from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import felt_normals, made_convex
 from palmd.observer.reidentification import reidentified
 from palmd.observer.search import LIVE_BUDGET, SPACING_S
-from palmd.observer.seeker import LEAST_S, TELLING_S, Seeker
+from palmd.observer.seeker import LEAST_S, RENEWED_S, TELLING_S, Seeker
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
+TRIAL_S = 2.0  # of readings at least that a hypothesis must foretell, one step after the other, before it is vouched for
 ARCHIVED = 4  # objects that were taken away
 
 # Where each state of the shape map stands among (constants, last node).
@@ -69,6 +70,7 @@ class IncrementalSmoother:
         self._seeker = Seeker(self._rig, seed)
         self._found: Answer | None = None
         self._follower: Follower | None = None
+        self._trial_until = -math.inf  # that the follower must explain (s), before it vouches for anything
 
     @property
     def elapsed_s(self) -> float:
@@ -136,21 +138,28 @@ class IncrementalSmoother:
         self._unexplained = self._seeker.unexplained
         self._drop_before(self._seeker.needs_from)
         if answer is None:
-            return None
+            tried = self._seeker.hypothesis
+            if tried is None or not self._seeker.stuck:
+                return None
+            self._follower = Follower(tried)
+            self._trial_until = max(segment.start + TELLING_S, tried.end + TRIAL_S)
+            return self._tried(segment, self._follower.smoothed(segment))
         found = self._seeker.sure and answer.lasts > TELLING_S - SPACING_S
         if not found and not self._archive:
             return answer
         follower = Follower(answer)
         if not self._joined(follower) and not found:
             return answer
-        answer = follower.smoothed(segment) or answer
         self._follower = follower
+        answer = follower.smoothed(segment) or answer
         self._drop_before(follower.needs_from)
         return answer
 
     def _followed(self, segment: DataSegment, follower: Follower) -> Answer | None:
         answer = follower.smoothed(segment)
         self._unexplained = answer is None
+        if self._on_trial:
+            return self._tried(segment, answer)
         if follower.lost:
             self._end([])
             self._drop_before(segment.end - LEAD_S)
@@ -158,6 +167,19 @@ class IncrementalSmoother:
         if answer is not None and self._joined(follower):
             answer = follower.smoothed(segment)
         self._drop_before(follower.needs_from)
+        return answer
+
+    @property
+    def _on_trial(self) -> bool:
+        return self._trial_until > -math.inf
+
+    def _tried(self, segment: DataSegment, answer: Answer | None) -> Answer | None:
+        """What a follower on trial has said: it is established in time, or the object is sought anew, without it."""
+        if answer is None:
+            self._seek()
+            self._drop_before(segment.end - RENEWED_S)
+        elif answer.end >= self._trial_until:
+            self._trial_until = -math.inf
         return answer
 
     def _joined(self, follower: Follower) -> bool:
@@ -180,7 +202,7 @@ class IncrementalSmoother:
             if felt:
                 follower.end(felt[0])
             self._archive = [follower.felt(), *self._archive][:ARCHIVED]
-            sure = self._follower is not None or self._seeker.sure
+            sure = (self._follower is not None and not self._on_trial) or self._seeker.sure
             self._taken_away = self._archive[0] if sure and not follower.lost else None
             self._left = (felt[-1].end, follower.psi) if felt else None
         self._seek()
@@ -190,6 +212,7 @@ class IncrementalSmoother:
         self._frame += 1
         self._seeker = Seeker(self._rig, self._seed + 100 * self._frame)
         self._found = self._follower = None
+        self._trial_until = -math.inf
 
     def _drop_before(self, t: float) -> None:
         """Forget events that no answer needs any more; the arm's reports of a moment before `t` (s) are kept."""
@@ -211,9 +234,9 @@ class IncrementalSmoother:
         except np.linalg.LinAlgError:  # of a fit that has run aground on readings of no such motion
             return None
         made_convex(x, P, _OUTLINE)
-        established = self._follower is not None
+        established = self._follower is not None and not self._on_trial
         against = answer.belief.contradicted
-        if self._follower is not None:
+        if self._follower is not None and established:
             touched = self._follower.touched
         else:
             touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))

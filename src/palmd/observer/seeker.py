@@ -9,7 +9,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.follower import LOST_S, PATIENCE, Answer
+from palmd.observer.follower import LOST_S, OPEN_S, PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import (
@@ -83,6 +83,8 @@ class Seeker:
         self._survived = self._challenges = 0
         self._failed = self._in_vain = 0
         self._doubtful = True
+        self.hypothesis: Answer | None = None  # of what explained the readings last, rivals or not
+        self.stuck = False  # the last readings are hard to explain from it on
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
@@ -120,7 +122,7 @@ class Seeker:
     ) -> Answer | None:
         """As `sought`, in one step to the end of `segment`; `now`: the time of the last reading of all (s)."""
         seconds = segment.lasts
-        self.unexplained = False
+        self.unexplained = self.stuck = False
         if seconds < LEAST_S:
             return None
         rig = with_scatter(self._rig, segment.pads)
@@ -131,11 +133,15 @@ class Seeker:
         finding: Minima | None = None
         known = self._known_until(segment)
         if known is not None:
-            finding = search.resumed(self._guesses)
+            finding = self._resumed(search, budget)
+            self.stuck = self._tries and (finding is None or partial(finding, search))
+            if self.stuck:
+                return None
             if finding is None and self.sure and now - known < LOST_S:
                 return None  # one step that is hard to fit does not reject a confirmed hypothesis
         else:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
+            self.hypothesis = None
         if finding is None and hint is not None and not self._exact:
             finding = search.placed(hint)
         if finding is None or (self._to_challenge(search, finding) and segment.end == now):
@@ -149,6 +155,11 @@ class Seeker:
         doubts = UNFOUND if answer is None else doubt(answer.finding.fits[0], answer.finding)
         self.unexplained = answer is None or far_fetched(answer.finding.fits[0], answer.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
+        if doubts in {"", AMBIGUOUS} and not self.unexplained:
+            self.hypothesis = answer
+        elif self._tries:
+            self.stuck = True
+            return None
         if self._doubtful and budget.left <= 0.0 and known is not None and now - known < LOST_S:
             self._guesses, self.unexplained = self._guesses or before, False
             return None  # the budget was spent: neither accepted nor rejected
@@ -160,6 +171,16 @@ class Seeker:
         if answer is not None and known is not None and answer.end - known > LEAST_S and answer.lasts > TELLING_S:
             self._survived += len(answer.finding.fits) == 1  # the only one, and it predicted them
         return answer
+
+    def _resumed(self, search: Search, budget: Budget) -> Minima | None:
+        """What explains the readings from the hypotheses on; what can be tried instead has the other half of a budget."""
+        if not self._tries:
+            return search.resumed(self._guesses)
+        half = Budget(min(budget.left, LIVE_BUDGET / 2))
+        budget.left -= half.left
+        finding = search.spending(half).resumed(self._guesses)
+        budget.left += half.left
+        return finding
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
         """Whether a hypothesis that explains all readings is due for a challenge by a blind search."""
@@ -241,6 +262,15 @@ class Seeker:
             return self._rolls or self._rig.curved
         return self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
 
+    @property
+    def _tries(self) -> bool:
+        """Whether a hypothesis that is hard to carry on is better followed on trial than searched for again.
+
+        On a rig that is known exactly, and with palms that rub unequally, the evidence of searches decides.
+        """
+        known = self.hypothesis
+        return known is not None and not self._exact and not self._rig.lopsided and known.lasts > OPEN_S
+
     def _criticised(self, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""
         for _ in range(MOST_REVISIONS):
@@ -257,3 +287,8 @@ class Seeker:
                 break
             answer = Answer(anew, found)
         return answer
+
+
+def partial(finding: Minima, search: Search) -> bool:
+    """Whether the last readings of a search are left out, which the hypotheses do not explain."""
+    return len(finding.record.t) < len(search.record.t)
