@@ -167,7 +167,7 @@ def processor_s(root):
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            kind = re.search(r"--type=([^\0]+)", (entry / "cmdline").read_text())
+            kind = re.search(r"--type=([^\0 ]+)", (entry / "cmdline").read_text())
         except OSError:
             continue
         parents[int(entry.name)] = int(fields[1])
