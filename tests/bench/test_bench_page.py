@@ -1,7 +1,8 @@
-"""The live page on a real demo, by the browser's own figures: first picture, layout shifts in use, memory when open.
+"""The live page on a real demo: first picture, layout shifts in use, memory when open, share of a processor.
 
 `PALMD_SHIFT_S` (180) and `PALMD_OPEN_S` (900) are for how long. Growth is a straight line through what is in use after
-collecting garbage, without the first third, told as MB in 24 h with its standard deviation.
+collecting garbage, without the first third, told as MB in 24 h with its standard deviation. `PALMD_COMPARED` is the
+address of another page (`palmd view` of another checkout), measured in turns with this one: other load changes both.
 """
 
 import os
@@ -9,6 +10,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ pytestmark = [pytest.mark.bench, pytest.mark.timeout(7200)]
 SHIFT_S, OPEN_S = float(os.environ.get("PALMD_SHIFT_S", "180")), float(os.environ.get("PALMD_OPEN_S", "900"))
 LOOK_S, START_S = 10.0, 90.0
 FIRST_PICTURE_S = 5.0
+SHARE, TURNS, TURN_S, LOADED_S = 0.15, 6, 5.0, 3.0
 VIEWS = ("runs", "configuration", "log", "live")
 SWITCHED_S = 0.6  # a view that a person has asked for may move what it likes: the browser's own allowance is 0.5 s
 
@@ -47,7 +50,8 @@ class Shown:
             assert time.monotonic() < begun + START_S, self.out.read_text()
             time.sleep(0.02)
         self.address_s = time.monotonic() - begun
-        self.page = Page(driver, found[0])
+        self.address = found[0]
+        self.page = Page(driver, self.address)
         self.page.resize(*LAPTOP)
         self.page.open()
         self.page.until(lambda: min(self.page.drawn("blue"), self.page.drawn("red")) > 300, "both palms", START_S)
@@ -129,6 +133,54 @@ def press(page, selector):
     button = page.driver.find_element(By.CSS_SELECTOR, selector)
     if button.is_enabled() and button.is_displayed():
         button.click()
+
+
+def test_share_of_a_processor(demo):
+    """Of all processes of a browser without a graphics processor, the palms exploring; an empty page for comparison."""
+    compared = os.environ.get("PALMD_COMPARED")
+    addresses = {"empty": "about:blank", "this page": demo.address} | ({"compared": compared} if compared else {})
+    shares = {name: [] for name in addresses}
+    demo.page.leave()
+    for _ in range(TURNS):
+        for name, address in addresses.items():
+            demo.page.driver.get("about:blank")
+            demo.page.driver.get(address)
+            time.sleep(LOADED_S)
+            before, begun = processor_s(demo.page.driver.service.process.pid), time.monotonic()
+            time.sleep(TURN_S)
+            after, lasted = processor_s(demo.page.driver.service.process.pid), time.monotonic() - begun
+            shares[name].append({kind: (s - before.get(kind, 0.0)) / lasted for kind, s in after.items()})
+    print()
+    for name, turns in shares.items():
+        medians = {kind: np.median([turn.get(kind, 0.0) for turn in turns]) for kind in turns[-1]}
+        print(f"{name}: {total(turns):.1%} of a processor;", ", ".join(f"{k} {v:.1%}" for k, v in medians.items()))
+    assert total(shares["this page"]) <= SHARE
+
+
+def total(turns):
+    return np.median([sum(turn.values()) for turn in turns])
+
+
+def processor_s(root):
+    """Processor time (s) of the descendants of a process, by the kind of browser process."""
+    found, parents = {}, {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            kind = re.search(r"--type=([^\0 ]+)", (entry / "cmdline").read_text())
+        except OSError:
+            continue
+        parents[int(entry.name)] = int(fields[1])
+        seconds = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        found[int(entry.name)] = (kind[1] if kind else "browser", seconds)
+    kinds = {}
+    for number, (kind, seconds) in found.items():
+        above = number
+        while above in parents and above != root:
+            above = parents[above]
+        if above == root and number != root:
+            kinds[kind] = kinds.get(kind, 0.0) + seconds
+    return kinds
 
 
 def test_memory_while_it_is_open(demo):

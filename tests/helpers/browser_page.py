@@ -85,10 +85,20 @@ class Page:
         return self.script(
             """
             const scene = document.getElementById("scene");
+            const mixed = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+            const style = getComputedStyle(document.documentElement);
+            const fills = [1, 0.45].map((share) => { // valid or not
+              for (const [name, alpha] of [["--panel", 1], ["--estimate-fill", share]]) {
+                mixed.globalAlpha = alpha;
+                mixed.fillStyle = style.getPropertyValue(name).trim();
+                mixed.fillRect(0, 0, 1, 1);
+              }
+              return mixed.getImageData(0, 0, 1, 1).data;
+            });
             const { data } = scene.getContext("2d").getImageData(0, 0, scene.width, scene.height);
             let count = 0;
             for (let i = 0; i < data.length; i += 4) {
-              count += data[i + 3] > 8 && data[i + 3] < 60 && data[i + 1] - data[i] > 40;
+              count += fills.some((fill) => [0, 1, 2].every((k) => Math.abs(data[i + k] - fill[k]) < 2));
             }
             return count;
             """

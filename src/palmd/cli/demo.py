@@ -76,17 +76,23 @@ def run(arguments: argparse.Namespace) -> int:
     asked = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
     asked += [] if arguments.kind is None else ["--kind", arguments.kind]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
-        stack = leaving.enter_context(Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell))
-        begun = stack.start_rig("--sockets", "--physics", physics, *asked)
-        if not (begun and stack.start(record=not arguments.no_record, page=True)):
+
+        def show(page: str) -> None:
+            _tell(f"  {page}")
+            if not arguments.no_browser:
+                open_page(page)
+
+        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell, show=show)
+        leaving.enter_context(stack)
+        if not stack.start_rig("--sockets", "--physics", physics, *asked):
             return 0  # the end was asked for before anything began
+        _introduce(stack.told["seed"], config.system)
+        if not stack.start(record=not arguments.no_record, page=True):
+            return 0
         comparison = _comparison(config, stack.told["seed"], physics)
-        page = stack.page if stack.start_page() else None
-        if page is None and not stop.made:
+        if not stack.start_page() and not stop.made:
             _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")
-        _introduce(stack.told["seed"], config.system, stack.bus, page)
-        if page and not arguments.no_browser:
-            open_page(page)
+        _name_other_views(stack.bus)
         _operate(stack, comparison, stop, arguments.seconds)
         if physics == "mujoco":
             with suppress(CliError):  # it may have ended first
@@ -105,13 +111,14 @@ def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison
     return comparison
 
 
-def _introduce(seed: int, system: str, bus: BusConfig, page: str | None) -> None:
-    at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
-    to = "" if bus.command == COMMAND else f" --address {bus.command}"
+def _introduce(seed: int, system: str) -> None:
     _tell(LIVE[system].shows)
     _tell(f"Seed {seed}; the object is unknown to the daemon. Look at it with:")
-    if page:
-        _tell(f"  {page}")
+
+
+def _name_other_views(bus: BusConfig) -> None:
+    at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
+    to = "" if bus.command == COMMAND else f" --address {bus.command}"
     _tell(f"  palmd top{at}")
     _tell(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
     _tell(f"  palmd ctl status{to}")

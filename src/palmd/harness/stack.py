@@ -43,7 +43,7 @@ class Stack:
 
     bus: BusConfig
     path: Path
-    page: str
+    page = ""
     client: CommandClient
     subscriber: Subscriber
 
@@ -55,13 +55,15 @@ class Stack:
         *,
         give_up: Callable[[], bool] = lambda: False,
         tell: Callable[[str], None] = lambda _text: None,
+        show: Callable[[str], None] = lambda _address: None,
     ) -> None:
         """`folder` takes configurations and what the processes say, `runs` the recordings (None: in `folder`).
 
-        Once `give_up` says so nothing is waited for; `tell` is told of what takes its time.
+        Once `give_up` says so nothing is waited for; `tell` is told of what takes its time. `show` gets the page's
+        address as soon as it is served, which may be before the daemon publishes.
         """
         self._folder, self._config, self._runs = folder, config, runs or folder / "runs"
-        self._give_up, self._tell = give_up, tell
+        self._give_up, self._tell, self._show = give_up, tell, show
         self._count = 0
         self.told: dict[str, Any] = {}
         self._lives: dict[str, ExitStack] = {}
@@ -122,9 +124,9 @@ class Stack:
             self.configure(self._config, self.told)
             if page:
                 self._begin_page()
-            if record:
-                self.start_recorder()
             self.begin_daemon()
+            if record:
+                self.start_recorder()  # which listens before the daemon, which takes longer to start, publishes
             if self.until_heard():
                 return True
             if self._give_up():
@@ -156,6 +158,8 @@ class Stack:
                 hear(message)
                 if message.topic.startswith("palm"):
                     return True
+            if "page" in self.children:
+                self._served(self.children["page"].first_line(0.0))
             if not told and time.monotonic() > t_begin + BUILDING_AFTER_S:
                 told = True
                 self._tell("building the observers once, some 20 s…")
@@ -181,10 +185,16 @@ class Stack:
             line = self.children["page"].first_line(START_S, self._give_up)
             if line is not None or self._give_up():
                 break
-        self.page = line or ""
+        self._served(line)
         return bool(line)
 
+    def _served(self, address: str | None) -> None:
+        if address and address != self.page:
+            self.page = address
+            self._show(address)
+
     def _begin_page(self) -> None:
+        self.page = ""
         where = ("--address", self.bus.publish, "--command", self.bus.command, "--truth", self.told["truth"],
                  "--config", str(self.path))  # fmt: skip
         port = str(_free_page_port())

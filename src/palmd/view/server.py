@@ -33,8 +33,8 @@ from palmd.view.library import LibraryError, RunLibrary
 log = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-FRAME_S = 1 / 60
-HEARTBEAT_FRAMES = 30  # a batch goes out as often even when nothing was published
+FRAME_S = 1 / 30  # the page draws a picture for each
+HEARTBEAT_FRAMES = 15  # a batch goes out as often even when nothing was published
 HELLO_S = 5.0
 CLOSING_S = 1.0
 MESSAGE_BYTES_MAX = 4096

@@ -11,19 +11,21 @@ import { Scene } from "./scene.js";
 import { seconds, Store } from "./store.js";
 import { Strips } from "./strips.js";
 import { Tabs } from "./tabs.js";
-import { element, set } from "./text.js";
+import { element, put, set } from "./text.js";
 import { chooseTheme, onColours } from "./theme.js";
 import { Timeline } from "./timeline.js";
 
-const OFFER_MS = 100; // between looks at what buttons do now
+const OFFER_MS = 95; // between looks at what buttons do now: each third picture
+const LATE_MS = 130; // the same without pictures
 const READOUTS = 3; // looks, after which the numbers are written anew: each time costs a layout
 const DESCRIBE_MS = 3000;
-const PICTURE_MS = 30; // between pictures: every second one of a display of 60 Hz
-const CALM_MS = 100; // the same for those who want less motion
+const CALM_MS = 100; // between pictures, for those who want less motion
 
 layOut();
 const store = new Store();
-const scene = new Scene(document.getElementById("scene"));
+let wanted = true; // whether there is something new to be seen
+const want = () => (wanted = true);
+const scene = new Scene(document.getElementById("scene"), want);
 const byName = (...names) => Object.fromEntries(names.map((name) => [name, document.getElementById(`window-${name}`)]));
 const timeline = new Timeline(byName("span", "pause", "scrub", "cursor", "narrower", "wider", "says"), (share) => strips.point(share));
 const strips = new Strips(document.getElementById("strips"), timeline, store);
@@ -31,7 +33,7 @@ const calm = matchMedia("(prefers-reduced-motion: reduce)");
 let connected = false;
 let ended = false; // by whoever served the page
 let hello = null;
-let drawnAt = -Infinity;
+let [drawnAt, toldAt] = [-Infinity, -Infinity];
 let frames = [];
 let looks = 0;
 
@@ -51,6 +53,7 @@ const connection = new Connection({
   batch({ commandable }) {
     commands.reach(commandable);
     commands.renew(performance.now());
+    want();
   },
   answer(said) {
     commands.answer(said);
@@ -80,16 +83,23 @@ function opening(load, make) {
 async function opened(name) {
   view = name;
   log.look(name === "log");
-  scene.outdated = true;
+  want();
   if (name === "runs") (await runs()).list(hello);
   if (name === "configuration") (await configuration()).show();
 }
 
+/** A frame of the display. Words change with a picture where one comes, as the browser composes both at once. */
+function frame(now) {
+  requestAnimationFrame(frame); // always: to begin with frames again costs more than to be asked for nothing
+  const pictured = wanted && view === "live" && !(calm.matches && now - drawnAt < CALM_MS);
+  if (pictured) draw(now);
+  if (now - toldAt < (pictured ? OFFER_MS : LATE_MS)) return;
+  toldAt = now;
+  tell();
+}
+
 function draw(now) {
-  requestAnimationFrame(draw);
-  if (view !== "live") return;
-  if (now - drawnAt < (calm.matches ? CALM_MS : PICTURE_MS)) return;
-  if (!scene.outdated && drawnAt > store.palmAt && store.stale(performance.now())) return; // nothing new
+  wanted = false;
   frames.push(now);
   drawnAt = now;
   scene.draw(store, drawnAt);
@@ -101,7 +111,7 @@ function tell() {
   const stale = !connected || store.stale(now);
   const replayed = store.replayed(now);
   frames = frames.filter((t) => t > now - 1000);
-  document.getElementById("replay").hidden = !replayed;
+  put(document.getElementById("replay"), "hidden", !replayed);
   commands.offer(store, stale, replayed);
   byHand.offer(store, stale);
   showStaleness(now, stale);
@@ -115,7 +125,7 @@ function tell() {
 }
 
 function showLegend(truthful) {
-  document.getElementById("key-truth").hidden = document.getElementById("lanes").hidden = !truthful;
+  for (const id of ["key-truth", "lanes"]) put(document.getElementById(id), "hidden", !truthful);
   set("magnification", scene.factor ? `×${scene.factor}` : "");
 }
 
@@ -124,8 +134,8 @@ function showStaleness(now, stale) {
   const heard = Number.isFinite(store.palmAt);
   document.body.classList.toggle("stale", stale && !ended);
   document.body.classList.toggle("over", ended);
-  document.getElementById("ended").hidden = !ended;
-  document.getElementById("stale").hidden = !stale;
+  put(document.getElementById("ended"), "hidden", !ended);
+  put(document.getElementById("stale"), "hidden", !stale);
   if (!stale) return;
   set("stale-why", ended ? "Over: whoever served this page has ended it."
     : !connected ? "Stale: no connection to palmd view, trying again."
@@ -145,13 +155,12 @@ function showSummary() {
 
 document.getElementById("magnify").addEventListener("change", ({ target }) => scene.setLens(target.checked));
 onColours(() => {
-  scene.outdated = true;
+  want();
   strips.recolour();
 });
 document.getElementById("all-events").addEventListener("click", () => tabs.open("log"));
 chooseTheme(document.getElementById("theme"));
-setInterval(tell, OFFER_MS);
 setInterval(() => {
   document.getElementById("scene").setAttribute("aria-label", describe(store));
 }, DESCRIBE_MS);
-requestAnimationFrame(draw);
+requestAnimationFrame(frame);

@@ -4,12 +4,13 @@ import { onSecondPress } from "./guard.js";
 import { underWay } from "./knowledge.js";
 import { Plans } from "./plans.js";
 import { palmsOf } from "./quantities.js";
-import { element, number, set } from "./text.js";
+import { element, number, put, set } from "./text.js";
 
 const STEP_DEG = 0.4; // 8 degrees a second, as `palmd jog`
 const EVERY_MS = 50; // the daemon brakes when the next step is 200 ms late
 const EXPLORE = "explore.yaml";
 const EXPLORATION = "{name: explore, segments: [{explore: {coverage: 0.95, time_limit_s: 90}}]}"; // where no plan of that name is
+const UNJOGGED = 3; // looks between new angles where nobody jogs: each costs a layout
 const UNANSWERED_MOST = 3; // a line that is held up may not move the palms later
 
 export class ByHand {
@@ -23,6 +24,7 @@ export class ByHand {
   #store = null;
   #timer = 0;
   #unanswered = 0;
+  #looks = 0;
 
   constructor(section, commands) {
     [this.#section, this.#commands] = [section, commands];
@@ -44,20 +46,21 @@ export class ByHand {
     const motion = store.get("palm/motion");
     const { state } = store.get("palm/state");
     this.#store = store;
-    this.#section.hidden = !this.#commands.operator;
+    put(this.#section, "hidden", !this.#commands.operator);
     this.#layOut(info);
     // only two palms are jogged, and they are the system that has no name
-    document.getElementById("jog-line").hidden = this.#pads.hidden = Boolean(info.system);
+    for (const part of [document.getElementById("jog-line"), this.#pads]) put(part, "hidden", Boolean(info.system));
     const moving = underWay(store);
     const jogs = this.#commands.applies("jog", state, stale) && !moving;
-    for (const button of this.#pads.querySelectorAll("button")) button.disabled = !jogs;
+    for (const button of this.#pads.querySelectorAll("button")) put(button, "disabled", !jogs);
     if (!jogs) this.#letGo();
     set("jog-says", jogs ? "" : moving ? "hold the plan first" : "arm first");
     const loads = !moving && this.#commands.applies("plan", state, stale);
     this.#plans.offer(store, loads);
-    this.#explore.disabled = !loads;
-    this.#anew.disabled = Boolean(info.system) || !this.#commands.applies("new_object", state, stale);
-    document.getElementById("send-note").disabled = !this.#commands.applies("note", state, stale);
+    put(this.#explore, "disabled", !loads);
+    put(this.#anew, "disabled", Boolean(info.system) || !this.#commands.applies("new_object", state, stale));
+    put(document.getElementById("send-note"), "disabled", !this.#commands.applies("note", state, stale));
+    if (!jogs && this.#looks++ % UNJOGGED) return;
     for (const { joint } of palmsOf(info)) set(`jog-${joint}`, number((motion[`${joint}_rad`] * 180) / Math.PI, 1, "°"));
   }
 

@@ -1,7 +1,7 @@
 // The command buttons: which of them apply, the second press that arm and start need, keys, and the answers.
 
 import { underWay } from "./knowledge.js";
-import { set } from "./text.js";
+import { put, set } from "./text.js";
 
 const CONFIRM_MS = 3000;
 const DOUBLE_CLICK_MS = 350; // two presses within it are one
@@ -86,7 +86,7 @@ export class Commands {
     for (const [command, button] of this.#buttons) {
       const applies = command === "stop" && (stale || this.#arming || MOVED.includes(arm)) ? this.operator && !replayed
         : this.applies(command, state, stale) && !idle[command];
-      button.disabled = !applies;
+      put(button, "disabled", !applies);
       if (button.disabled && this.#confirming === command) {
         this.#forget();
         this.#say("", false);
@@ -104,9 +104,10 @@ export class Commands {
     this.#othersControl = Boolean(control) && !ours;
     const who = ours ? "Control: this page" : control ? `Control: ${control}` : unattended ? "Control: nobody" : "";
     set("control", unattended ? `${who} (unattended)` : who);
-    document.getElementById("control").title = unattended ? "No client with a lease watches over the motion." : "";
+    const warning = unattended ? "No client with a lease watches over the motion." : "";
+    put(document.getElementById("control"), "title", warning);
     const take = document.getElementById("take");
-    take.hidden = !(this.operator && this.#commandable && (this.#othersControl || (unattended && !ours)));
+    put(take, "hidden", !(this.operator && this.#commandable && (this.#othersControl || (unattended && !ours))));
   }
 
   /** Gives a command; `told`, if any, gets the error or null, and the result, instead of the page's line, within `ms`. */

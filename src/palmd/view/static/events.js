@@ -1,7 +1,7 @@
 // The daemon's log: its entries, and the latest of them beside the picture, each with how long ago it was and why.
 
 import { fillText, showInSlots } from "./slots.js";
-import { element } from "./text.js";
+import { element, put } from "./text.js";
 
 const SHOWN = 6;
 
@@ -32,9 +32,9 @@ export function lately(log, t) {
 /** Shows them in `section`. */
 export function showEvents(section, log, t) {
   showInSlots(section.querySelector("ol"), lately(log, t), make, (row, { ago, severity, text }) => {
-    row.dataset.severity = severity;
+    put(row.dataset, "severity", severity);
     const [when, what] = row.children;
-    if (when.textContent !== ago) when.textContent = ago;
+    put(when, "textContent", ago);
     fillText(what, text);
   });
 }

@@ -3,7 +3,7 @@
 import { accuracy, activity, error, percent, small, underWay } from "./knowledge.js";
 import { ESTIMATE } from "./quantities.js";
 import { Settling } from "./settling.js";
-import { number, set } from "./text.js";
+import { number, put, set } from "./text.js";
 
 const settling = new Settling();
 const STARVED_MS = 10000; // for so long it is told
@@ -17,10 +17,12 @@ export function showHero(store, now) {
   const { words, reason, kind } = activity(store, settling);
   set("words", words);
   set("reason", [starved(store, now), [reason, doubt(estimate)].filter(Boolean).join("; ")].filter(Boolean).join(" "));
-  for (const id of ["words", "reason"]) titled(document.getElementById(id));
-  document.getElementById("going-on").dataset.kind = kind;
+  for (const place of [document.getElementById("words"), document.getElementById("reason")]) {
+    put(place, "title", place.textContent); // what may be cut off can be read as a title
+  }
+  put(document.getElementById("going-on").dataset, "kind", kind);
   set("known", Number.isFinite(estimate.touched) ? number(estimate.touched * 100, 0) : "–");
-  document.getElementById("known-bar").value = estimate.touched || 0;
+  put(document.getElementById("known-bar"), "value", estimate.touched || 0);
   set("known-of", estimate.valid && Number.isFinite(coverage) ? `${percent(coverage)} of what can be reached`
     + (reachable < 0.995 ? `, which is ${percent(reachable)}` : "") : "");
   showAccuracy(accuracy(store), error(store, now));
@@ -30,11 +32,6 @@ export function showHero(store, now) {
 /** What speaks against the estimate, by the daemon's words or codes; empty for a valid one. */
 function doubt({ valid, reason, invalid_reasons: codes = [] }) {
   return valid === false ? `no valid estimate: ${reason || codes.join(", ") || "no reason is published"}` : "";
-}
-
-/** What may be cut off can be read as a title. */
-function titled(place) {
-  if (place.title !== place.textContent) place.title = place.textContent;
 }
 
 /** What an emulated rig has lately said of itself: it stood still, which no pad and no arm is to blame for. */

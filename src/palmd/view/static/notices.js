@@ -1,7 +1,7 @@
 // Faults and what is off about the rig: counted, in a list of its own that never moves anything else.
 
 import { fillText, showInSlots } from "./slots.js";
-import { element, set } from "./text.js";
+import { element, put, set } from "./text.js";
 
 const ORDER = ["stop", "hold", "degrade", "note", "rig"];
 const GRAVE = new Set(["stop", "hold"]);
@@ -25,7 +25,7 @@ export function showNotices(state, rig) {
   set("notice-count", counted(rows));
   set("grave", rows.filter(({ kind }) => GRAVE.has(kind)).map(({ code }) => code).join(", "));
   showInSlots(document.getElementById("faults"), rows, make, (row, { kind, code, text }) => {
-    row.dataset.severity = kind;
+    put(row.dataset, "severity", kind);
     const [severity, said] = row.children;
     fillText(severity, kind);
     fillText(said, [code, text].filter(Boolean).join(": "));

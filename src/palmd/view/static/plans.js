@@ -1,7 +1,7 @@
 // The plans of the rig: which one is loaded and runs, and a button for each that loads it.
 
 import { underWay } from "./knowledge.js";
-import { element } from "./text.js";
+import { element, put } from "./text.js";
 
 const named = (file) => file.replace(/\.ya?ml$/, "");
 
@@ -24,9 +24,9 @@ export class Plans {
       const current = named(row.dataset.file) === plan;
       const words = !current ? "" : underWay(store) ? "running" : "loaded";
       const [, state, button] = row.children;
-      if (state.textContent !== words) state.textContent = words;
-      row.dataset.current = words;
-      button.disabled = !applies;
+      put(state, "textContent", words);
+      put(row.dataset, "current", words);
+      put(button, "disabled", !applies);
     }
   }
 

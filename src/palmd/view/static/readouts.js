@@ -6,7 +6,7 @@ import { AGES, ESTIMATE, palmsOf, shown, shownOfPalm, SHOWS, TOLD, told } from "
 import { inSpace } from "./surface.js";
 import { SYSTEMS } from "./systems.js";
 import { showNotices } from "./notices.js";
-import { element, number, row, set } from "./text.js";
+import { element, number, put, row, set } from "./text.js";
 
 const STATES = {
   idle: "waiting for the rig",
@@ -45,7 +45,7 @@ function showState(store) {
   const { state } = store.get("palm/state");
   const estimate = store.get("palm/estimate");
   set("state", state ?? "unknown");
-  document.getElementById("state").dataset.state = state ?? "unknown";
+  put(document.getElementById("state").dataset, "state", state ?? "unknown");
   set("state-means", STATES[state] ?? "");
   const object = store.get("palm/object");
   const recognised = object.best ? `: ${object.best}, ${number(Math.max(...object.probability) * 100, 0, "%")}` : "";
@@ -54,7 +54,7 @@ function showState(store) {
   set("looks-like", said && estimate.valid && named === estimate.object ? `looks like: ${said}` : "");
   set("straight", estimate.valid ? straight(store.get("palm/shape")) : "");
   set("validity", !("valid" in estimate) ? "" : estimate.valid ? "estimate valid" : "estimate not valid");
-  document.getElementById("validity").dataset.valid = String(Boolean(estimate.valid));
+  put(document.getElementById("validity").dataset, "valid", String(Boolean(estimate.valid)));
 }
 
 /** What of the hull, which is what palms feel, is straight. */
@@ -70,7 +70,7 @@ function showObject(store, now) {
   for (const { name, compared } of TOLD) {
     const { factor, digits, truth } = ESTIMATE[name];
     const value = estimate.valid ? estimate[name] : NaN;
-    document.getElementById(`told-${name}`).parentElement.hidden = !told([name], estimate);
+    put(document.getElementById(`told-${name}`).parentElement, "hidden", !told([name], estimate));
     set(`told-${name}`, number(value * factor, digits));
     set(`sd-${name}`, number(Number.isFinite(value) ? estimate.sd?.[name] * factor : NaN, digits));
     set(`off-${name}`, truthful && compared ? number((value - store.get(truth)[name]) * factor, digits) : "–");
@@ -79,7 +79,7 @@ function showObject(store, now) {
   const running = underWay(store) && motion.segment >= 0;
   set("shows", SHOWS[store.get("palm/info").system ?? ""] ?? "");
   set("plan", motion.plan ? `${motion.plan}${running ? `, segment ${motion.segment + 1}` : ", not running"}` : "none");
-  document.getElementById("progress").value = running ? motion.progress : 0;
+  put(document.getElementById("progress"), "value", running ? motion.progress : 0);
 }
 
 function showHealth(store, now, fps) {
@@ -87,7 +87,7 @@ function showHealth(store, now, fps) {
   set("age-data", number(now - store.palmAt, 0));
   for (const { name, palm } of AGES) {
     const { factor, digits } = shown("palm/contact", name);
-    document.getElementById(`age-${name}`).parentElement.hidden = !told([name], contact);
+    put(document.getElementById(`age-${name}`).parentElement, "hidden", !told([name], contact));
     set(`age-${name}`, number(contact[name] * factor, digits));
     const touch = contact[`touch${palm}`];
     set(`says-${name}`, palm ? touch === undefined ? "" : touch ? "touched" : "untouched"

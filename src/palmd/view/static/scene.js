@@ -35,7 +35,6 @@ function later(load, make, came) {
 }
 
 export class Scene {
-  outdated = true; // whether to draw again even if nothing new is known
   #space = later(() => import("./space.js"), ({ SpaceView }) => new SpaceView(), () => this.#renew());
   #lens = later(() => import("./lens.js"), ({ Lens }) => new Lens(), () => this.#renew());
   #others = SYSTEMS.map(({ drawing }) => later(drawing, ({ draw }) => draw, () => this.#renew()));
@@ -53,10 +52,12 @@ export class Scene {
   #truthShape = null;
   #truthPath = null;
   #turns = false;
+  #renew;
 
-  constructor(canvas) {
-    this.#canvas = canvas;
-    this.#context = canvas.getContext("2d");
+  /** `renew` is called when there is to be another picture though nothing new is known. */
+  constructor(canvas, renew) {
+    [this.#canvas, this.#renew] = [canvas, renew];
+    this.#context = canvas.getContext("2d", { alpha: false });
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
     canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => this.#point([offsetX, offsetY]));
@@ -92,13 +93,9 @@ export class Scene {
     this.#renew();
   }
 
-  #renew() {
-    this.outdated = true;
-  }
-
   #point(place) {
     this.#pointer = place;
-    this.outdated ||= this.#lensOn;
+    if (this.#lensOn) this.#renew();
   }
 
   /** Draws what `store` knows at `now` (ms). */
@@ -106,7 +103,6 @@ export class Scene {
     const estimate = store.get("palm/estimate");
     const other = SYSTEMS.findIndex(({ tells }) => tells(estimate));
     if (other >= 0) {
-      this.outdated = false;
       this.#factor = 0;
       this.#others[other]()?.(this, this.#context, store, now);
       return;
@@ -118,7 +114,6 @@ export class Scene {
     }
     const palms = palmsOf(store.get("palm/info"));
     const joints = jointsOf(palms, estimate, store.get("palm/motion"));
-    this.outdated = false;
     this.#factor = 0;
     this.begin(Math.max(...palms.map(({ padM }) => padM ?? 0)) * MM || SOME_PAD_MM);
     if (!joints) return;
@@ -149,10 +144,9 @@ export class Scene {
   // -- three palms in space -----------------------------------------------------------------------------------------
 
   #drawSpace(store, now) {
-    this.outdated = false;
     this.#factor = 0;
     this.#context.setTransform(1, 0, 0, 1, 0, 0);
-    this.#context.clearRect(0, 0, this.#pixels.width, this.#pixels.height);
+    this.#clear();
     this.#space()?.draw(this.#context, this.#pixels, store, now);
   }
 
@@ -362,11 +356,17 @@ export class Scene {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.setLineDash([]);
     context.globalAlpha = 1;
-    context.clearRect(0, 0, width, height);
+    this.#clear();
     const scale = Math.min(width / VIEW.width, height / VIEW.height) / padMm;
     this.#scale = scale;
     this.#below = VIEW.below * padMm;
     context.setTransform(scale, 0, 0, -scale, width / 2, height - this.#below * scale);
+  }
+
+  /** The picture hides what is behind it, which then is not composed with it. */
+  #clear() {
+    this.#context.fillStyle = colours.panel;
+    this.#context.fillRect(0, 0, this.#pixels.width, this.#pixels.height);
   }
 
   /** A grid that stands in the world, so that the hinge is seen to move. */
@@ -420,8 +420,8 @@ export class Scene {
     const { width, height } = this.#canvas.getBoundingClientRect();
     this.#canvas.width = Math.round(width * ratio);
     this.#canvas.height = Math.round(height * ratio);
-    this.outdated = true;
     this.#pixels = { width: this.#canvas.width, height: this.#canvas.height, ratio };
+    this.#renew();
   }
 }
 

@@ -1,10 +1,12 @@
 // A list whose rows stay where they are: what is shown moves from row to row, and no row moves under a hand.
 
+import { put } from "./text.js";
+
 /** Shows `items` in the rows of `list`, made by `make()` and filled by `fill(row, item)`; rows without an item are hidden. */
 export function showInSlots(list, items, make, fill) {
   while (list.children.length < items.length) list.append(make());
   [...list.children].forEach((row, i) => {
-    row.hidden = i >= items.length;
+    put(row, "hidden", i >= items.length);
     if (!row.hidden) fill(row, items[i]);
   });
 }

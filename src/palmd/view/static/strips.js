@@ -1,7 +1,7 @@
 // Strips: a piece of the run of a quantity or two with ± one sigma, their limits, and by how much they differ from the truth.
 
 import { ESTIMATE, LISTED, STRIPS, told } from "./quantities.js";
-import { element, number } from "./text.js";
+import { element, number, put } from "./text.js";
 import { SD } from "./store.js";
 import { colours } from "./theme.js";
 
@@ -66,7 +66,7 @@ export class Strips {
     }
     for (const group of this.#groups) {
       const count = group.querySelectorAll(".strip:not([hidden])").length;
-      group.hidden = count === 0;
+      put(group, "hidden", count === 0);
       group.classList.toggle("wide", count > 2);
     }
   }
@@ -140,7 +140,7 @@ class Strip {
   /** Shows it or not, and the names of those quantities that there are. */
   choose(shown, estimate) {
     const { names, limit } = this.#spec;
-    if (shown && !limit?.listed) names.forEach((name, i) => (this.#values[i].parentElement.hidden = !told([name], estimate)));
+    if (shown && !limit?.listed) names.forEach((name, i) => put(this.#values[i].parentElement, "hidden", !told([name], estimate)));
     const hidden = !shown;
     if (hidden === this.hidden) return;
     this.figure.hidden = hidden;
@@ -157,7 +157,7 @@ class Strip {
       const [value, sd] = at !== null ? this.#at(i, at)
         : estimate.valid || !ESTIMATE[name].uncertain ? [this.#now(name, store) * factor, estimate.sd?.[name] * factor] : [NaN, NaN];
       const text = !Number.isFinite(value) ? "–" : number(value, digits) + (Number.isFinite(sd) ? ` ± ${number(sd, digits + 1)}` : "");
-      if (this.#values[i].textContent !== text) this.#values[i].textContent = text;
+      put(this.#values[i], "textContent", text);
     });
     if (this.#verdict) this.#judge(names.map((name) => this.#now(name, store) * factor));
     if (truthful !== this.#truthful) {
@@ -214,8 +214,8 @@ class Strip {
       text = "limit not published";
     }
     const words = known.length && this.#limits.length ? `${outside ? "outside" : "inside"}: ${text}` : text;
-    if (this.#verdict.textContent !== words) this.#verdict.textContent = words;
-    this.#verdict.dataset.outside = String(outside);
+    put(this.#verdict, "textContent", words);
+    put(this.#verdict.dataset, "outside", String(outside));
   }
 
   draw(store) {

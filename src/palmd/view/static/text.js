@@ -2,8 +2,12 @@
 
 /** Shows `text` in the element of that id. */
 export function set(id, text) {
-  const place = document.getElementById(id);
-  if (place.textContent !== text) place.textContent = text;
+  put(document.getElementById(id), "textContent", text);
+}
+
+/** Sets a property of a node, or of its dataset, where it changes: a browser styles a node anew whenever one is set. */
+export function put(node, name, value) {
+  if (node[name] !== value) node[name] = value;
 }
 
 export function element(name, className, text = "") {
