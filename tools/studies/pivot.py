@@ -24,8 +24,6 @@ from palmd.config.two_palms import Drawn
 from palmd.console.arguments import seconds, seconds_within
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import Dragging
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.harness.wireless import Instant
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
@@ -43,6 +41,7 @@ from tools.studies.cells import rms as rms_cell
 from tools.studies.harness import Study, result
 from tools.studies.scoring import rms
 from tools.studies.simulated import written
+from tools.wireless import Instant, PivotWireless
 
 Mark = Callable[[Any], bool]
 

@@ -22,7 +22,6 @@ from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.events import FloatArray
 from palmd.harness.three_palms_comparison import matrix, surface_error
-from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import evaluator, order_of
@@ -37,6 +36,7 @@ from palmd.yamlfile import load_any_config, parse, read_document
 from tools.studies import harness
 from tools.studies.cells import among, count, mean, quantiles, runs
 from tools.studies.harness import Study, result
+from tools.wireless import ThreePalmsWireless
 
 HALVINGS = 3  # of the directions that are counted: 642
 GOAL = 0.8
