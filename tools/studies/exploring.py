@@ -163,8 +163,7 @@ def _reachable(config: Config, true_h: FloatArray) -> Bools:
     """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
     limits = motion_limits(config)
     where = replace(surface_limits(limits), margin=EDGE_M)
-    surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)
-    return np.asarray(surface.reach.any(axis=0), dtype=np.bool_)
+    return stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS).reach
 
 
 # ---------------------------------------------------------------------------------------------------- the study
