@@ -32,8 +32,9 @@ from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
 from palmd.observer import Observer, ObserverName, Smoothing
 from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
 from palmd.observer.pivot.observer import pivot_observer
+from palmd.observer.smoothing import SmoothingOfOne
 from palmd.observer.three_palms.growing import SimulatedGrowing
-from palmd.observer.three_palms.live import BodyObserver, BodySmoothing
+from palmd.observer.three_palms.live import BodyObserver
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.pads import GOOD_PADS, PadOptions
 from palmd.rig.pivot_world import PivotWorld
@@ -41,6 +42,7 @@ from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions
 from palmd.rig.shapes import Body, Kind
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.rig.world import World
+from palmd.system.three_palms import BodyAnswer
 
 ANSWER_S = 2.0
 LATENCY_S = 0.3  # of a decision
@@ -210,9 +212,13 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
     """Of three palms in space."""
 
     def __init__(
-        self, config: ThreePalmsConfig, spec: TiltPlanSpec, seed: int, smoothing: BodySmoothing | None = None,
+        self,
+        config: ThreePalmsConfig,
+        spec: TiltPlanSpec,
+        seed: int,
+        smoothing: SmoothingOfOne[BodyAnswer] | None = None,
         explorer: Source | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`seed` draws body and noise. `smoothing` takes the place of the smoother that knows nothing beforehand, and
         `explorer` of the one whose decisions come after a fixed time.
         """
