@@ -20,7 +20,6 @@ from palmd.config.two_palms import Config, MoveSpec, PlanSpec, RateSpec, SineSpe
 from palmd.daemon import lifecycle
 from palmd.daemon.commands import COMMANDS, CommandSpec
 from palmd.faults import FAULTS
-from palmd.model.notation import SYMBOLS
 from palmd.quantities import STAMP
 from palmd.rig.fault_injection import ALL_FAULTS
 from palmd.topics import TOPICS
@@ -30,6 +29,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # for `tools`
 
 from tools.adept import linkage
+from tools.notation import SYMBOLS
 from tools.tabletop import drawing, parameters, parts, wiring
 
 SEGMENTS = (MoveSpec, RateSpec, HoldSpec, SineSpec, ExploreSpec)

@@ -13,16 +13,15 @@ import numpy as np
 
 from palmd.config.two_palms import rig_description
 from palmd.console.shipped import shipped
-from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.daemon.exploration_requests import Decider
 from palmd.daemon.planner import read_plan
 from palmd.daemon.realtime import freeze_collector
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.harness.wireless import Wireless
 from palmd.motion.check import motion_limits
 from palmd.motion.pivot import PivotLimits
 from palmd.observer import Simulated
 from palmd.observer.pivot.growing import SimulatedSmoothing
 from palmd.yamlfile import load_any_config
+from tools.wireless import InlineExplorer, PivotWireless, Wireless
 
 
 class Beside:

@@ -36,11 +36,10 @@ from palmd.events import (
 )
 from palmd.faults import Fault
 from palmd.jsonvalues import or_none
-from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, STAMP, TICK, UNITS, Kind, Topic
+from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, TICK, UNITS, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
 from palmd.system.rig_constants import RIG_NAMES, said_off
-from palmd.topics import TOPICS
 
 if TYPE_CHECKING:
     from palmd.config.any_config import AnyConfig
@@ -56,7 +55,6 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 """What must be finite, one-sigma included, in an estimate that says `valid`."""
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN.items()}
-_WITH_SD = {quantity.name for topic in TOPICS for quantity in topic.quantities if quantity.uncertain}
 
 
 class Says(Protocol):
@@ -477,47 +475,3 @@ def info_fields(version: str, observer: str, config: Config, plans: Iterable[str
         "sides": list(SIDES),
         "plans": list(plans),
     }
-
-
-# ------------------------------------------------------------------------------------------------- validation
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_list(of: Callable[[object], bool]) -> Callable[[object], bool]:
-    return lambda value: isinstance(value, list) and all(map(of, value))
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_sds(value: object) -> bool:
-    return isinstance(value, dict) and all(name in _WITH_SD and _is_number(sd) for name, sd in value.items())
-
-
-_CHECKS: dict[Kind, Callable[[object], bool]] = {
-    "number": _is_number,
-    "bool": lambda value: isinstance(value, bool),
-    "text": _is_text,
-    "numbers": _is_list(_is_number),
-    "texts": _is_list(_is_text),
-    "sds": _is_sds,
-}
-
-
-def validate(topic: Topic, fields: Mapping[str, object]) -> list[str]:
-    """What is wrong with a stamped message of `topic`, in words; empty when nothing is. Not for the loop."""
-    expected = {field.name: field for field in (*STAMP, *topic.quantities)}
-    families = [field for name, field in expected.items() if name.endswith("*")]
-    errors = [f"{topic.name}: {name} is missing" for name in expected if name not in fields and not name.endswith("*")]
-    for name, value in fields.items():
-        family = next((f for f in families if name.startswith(f.name[:-1])), None)
-        field = expected.get(name, family)
-        if field is None:
-            errors.append(f"{topic.name}: {name} is not in the table")
-        elif not _CHECKS[field.kind](value):
-            errors.append(f"{topic.name}: {name} must be {field.kind}, not {value!r}")
-    return errors

@@ -8,9 +8,10 @@ import pytest
 from benchtable import machine, show
 
 from palmd.model.shape import coefficients_of
-from palmd.model.stable_poses import basins, follow, stable_poses
+from palmd.model.stable_poses import basins
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.rig.shapes import random_body
+from tools.studies.paper_poses import follow, stable_poses
 
 pytestmark = pytest.mark.bench
 

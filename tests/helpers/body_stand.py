@@ -16,8 +16,8 @@ from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing
-from palmd.rig.three_palms.simulate import KINDS, STEP_S, started
 from palmd.system.three_palms import palms_at, readings_of, room_on_pads
+from tools.studies.space_logs import KINDS, STEP_S, started
 
 WIDE = ThreePalmsLimitsConfig(beta_deg=(10.0, 80.0), gamma2_deg=(15.0, 75.0), gamma3_deg=(15.0, 75.0))
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)

@@ -10,13 +10,13 @@ import recorded
 from palmd import observer
 from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.config.vibration import VibrationConfig
-from palmd.harness.wireless import Wireless
 from palmd.messages import info_fields, stamp
 from palmd.quantities import ESTIMATE, INFO, LOOP
 from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
+from tools.wireless import Wireless
 
 SECONDS = 5.0  # it is valid after 3.1
 SHAKER = VibrationConfig(relation="independent", frequency_hz=250, speed_m_s=0.012)

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 from palmd.harness.scorer import COMPARED, Scorer
-from palmd.harness.wireless import Instant, Wireless
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.world import World
+from tools.wireless import Instant, Wireless
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.bound import Truth
 from palmd.record.eventlog import read_log
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.plant import AS_ASSUMED, PlantOptions
@@ -20,6 +19,7 @@ from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED, Vibration
+from tools.studies.bound import Truth
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from pathlib import Path
 import msgpack
 
 from palmd.config.two_palms import Config
-from palmd.harness.wireless import Instant
 from palmd.messages import Fields, stamp
 from palmd.record.recording import Ended, Recording
+from tools.wireless import Instant
 
 
 class WirelessRecorder:

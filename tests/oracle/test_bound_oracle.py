@@ -17,7 +17,6 @@ from bodies import CONSTANTS, DRAG, LN_MASS, LN_RHO, ORDER, RIG, SATURATION, SHA
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd.model.shape import basis, coefficients_of, tangential_basis
-from palmd.observer.bound import Truth, cramer_rao
 from palmd.observer.data_segment import DataSegment, longest_segment
 from palmd.observer.factor import Prior
 from palmd.observer.search import Search
@@ -25,6 +24,7 @@ from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.plant import PlantOptions
 from palmd.rig.simulate import simulate_log
 from palmd.system.vibration import Vibration
+from tools.studies.bound import Truth, cramer_rao
 
 STEP_S = 1e-3  # friction is stiff where a slip passes the speed of the vibration
 SECONDS = 2.0

@@ -15,7 +15,7 @@ import pytest
 from palmd.events import PalmMotion
 from palmd.rig.friction import plant_on
 from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions
-from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
+from tools.studies.sharp_shapes import rounded_polygon, uniform_body
 
 mujoco = pytest.importorskip("mujoco")
 

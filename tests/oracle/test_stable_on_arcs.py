@@ -10,7 +10,7 @@ import pytest
 from palmd.events import PalmMotion
 from palmd.model.arcs import contacts_on_arcs
 from palmd.model.shape import coefficients_of
-from palmd.model.stable_on_arcs import on_arcs, stable_poses_on_arcs
+from palmd.model.stable_on_arcs import on_arcs
 from palmd.model.stable_poses import basins, touch
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
 from palmd.rig.curved_plant import stable_on_arcs, widest
@@ -18,6 +18,8 @@ from palmd.rig.shapes import Body, random_body
 from palmd.system.arcs import joints_of, tangents
 
 CURVATURES = [(14.0, 11.5), (-9.0, -14.0), (15.0, 0.0), (-8.0, 12.0)]
+SCAN = 360  # values of ψ among which changes of sign are looked for
+_HALVINGS, _SAME_M = 26, 1e-7  # to 1e-10 rad
 TOUCHES = [(0.5, 1.7), (0.9, 1.5)]  # rad: β1 and the tangents' opening for a circle
 
 
@@ -31,6 +33,37 @@ def _body(seed: int, curvatures: tuple[float, float]) -> Body:
 
 def _outline(body: Body) -> np.ndarray:
     return coefficients_of(body.support.sample(np.arange(720) * math.tau / 720), 12)
+
+
+def stable_poses_on_arcs(
+    coefficients: np.ndarray, phi1: float, phi2: float, curvatures: tuple[float, float]
+) -> np.ndarray:
+    """All stable ψ of one palm pose (rad), ascending in [0, 2π): where d1 sin β2 + d2 sin β1 rises through zero.
+
+    For outlines with κv below `MOST_LYING`; where the palms would touch an object from below or behind the hinge, none.
+    """
+
+    def balance(psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        palms = np.full(len(psi), phi1), np.full(len(psi), phi2)
+        s = contacts_on_arcs(coefficients, *palms, psi, curvatures)
+        beta1, opening = tangents(palms, s, curvatures)
+        at = touch(coefficients, beta1, opening, psi)
+        laid = on_arcs(at, beta1, opening, curvatures)
+        with np.errstate(invalid="ignore"):
+            held = (np.abs(s - np.stack([laid.s1, laid.s2])) < _SAME_M).all(axis=0)
+            held &= (beta1 > 0) & (beta1 + opening < np.pi)
+        return np.asarray(at.d1 * np.sin(beta1 + opening) + at.d2 * np.sin(beta1)), np.asarray(held)
+
+    width = 2 * np.pi / SCAN
+    low = np.arange(SCAN, dtype=np.float64) * width
+    uphill = balance(low)[0] >= 0
+    low = low[~uphill & np.roll(uphill, -1)]
+    high = low + width
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        above = balance(middle)[0] >= 0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.sort(np.mod(low, 2 * np.pi)[balance(low)[1]])
 
 
 @pytest.mark.parametrize("curvatures", CURVATURES)

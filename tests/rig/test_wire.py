@@ -9,12 +9,12 @@ import msgpack
 import pytest
 from harness import Bench
 
-from palmd.messages import validate
 from palmd.pivot_quantities import PIVOT_TOPICS
 from palmd.quantities import CONFIG, IMPROVEMENT, NOTE, OBJECT, UNEXPLAINED
 from palmd.rig.simulate import simulate_log
 from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
+from tools.published import validate
 
 pytestmark = pytest.mark.rig
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from palmd.config.plans import ExploreGoal
-from palmd.harness.wireless import Instant
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.motion.rollout_predictor import BINS
@@ -19,6 +18,7 @@ from tools.studies.commands import main
 from tools.studies.exploring import STUDY, ExploringRow, ExploringTask, remarks
 from tools.studies.exploring_plans import STRATEGIES
 from tools.studies.exploring_watch import ExplorationWatch
+from tools.wireless import Instant
 
 # ---------------------------------------------------------------------------------------------- real runs
 

@@ -9,11 +9,11 @@ import pytest
 from answered import NO_SHAPE, THETA, answer, support, told
 
 from palmd.events import Estimate, ShapeEstimate
-from palmd.observer.bound import Bound
 from palmd.record.eventlog import read_log
 from palmd.rig.simulate import simulate_log
 from palmd.system.description import AS_CALIBRATED
 from tools.studies import montecarlo
+from tools.studies.bound import Bound
 from tools.studies.harness import as_line
 from tools.studies.montecarlo import STUDY, MonteCarloRow, MonteCarloTask, Scalar, remarks, row_of
 from tools.studies.scoring import Causal, ObserverAnswers, causal_of, outline_errors, truth_of

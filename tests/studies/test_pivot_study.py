@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from palmd.rig.pivot import simulate_pivot_log
 from tools.studies import pivot
 from tools.studies.harness import as_line
 from tools.studies.pivot import LIVE, OFFLINE, LiveRow, PivotRow, PivotTask, remark
+from tools.studies.pivot_logs import simulate_pivot_log
 
 ROW = PivotRow("tilt", 1, 12.0, "none", "", True, "", 2e-5, 1e-5, 0.004, 2.0, 0.4, 1.0, 0.5)
 

@@ -13,9 +13,9 @@ import pytest
 
 import palmd.view
 from palmd.chords import chords_of
-from palmd.rig.real_things import thing
 from palmd.rig.shapes import Support, random_body
-from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport
+from tools.studies.real_things import thing
+from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport
 
 THETA = np.arange(360) * (math.tau / 360)
 EVERYWHERE = np.ones(360, dtype=bool)

@@ -43,7 +43,6 @@ from palmd.messages import (
     stamp,
     state_fields,
     unexplained_fields,
-    validate,
 )
 from palmd.pivot_quantities import PIVOT_TOPICS
 from palmd.quantities import (
@@ -67,6 +66,7 @@ from palmd.rig.world import default_config
 from palmd.system.rig_constants import RIG_NAMES
 from palmd.three_palms_quantities import PALM3_TOPICS
 from palmd.topics import TOPICS
+from tools.published import validate
 
 # As the published contract has them, written out here a second time.
 CONTRACT = {

@@ -7,10 +7,11 @@ import pytest
 from palmd import pivot_messages as says
 from palmd.daemon.pivot_system import PivotGrasp
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.messages import stamp, validate
+from palmd.messages import stamp
 from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS, PIVOT_INFO
 from palmd.system.pivot import PivotAnswer, PivotEstimate
 from palmd.yamlfile import load_any_config
+from tools.published import validate
 
 ROOT = Path(__file__).parents[2]
 

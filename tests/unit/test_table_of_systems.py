@@ -19,7 +19,6 @@ from palmd.console.shipped import shipped
 from palmd.daemon.core import Core
 from palmd.daemon.planner import read_plan
 from palmd.daemon.systems import live_system
-from palmd.harness.wireless import AtOnce, ClosedLoop
 from palmd.motion import pivot
 from palmd.motion.check import check_files
 from palmd.motion.pivot import PivotLimits
@@ -32,6 +31,7 @@ from palmd.system.naming import PAD_NUMBERS
 from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.topics import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config, load_config
+from tools.wireless import AtOnce, ClosedLoop
 
 PARTS = [
     pytest.param(part, id=f"{name}-{field}")

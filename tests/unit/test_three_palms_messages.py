@@ -8,10 +8,11 @@ import pytest
 from palmd import three_palms_messages as says
 from palmd.daemon.packing import FieldsPacker
 from palmd.events import PadLift, PadSample, PalmSample
-from palmd.messages import PadView, contact_fields, stamp, validate
+from palmd.messages import PadView, contact_fields, stamp
 from palmd.system.three_palms import NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3, PALM3_ANSWER, PALM3_CONTACT, PALM3_EVENTS, PALM3_INFO
 from palmd.yamlfile import load_any_config
+from tools.published import validate
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from palmd.observer.reconstruct import reconstruct
 from palmd.record.eventlog import read_log
-from palmd.rig.simulate_curved import CURVED_KINDS, CurvedKind, simulate_curved_log
 from palmd.score import score_outline
 from tools.studies import harness
 from tools.studies.cells import Cell, among, count, most, quantiles, runs
 from tools.studies.harness import Study, result
 from tools.studies.scoring import RIGHT_M, rms
+from tools.studies.simulate_curved import CURVED_KINDS, CurvedKind, simulate_curved_log
 from tools.studies.simulated import written
 
 

@@ -14,9 +14,8 @@ import numpy as np
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import Config, Drawn, rig_description
 from palmd.console.configured import configured
-from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.daemon.exploration_requests import Decider
 from palmd.events import FloatArray
-from palmd.harness.wireless import Wireless
 from palmd.model import shape
 from palmd.model.stable_surface import stable_surface
 from palmd.motion.check import motion_limits
@@ -32,6 +31,7 @@ from tools.studies.cells import Cell, count, errors, percent, quantile, quantile
 from tools.studies.exploring_plans import STRATEGIES, Strategy, plan
 from tools.studies.exploring_watch import EDGE_M, ExplorationWatch
 from tools.studies.harness import Study, result
+from tools.wireless import InlineExplorer, Wireless
 
 GOAL = 1.0
 """The share of the normals to reach that the study asks for: more than it judges by, as both are counted in bins."""
@@ -163,8 +163,7 @@ def _reachable(config: Config, true_h: FloatArray) -> Bools:
     """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
     limits = motion_limits(config)
     where = replace(surface_limits(limits), margin=EDGE_M)
-    surface = stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS)
-    return np.asarray(surface.reach.any(axis=0), dtype=np.bool_)
+    return stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS).reach
 
 
 # ---------------------------------------------------------------------------------------------------- the study

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.harness.wireless import Instant
 from palmd.messages import Fields
 from palmd.motion.rollout_predictor import BINS, Bools
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
 from palmd.system.arcs import FLAT, tangents
 from palmd.system.mechanism import JOINTS, PALMS, normal_directions
+from tools.wireless import Instant
 
 EDGE_M = 5e-4
 """A contact nearer to a pad's end than this has reached it."""

@@ -23,9 +23,6 @@ from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
 from palmd.faults import Severity
 from palmd.harness.operator import Operator
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.harness.three_palms_wireless import ThreePalmsWireless
-from palmd.harness.wireless import ClosedLoop, Wireless, WirelessError
 from palmd.observer import Simulated
 from palmd.observer.pivot.growing import PERIOD_S
 from palmd.record.run import RecordedAnswers
@@ -35,6 +32,7 @@ from tools.studies import harness
 from tools.studies.cells import errors, most, runs, total
 from tools.studies.harness import Goal, Study, result
 from tools.studies.simulation.light_observer import LightObserver
+from tools.wireless import ClosedLoop, PivotWireless, ThreePalmsWireless, Wireless, WirelessError
 
 GUARDS = frozenset(
     {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}

@@ -14,7 +14,6 @@ from scipy.interpolate import CubicHermiteSpline
 from palmd import observer
 from palmd.config.two_palms import Drawn
 from palmd.events import FloatArray, ShapeEstimate
-from palmd.observer.bound import Bound, Truth, cramer_rao
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.record.eventlog import EventLog
@@ -23,6 +22,7 @@ from palmd.rig.shapes import KINDS, Kind
 from palmd.rig.simulate import CALIBRATION
 from palmd.score import WRONG_M
 from tools.studies import harness
+from tools.studies.bound import Bound, Truth, cramer_rao
 from tools.studies.cells import Cell, Value, among, count, errors, number, quantiles, runs, share, shares
 from tools.studies.harness import Goal, Line, Study
 from tools.studies.scoring import (

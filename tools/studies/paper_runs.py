@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from palmd.events import FloatArray
 from palmd.model import quasistatic as qs
-from palmd.model.stable_poses import TouchedPoint, follow, touch
+from palmd.model.stable_poses import TouchedPoint, touch
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
+from tools.studies.paper_poses import follow
 
 READINGS = 270
 # An elongated body whose centre of mass is off its middle, radii of 12 to 24 mm: the Fourier series of h (m).

@@ -24,8 +24,6 @@ from palmd.config.two_palms import Drawn
 from palmd.console.arguments import seconds, seconds_within
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import Dragging
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.harness.wireless import Instant
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
@@ -33,7 +31,6 @@ from palmd.observer.pivot.claimed import friction_of
 from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER
 from palmd.record.systems import read_log_of_any
 from palmd.rig.imperfections import perfect
-from palmd.rig.pivot import AS_TOLD, LEAST_S, PIVOT_KINDS, PivotImperfections, PivotKind, simulate_pivot_log
 from palmd.score import WRONG_M, score_outline
 from palmd.system.pivot import PivotAnswer, Vertical
 from palmd.yamlfile import load_any_config, parse, read_document
@@ -41,8 +38,10 @@ from tools.studies import harness
 from tools.studies.cells import Cell, Value, among, count, most, quantiles, runs, shares
 from tools.studies.cells import rms as rms_cell
 from tools.studies.harness import Study, result
+from tools.studies.pivot_logs import AS_TOLD, LEAST_S, PIVOT_KINDS, PivotImperfections, PivotKind, simulate_pivot_log
 from tools.studies.scoring import rms
 from tools.studies.simulated import written
+from tools.wireless import Instant, PivotWireless
 
 Mark = Callable[[Any], bool]
 

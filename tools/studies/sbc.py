@@ -27,7 +27,6 @@ from scipy.interpolate import CubicHermiteSpline
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
 from palmd.observer import prior
-from palmd.observer.bound import Truth
 from palmd.observer.criticism import LEFT
 from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.reconstruct import reconstruct
@@ -37,6 +36,7 @@ from palmd.rig.shapes import KINDS, Body, Kind, random_body
 from palmd.score import WRONG_M, support_at
 from palmd.system.rig_constants import RIG_NAMES
 from tools.studies import harness
+from tools.studies.bound import Truth
 from tools.studies.harness import Goal, Line, Study, result
 from tools.studies.scoring import Bools, outline_errors, rms, truth_of
 from tools.studies.simulated import simulated

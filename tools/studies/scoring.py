@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.observer.bound import Truth
 from palmd.observer.reconstruction import Reconstruction
 from palmd.score import LAST_S, WRONG_M, OutlineScore, score_outline, support_at
+from tools.studies.bound import Truth
 
 RIGHT_M = 1e-4
 FAR = 3.0  # one-sigmas, by RMS over the touched normals: more, and what is claimed is wrong on any rig

@@ -22,7 +22,6 @@ from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.events import FloatArray
 from palmd.harness.three_palms_comparison import matrix, surface_error
-from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import evaluator, order_of
@@ -30,13 +29,14 @@ from palmd.motion.body_explorer import NEAR_RAD
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
 from palmd.quantities import STATE
 from palmd.record.systems.three_palms import SYSTEM, laid_out
-from palmd.rig.three_palms.simulate import KINDS, simulate
 from palmd.system.three_palms import JOINTS, PALMS, palms_at
 from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
 from tools.studies import harness
 from tools.studies.cells import among, count, mean, quantiles, runs
 from tools.studies.harness import Study, result
+from tools.studies.space_logs import KINDS, simulate
+from tools.wireless import ThreePalmsWireless
 
 HALVINGS = 3  # of the directions that are counted: 642
 GOAL = 0.8

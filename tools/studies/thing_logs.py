@@ -22,7 +22,6 @@ from palmd.config.two_palms import Drawn, PlanSpec, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.daemon.planner import read_plan
 from palmd.events import Event
-from palmd.harness.wireless import Wireless
 from palmd.messages import events_of
 from palmd.motion.check import motion_limits
 from palmd.motion.rollout_predictor import BINS
@@ -32,9 +31,7 @@ from palmd.quantities import EVENTS
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.dry_plant import DRY
 from palmd.rig.plant import FrictionSurface, PlantOptions
-from palmd.rig.real_things import Random, thing
 from palmd.rig.shapes import Body, Support, random_body
-from palmd.rig.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from palmd.rig.simulate import CALIBRATION, Line, simulate_log
 from palmd.rig.world import default_config
 from palmd.score import score_outline
@@ -45,9 +42,12 @@ from tools.studies.cells import Cell, among, count_of, most, quantiles
 from tools.studies.exploring_plans import plan
 from tools.studies.exploring_watch import ExplorationWatch
 from tools.studies.harness import Study, result
+from tools.studies.real_things import Random, thing
 from tools.studies.scoring import FAR, RIGHT_M
+from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from tools.studies.silent_observer import SilentObserver
 from tools.studies.simulated import written
+from tools.wireless import Wireless
 
 _STREAM = 31  # keeps the bodies' random numbers apart from those of the motion
 

@@ -21,10 +21,8 @@ from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import Drawn, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.harness.scorer import Scorer
-from palmd.harness.wireless import Wireless
 from palmd.observer import Simulated, make
 from palmd.quantities import ESTIMATE, UNEXPLAINED
-from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body, random_body
 from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
@@ -35,7 +33,9 @@ from tools.studies.cells import Cell, mean, most, runs, total
 from tools.studies.exploring_plans import plan
 from tools.studies.harness import Study, kinds_of, result, seeds_of
 from tools.studies.montecarlo import answers
+from tools.studies.real_things import THINGS, thing
 from tools.studies.scoring import FAR
+from tools.wireless import Wireless
 
 LUMP = "lump"  # a smooth one, as other studies have
 LOGGED: tuple[str, ...] = tuple(kind for kind in thing_logs.KINDS if kind not in THINGS)

@@ -1,4 +1,4 @@
-"""Where an exploration goes next: questions and answers, who decides, and how that is had without a process."""
+"""Where an exploration goes next: questions and answers, and who decides."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import Angles, Move
 from palmd.motion.tipping import tip
 from palmd.system.description import RigDescription
-
-LATENCY_S = 0.3  # what a decision takes in a run without wires
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,31 +149,3 @@ class Decider:
         if to_and_fro is None:
             return Decision("wait", reason="there is no room to rock the object")
         return Decision("move", to_and_fro, "rocks the object until it is known where it is")
-
-
-class InlineExplorer:
-    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
-
-    A question that comes while another is being answered is dropped.
-    """
-
-    def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
-        self._decider = decider
-        self._latency = latency_s
-        self._ready: ExplorationAnswer | None = None
-
-    def prepare(self) -> None:
-        """Nothing to do."""
-
-    def ask(self, question: Question) -> None:
-        """Decide at once, and keep the answer back."""
-        if self._ready is None:
-            self._ready = self._decider.answer(question)
-
-    def collect(self, t: float) -> ExplorationAnswer | None:
-        """The answer to what was asked at least the latency ago."""
-        ready = self._ready
-        if ready is None or t < ready.t + self._latency:
-            return None
-        self._ready = None
-        return ready

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from palmd.daemon.commands import COMMANDS, Request
+from palmd.daemon.commands import Request
 
 LEASE_S = 5.0
 """The lease of a client that declares none."""
@@ -116,8 +116,3 @@ class Control:
         """The dictionary is in the order of the clients' latest requests."""
         oldest = next(key for key in self._declared if key != self.key)
         del self._declared[oldest]
-
-
-def is_gain(request: Request) -> bool:
-    """Whether a granted request gives its sender control."""
-    return COMMANDS[request.name].moves or request.name in ALWAYS_OBEYED

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import ClassVar
@@ -20,7 +20,7 @@ from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, Says
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
@@ -106,14 +106,6 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
             t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,
             side=0, touched=0.0, reason="the observer has failed",
         )  # fmt: skip
-
-    def felt(self, sample: PadSample) -> None:
-        """No more than the observer is told."""
-
-    def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """None but what every system has."""
-        del t, actual
-        return iter(())
 
     def excused(self, exploring: Explores) -> Collection[str]:
         """A gripper lifts the body off as it must; an exploration tells what leaves the pad by itself."""

@@ -18,7 +18,7 @@ from palmd.config.guards import pad_force_limits
 from palmd.daemon.drivers import EndName
 from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.exploring import Explores
+from palmd.daemon.exploring import Explores, Exploring
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.force import ForceGuard
 from palmd.daemon.poses import Poses
@@ -93,9 +93,9 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         named = dict(zip(self.naming.pads, self._config.pads.each(), strict=True))
         return ForceGuard(pad_force_limits(self._config.limits.force_n, named), self.naming.pads)
 
-    @abstractmethod
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
-        """The loop's side of explorations."""
+        """The loop's side of explorations, which are decided beside it or in it."""
+        return Exploring(setpoints, source)
 
     # ---- in the loop -------------------------------------------------------------------------------------
 
@@ -107,13 +107,14 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         """Whether everything is finite that must be when an estimate says `valid`."""
         return sound(estimate, self._named)
 
-    @abstractmethod
     def felt(self, sample: PadSample) -> None:
         """A reading was fed to the observer."""
+        del sample
 
-    @abstractmethod
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
         """Codes of the fault table that hold by what only this system knows."""
+        del t, actual
+        return iter(())
 
     def evidence(self, code: str) -> str:
         """What speaks for one of these codes, in words with numbers; empty where there is no more to say."""

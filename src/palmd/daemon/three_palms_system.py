@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import ClassVar
 
 from palmd import three_palms_messages as messages
 from palmd.config.three_palms import ThreePalmsConfig, three_palms_rig
-from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.exploring import Exploring
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import no_contradiction
-from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
 from palmd.devices.actuator import Place, Pose, Reach
-from palmd.events import Joints, PadSample, PalmMotion, ShapeEstimate
+from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, Says
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
@@ -94,10 +91,6 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         stack.callback(explorer.close)
         return explorer
 
-    def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
-        """Decided beside the loop."""
-        return Exploring(setpoints, source)
-
     def unknown(self, t: float, observer: LiveObserver) -> BodyEstimate:
         """Without a number."""
         nan = (math.nan,) * 4
@@ -114,14 +107,6 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
             math.isfinite(estimate.values.get(name, nan)) and math.isfinite(estimate.sd.get(name, nan))
             for name in named
         )
-
-    def felt(self, sample: PadSample) -> None:
-        """No more than the observer is told."""
-
-    def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """None but what every system has."""
-        del t, actual
-        return iter(())
 
     def said(self, estimate: BodyEstimate) -> Fields:
         """`palm3/estimate`."""

@@ -12,15 +12,12 @@ from typing import Any, ClassVar
 
 from palmd import messages, observer
 from palmd.config.two_palms import Config, rig_description
-from palmd.daemon.exploration_requests import Source
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.exploring import Exploring
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import arc_contradiction, no_contradiction
 from palmd.daemon.guards.signs import SignWatch
 from palmd.daemon.poses import ArcPoses, Poses, make_poses
-from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
@@ -79,10 +76,6 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         explorer = ExplorerProcess(self._rig)
         stack.callback(explorer.close)
         return explorer
-
-    def exploring(self, setpoints: SetPoints, source: Source | None) -> Exploring:
-        """Decided beside the loop."""
-        return Exploring(setpoints, source)
 
     def unknown(self, t: float, observer: LiveObserver) -> Estimate:
         """Without a number."""

@@ -14,12 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.arcs import contacts_on_arcs
-from palmd.model.stable_poses import BoolArray, TouchedPoint, touch
-from palmd.system.arcs import FLAT, MOST_LYING, arc_lengths, tangents
-
-SCAN = 360  # values of ψ among which changes of sign are looked for
-_HALVINGS, _SAME_M = 26, 1e-7  # to 1e-10 rad
+from palmd.model.stable_poses import BoolArray, TouchedPoint
+from palmd.system.arcs import MOST_LYING, arc_lengths
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,34 +50,3 @@ def on_arcs(contacts: TouchedPoint, beta1: FloatArray, opening: FloatArray, curv
         rise = (v - r) * (1.0 - turning) * np.sin(beta[::-1]) + d[::-1] * np.cos(beta) * turning
         stable = (rise.sum(axis=0) > 0.0) & (kappa * v < MOST_LYING).all(axis=0)
     return OnArcs(beta1 - turn1, opening + turn1 + turn2, s1, s2, np.asarray(stable))
-
-
-def stable_poses_on_arcs(
-    coefficients: FloatArray, phi1: float, phi2: float, curvatures: Sequence[float] = FLAT
-) -> FloatArray:
-    """All stable ψ of one palm pose (rad), ascending in [0, 2π): where d1 sin β2 + d2 sin β1 rises through zero.
-
-    For outlines with κv below `MOST_LYING`; where the palms would touch an object from below or behind the hinge, none.
-    """
-
-    def balance(psi: FloatArray) -> tuple[FloatArray, BoolArray]:
-        palms = np.full(len(psi), phi1), np.full(len(psi), phi2)
-        s = contacts_on_arcs(coefficients, *palms, psi, curvatures)
-        beta1, opening = tangents(palms, s, curvatures)
-        at = touch(coefficients, beta1, opening, psi)
-        laid = on_arcs(at, beta1, opening, curvatures)
-        with np.errstate(invalid="ignore"):
-            held = (np.abs(s - np.stack([laid.s1, laid.s2])) < _SAME_M).all(axis=0)
-            held &= (beta1 > 0) & (beta1 + opening < np.pi)
-        return np.asarray(at.d1 * np.sin(beta1 + opening) + at.d2 * np.sin(beta1)), np.asarray(held)
-
-    width = 2 * np.pi / SCAN
-    low: FloatArray = np.arange(SCAN, dtype=np.float64) * width
-    uphill = balance(low)[0] >= 0
-    low = low[~uphill & np.roll(uphill, -1)]
-    high = low + width
-    for _ in range(_HALVINGS):
-        middle: FloatArray = (low + high) / 2
-        above = balance(middle)[0] >= 0
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return np.sort(np.mod(low, 2 * np.pi)[balance(low)[1]])

@@ -29,7 +29,6 @@ SCAN = 180  # values of ψ among which the slope's changes of sign are looked fo
 _SCAN_PER_HARMONIC = 16
 _SETTLED = 1e-13  # rad: the last Newton step of a root that is found
 _MAX_ITERATIONS = 60  # bisection alone gets there in 45
-_STEP = 0.02  # rad: palms are followed in steps no longer than this
 _ROWS = 512  # palm poses at a time: what their scan needs fits into the processor's cache
 _FLAT = 1e-12  # of the mean radius: what is less than this of slope is rounding
 
@@ -46,15 +45,6 @@ class TouchedPoint:
     v2: FloatArray
     s1: FloatArray
     s2: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Height:
-    """Y of the centre of mass (m), and its first two derivatives in ψ (m/rad, m/rad²)."""
-
-    y: FloatArray
-    slope: FloatArray
-    curvature: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +76,6 @@ class Basins:
         return np.where(count > 0, (passed - maximum_first) % np.maximum(count, 1), -1)
 
 
-@dataclass(frozen=True, slots=True)
-class Followed:
-    """The stable poses that an object goes through on a path of P palm poses, for S starts.
-
-    psi: (P, S), continuous where nothing jumps (rad). jumped: (P, S), True where the minimum that held the object has
-    vanished since the pose before.
-    """
-
-    psi: FloatArray
-    jumped: BoolArray
-
-
 def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """r = h, d = −h′ and v = h + h″ (m) of the outline at normals of any shape; any odd number of coefficients."""
     order = (len(coefficients) - 1) // 2
@@ -118,20 +96,6 @@ def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: Flo
     return TouchedPoint(r1, d1, v1, r2, d2, v2, (r1 * cos + r2) / sin - d1, (r2 * cos + r1) / sin + d2)
 
 
-def centre_of_mass(touch: TouchedPoint, phi1: FloatArray) -> FloatArray:
-    """c_m = s1 t1 − R x1 from the hinge (m), (…, 2): (3.17), with R x1 = −(r1 n1 + d1 t1)."""
-    along, across = touch.s1 + touch.d1, touch.r1
-    return np.stack(
-        [along * np.cos(phi1) - across * np.sin(phi1), along * np.sin(phi1) + across * np.cos(phi1)], axis=-1
-    )
-
-
-def centre_of_rotation(s1: FloatArray, s2: FloatArray, phi1: FloatArray, phi2: FloatArray) -> FloatArray:
-    """c_r = s1 t1 − d̃2 n1 / sin φ2 (m), (…, 2), where the contacts' normals meet: (3.18), d̃2 as in (3.6)."""
-    across = (s2 - s1 * np.cos(phi2)) / np.sin(phi2)
-    return np.stack([s1 * np.cos(phi1) - across * np.sin(phi1), s1 * np.sin(phi1) + across * np.cos(phi1)], axis=-1)
-
-
 def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> ComplexArray:
     """y_k (m), (…, order + 1), of Y(ψ) = Re Σ y_k e^{−ikψ}, for palm angles that broadcast against each other.
 
@@ -150,18 +114,6 @@ def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) 
     return cast(ComplexArray, z * (one + two))
 
 
-def height(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> Height:
-    """Potential energy per unit weight and its derivatives, for poses that broadcast against each other.
-
-    Y = (r1 sin φ12 + r2 sin φ1) / sin φ2, the Y of (3.17); slope (d1 sin φ12 + d2 sin φ1) / sin φ2, which is
-    the left side of (3.23); curvature ((v1 − r1) sin φ12 + (v2 − r2) sin φ1) / sin φ2, that of (3.24) with r̃2 and
-    x1 written out.
-    """
-    series = height_series(coefficients, phi1, phi2)
-    psi = np.asarray(psi, dtype=np.float64)
-    return Height(*(_value(derivative, psi) for derivative in _derivatives(series, 2)))
-
-
 def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basins:
     """All stable and unstable balances of palm poses that broadcast to a shape (…): (3.22), (3.24), ψ to 1e-9 rad.
 
@@ -177,44 +129,6 @@ def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basi
     row, roots, lowest = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     minima, maxima = (_table(row[kind], roots[kind], len(flat)) for kind in (lowest, ~lowest))
     return Basins(minima.reshape(*shape, -1), maxima.reshape(*shape, -1))
-
-
-def stable_poses(coefficients: FloatArray, phi1: float, phi2: float) -> FloatArray:
-    """All stable ψ of one palm pose (rad), ascending in [0, 2π), to 1e-9: local minima of the height (3.22)–(3.24).
-
-    Raises ValueError as `height_series` does.
-    """
-    minima = basins(coefficients, np.asarray(phi1), np.asarray(phi2)).minima
-    return minima[np.isfinite(minima)]
-
-
-def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi2_path: FloatArray) -> Followed:
-    """Where the object goes from each of `psi` (S,) (rad) as the palms move slowly along a path of P poses (rad).
-
-    It slides down to a minimum at once, stays in it as it moves, and where it vanishes slides down to the next one.
-    Between the path's poses the palms go straight. Raises ValueError as `height_series` does, and when there is
-    nothing to settle in.
-    """
-    longest = np.maximum(np.abs(np.diff(phi1_path)), np.abs(np.diff(phi2_path)))
-    steps = np.maximum(np.ceil(longest / _STEP), 1).astype(np.intp)
-    ends = np.concatenate([[0], np.cumsum(steps)])
-    fine = np.arange(ends[-1] + 1)
-    path = basins(coefficients, np.interp(fine, ends, phi1_path), np.interp(fine, ends, phi2_path))
-    if not path.count.all():
-        raise ValueError("the object balances everywhere: it has no stable pose to be followed")
-    at = path.at((0,))
-    now = nearest_turn(at.minima[at.index(psi)], psi)
-    all_psi = np.empty((len(ends), len(psi)))
-    jumped = np.zeros((len(ends), len(psi)), dtype=np.bool_)
-    all_psi[0] = now
-    for step, end in enumerate(steps):
-        for i in range(ends[step] + 1, ends[step] + end + 1):
-            before, at = at, path.at((i,))
-            after = nearest_turn(at.minima[at.index(now)], now)
-            jumped[step + 1] |= before.index(after) != before.index(now)
-            now = after
-        all_psi[step + 1] = now
-    return Followed(all_psi, jumped)
 
 
 def nearest_turn(psi: FloatArray, reference: FloatArray) -> FloatArray:

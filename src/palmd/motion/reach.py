@@ -30,7 +30,7 @@ def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
     if not outline[1:].any():
         outline = outline.copy()
         outline[harmonic_of_coefficient((len(outline) - 1) // 2) == 2] = LEAST_OVAL_M
-    return np.asarray(stable_surface(outline, limits, bins=BINS).reach.any(axis=0))
+    return stable_surface(outline, limits, bins=BINS).reach
 
 
 def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]:

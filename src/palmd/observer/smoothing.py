@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from palmd.events import Event, FloatArray, Improvement, Unexplained
 
@@ -29,6 +29,19 @@ class Smoothing(Protocol):
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
         """An improvement, or the word that there is none, that is ready at `t`, each once."""
+
+
+Answer = TypeVar("Answer", covariant=True)
+
+
+class SmoothingOfOne(Protocol[Answer]):
+    """Where the smoother of one object runs; nothing here keeps the loop waiting."""
+
+    def submit(self, t: float, events: Sequence[Event]) -> None:
+        """Hand the events of a tick over."""
+
+    def collect(self, t: float) -> Answer | None:
+        """The newest answer that has come by `t` (s), each once."""
 
 
 def period(elapsed_s: float) -> float:

@@ -337,11 +337,3 @@ def _following(fields: Fields) -> Iterator[tuple[str, float]]:
 
 def _names(topic: Topic) -> tuple[str, ...]:
     return tuple(field.name for field in topic.quantities if field.kind in ("number", "bool"))
-
-
-def spent(spells: Iterable[Spell]) -> dict[str, float]:
-    """How long (s) each of the things lasted, all its spells together."""
-    total: dict[str, float] = {}
-    for spell in spells:
-        total[spell.what] = total.get(spell.what, 0.0) + spell.end - spell.begin
-    return total

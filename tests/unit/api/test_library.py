@@ -23,8 +23,8 @@ from palmd.polygon import boundary
 from palmd.quantities import CONTACT, ESTIMATE, SHAPE
 from palmd.record.systems import three_palms
 from palmd.rig.simulate import simulate_log
-from palmd.rig.three_palms.simulate import header
 from palmd.system.three_palms import ThreePalmsRig
+from tools.studies.space_logs import header
 
 SECONDS = 4.0
 

@@ -19,13 +19,13 @@ import zmq
 
 from palmd.cli import main
 from palmd.harness.rules import kept_by
-from palmd.messages import validate
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, REPLAY
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.metadata import METADATA
 from palmd.record.player import frames, offsets, play
 from palmd.record.recheck import Recheck, differences
 from palmd.record.run import read_run
+from tools.published import validate
 
 
 def rewritten(path, change=lambda message: message, **metadata):

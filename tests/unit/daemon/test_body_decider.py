@@ -21,7 +21,7 @@ from palmd.motion.decisions import UnderWay
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms.body import ORDER
-from palmd.rig.three_palms.simulate import REST_POSE
+from palmd.rig.three_palms.world import REST_POSE
 from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
 
 RIG, SEED = ThreePalmsRig(), 4

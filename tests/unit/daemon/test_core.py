@@ -22,7 +22,7 @@ from palmd.daemon.exploring import OVERTIME_S
 from palmd.daemon.planner import Plan
 from palmd.events import Estimate, PadLift, PadSample, PalmSample
 from palmd.harness.operator import Operator
-from palmd.messages import NAMED_STATE, entries_of, events_of, stamp, validate
+from palmd.messages import NAMED_STATE, entries_of, events_of, stamp
 from palmd.motion.check import motion_limits
 from palmd.motion.plan import compile_plan
 from palmd.quantities import EVENTS, IMPROVEMENT, RIG, STATE
@@ -30,6 +30,7 @@ from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, order
 from palmd.rig.world import World, default_config
 from palmd.system.rig_constants import RIG_NAMES
+from tools.published import validate
 from tools.studies.silent_observer import SilentObserver
 
 LIFTED = "name: sent\nsegments:\n- move: {phi1_deg: 50, phi2_deg: 85}\n  duration_s: 1.0\n"

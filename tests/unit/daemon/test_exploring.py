@@ -13,7 +13,7 @@ import pytest
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import VersaPadConfig
 from palmd.config.two_palms import Config, PadsConfig, PlanSpec, rig_description
-from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, InlineExplorer, Question
+from palmd.daemon.exploration_requests import Decider, ExplorationAnswer, ExplorationTask, Question
 from palmd.daemon.exploring import (
     AHEAD_S,
     ASK_S,
@@ -37,6 +37,7 @@ from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
 from palmd.motion.tipping import tip
 from palmd.system.rig_constants import RIG_NAMES
+from tools.wireless import InlineExplorer
 
 STEP_S = 0.002
 CYCLE_STEPS, TICK_STEPS = 8, 5

@@ -23,9 +23,10 @@ from palmd.daemon.systemd import Notifier
 from palmd.devices.armlink import Ack, ArmState, HelloReply, Pose, Query, encode_reply, parse_command
 from palmd.devices.port import Port
 from palmd.devices.versapad import encode_packet
-from palmd.messages import info_fields, validate
+from palmd.messages import info_fields
 from palmd.rig.world import default_config
 from palmd.topics import TOPICS
+from tools.published import validate
 from tools.studies.silent_observer import SilentObserver
 
 PERIOD = 0.01

@@ -7,8 +7,8 @@ import pytest
 from palmd.config.two_palms import ImperfectionsConfig, PlanSpec
 from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
-from palmd.harness.wireless import Wireless
 from palmd.rig.world import default_config
+from tools.wireless import Wireless
 
 CODE = "estimate-inconsistent"
 ROCK = PlanSpec.model_validate(

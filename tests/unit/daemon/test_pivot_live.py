@@ -13,14 +13,15 @@ from palmd.config.pivot import PivotPlanSpec, pivot_rig
 from palmd.daemon.commands import parse
 from palmd.daemon.systems import live_system
 from palmd.events import PadSample
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.messages import stamp, validate
+from palmd.messages import stamp
 from palmd.observer.pivot.live import PivotObserver
 from palmd.pivot_quantities import PIVOT_BODY, PIVOT_TRUTH
 from palmd.score import score_shape
 from palmd.topics import TOPICS
 from palmd.yamlfile import load_any_config, read_document
 from palmd.yamlfile import parse as parsed
+from tools.published import validate
+from tools.wireless import PivotWireless
 
 ROOT = Path(__file__).parents[3]
 CONFIG = load_any_config(ROOT / "config/pivot.yaml")

@@ -9,10 +9,10 @@ import pytest
 
 from palmd import pivot_messages as says
 from palmd.config.pivot import PivotPlanSpec, pivot_rig
-from palmd.harness.pivot_wireless import PivotWireless
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.score import score_shape
 from palmd.yamlfile import load_any_config, parse, read_document
+from tools.wireless import PivotWireless
 
 ROOT = Path(__file__).parents[3]
 CONFIG = load_any_config(ROOT / "config/slide.yaml")

@@ -6,10 +6,10 @@ import pytest
 import yaml
 
 from palmd.config.two_palms import Config, PlanSpec
-from palmd.harness.wireless import Wireless, WirelessError
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from tools.studies.simulation.light_observer import LightObserver
+from tools.wireless import Wireless, WirelessError
 
 PLAN = PlanSpec.model_validate(
     yaml.safe_load(

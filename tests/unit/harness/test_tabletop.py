@@ -14,10 +14,10 @@ import pytest
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.daemon.lifecycle import State
 from palmd.events import PadSample
-from palmd.harness.wireless import Wireless
 from palmd.rig.fault_injection import order
 from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
+from tools.wireless import Wireless
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 ROCK = PlanSpec.model_validate(

@@ -8,12 +8,12 @@ from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.lifecycle import State
 from palmd.harness.three_palms_comparison import matrix
-from palmd.harness.three_palms_wireless import ThreePalmsWireless
 from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config
 from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage, remarks
+from tools.wireless import ThreePalmsWireless
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
 TOLD_S, SECONDS = 2.2, 6.5

@@ -21,8 +21,9 @@ from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
-from palmd.rig.three_palms.simulate import REST_POSE, STEP_S
+from palmd.rig.three_palms.world import REST_POSE
 from palmd.system.three_palms import ThreePalmsRig, palms_at
+from tools.studies.space_logs import STEP_S
 
 GRAVITY, SIDE, SEED = 9.81, 0.075, 4
 RIG = ThreePalmsRig()

@@ -13,8 +13,8 @@ from palmd.console.shipped import shipped
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.segments import Angles, Move
 from palmd.motion.tipping import POSES_DEG, pace_s, tip
-from palmd.rig.sharp_shapes import ArcSupport, rounded_polygon
 from palmd.yamlfile import load_plan
+from tools.studies.sharp_shapes import ArcSupport, rounded_polygon
 
 LIMITS = MotionLimits.from_config(LimitsConfig(), pad_length=0.0555)
 SLOW = MotionLimits.from_config(LimitsConfig(rate_deg_s=40.0), pad_length=0.0555)

@@ -26,10 +26,9 @@ from palmd.observer.three_palms.growth import Grown, advanced, raced
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.smoother import BodySmoother
-from palmd.rig.three_palms.bodies import Bodies, random_bodies
+from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
-from palmd.rig.three_palms.simulate import random_rotation
 from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()

@@ -24,10 +24,10 @@ from palmd.observer.search import Search
 from palmd.record.eventlog import read_log
 from palmd.record.recognition import NONE_OF_THESE, verdict
 from palmd.record.replay import replay
-from palmd.rig.simulate_curved import simulate_curved_log
 from palmd.score import score_outline, score_shape
 from palmd.system.arcs import joints_of
 from palmd.system.description import PadSensor, RigDescription
+from tools.studies.simulate_curved import simulate_curved_log
 
 SECONDS = 6.0
 reconstruct_module = sys.modules["palmd.observer.reconstruct"]  # its name is its function's too

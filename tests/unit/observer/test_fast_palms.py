@@ -4,9 +4,9 @@ from pathlib import Path
 
 from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.events import Improvement
-from palmd.harness.wireless import Wireless
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.yamlfile import load_config
+from tools.wireless import Wireless
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 SEED, GENTLE_S, ASKED_EVERY_S = 3, 4.2, 0.6

@@ -10,8 +10,8 @@ import pytest
 from palmd.events import FloatArray
 from palmd.observer.likeness import NONE, Likeness, as_json, likeness, root_of_band
 from palmd.observer.outline import directions
-from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body, random_body
+from tools.studies.real_things import THINGS, thing
 
 THETA = directions()
 BAND_M = 8e-6

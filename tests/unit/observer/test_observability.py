@@ -11,7 +11,6 @@ from palms import palm_sample
 from palmd import observer
 from palmd.config.two_palms import PlanSpec
 from palmd.events import PadSample, PalmMotion
-from palmd.harness.wireless import Wireless
 from palmd.model import sensitivity, shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.observer.observability import Observability, scaled_singular_value
@@ -22,6 +21,7 @@ from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED
+from tools.wireless import Wireless
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4

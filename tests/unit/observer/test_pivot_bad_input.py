@@ -11,8 +11,8 @@ from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import reconstruct
 from palmd.record.systems.pivot import PivotForm
-from palmd.rig.pivot import simulate_pivot_log
 from palmd.system.pivot import GripperSample
+from tools.studies.pivot_logs import simulate_pivot_log
 
 SEED = 3
 TICK_S, PERIOD_S = 0.05, 4.0

@@ -13,9 +13,9 @@ from palmd.observer.pivot.reconstruct import reconstruct
 from palmd.observer.pivot.record import TouchSpan, arm_motion, lay_out
 from palmd.observer.pivot.starts import believed, outline_through, rigid_starts, side_of, turned
 from palmd.record.systems.pivot import PivotForm
-from palmd.rig.pivot import PivotImperfections, simulate_pivot_log
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample
+from tools.studies.pivot_logs import PivotImperfections, simulate_pivot_log
 
 SEED = 3
 

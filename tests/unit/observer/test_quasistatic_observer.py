@@ -10,11 +10,12 @@ import pytest
 from simulated import simulated
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
-from palmd.messages import estimate_fields, sound, stamp, validate
+from palmd.messages import estimate_fields, sound, stamp
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.quantities import ESTIMATE
 from palmd.system.description import RigDescription
+from tools.published import validate
 from tools.studies.paper_runs import BalancedRun, balanced_run
 
 LUMP = np.array([0.020, 0.0015, -0.001, 0.004, 0.0, 0.0004, 0.0005])

@@ -15,7 +15,7 @@ from siblings import LEAST_M, MOST_M, RADIUS_RANGE, difference
 from palmd import observer
 from palmd.daemon.core import Core
 from palmd.events import DECIDED, ObjectEstimate, PadSample
-from palmd.messages import object_fields, stamp, validate
+from palmd.messages import object_fields, stamp
 from palmd.observer.outline_prior import stored
 from palmd.observer.recogniser import NONE
 from palmd.quantities import OBJECT
@@ -23,6 +23,7 @@ from palmd.record.recognition import NONE_OF_THESE, as_line, table, verdict
 from palmd.record.replay import as_said, lines, replay
 from palmd.rig.world import default_config
 from palmd.score import score_outline
+from tools.published import validate
 
 
 def said(t, *probability, names=("a", "b")):

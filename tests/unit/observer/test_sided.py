@@ -28,9 +28,9 @@ from palmd.observer.sided import CALM, LEAST_GROWTH_S, SidedSearch
 from palmd.observer.sided_fits import FINE, LAST_ITERATIONS, WAYS, Candidate, SidedFits, Stage
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
-from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED
+from tools.studies.sharp_shapes import rounded_polygon, uniform_body
 
 CORNERS = [(16.1, -4.9), (14.5, 8.0), (0.2, 16.7), (-12.5, 11.1), (-16.8, -6.8), (4.0, -17.2)]  # mm
 SECONDS = 6.0

@@ -26,8 +26,8 @@ from palmd.observer.three_palms.record import lay_out
 from palmd.observer.three_palms.search import SPACING_S, Task, eased
 from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.record.systems.three_palms import SYSTEM, laid_out
-from palmd.rig.three_palms.simulate import simulate
 from tools.studies.space import errors
+from tools.studies.space_logs import simulate
 
 SECONDS = 3.0
 COARSE_ORDER = 3

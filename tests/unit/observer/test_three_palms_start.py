@@ -11,8 +11,8 @@ from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.reconstruct import longest_stretch
 from palmd.observer.three_palms.search import Task, rivals
 from palmd.record.systems.three_palms import SYSTEM, laid_out
-from palmd.rig.three_palms.simulate import simulate
 from palmd.system.three_palms import palms_at
+from tools.studies.space_logs import simulate
 
 SECONDS, SPACING = 1.2, 0.02
 

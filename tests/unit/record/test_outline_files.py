@@ -15,7 +15,7 @@ from palmd.cli import main
 from palmd.outlinefile import read_outline
 from palmd.record.outline_curves import SDS, curves_of
 from palmd.record.outline_files import SUFFIXES, as_csv, as_svg, writer_of
-from palmd.rig.real_things import thing
+from tools.studies.real_things import thing
 
 A, B = 0.03, 0.02  # semi-axes of an ellipse (m): h² = a² cos² + b² sin²
 SVG = "{http://www.w3.org/2000/svg}"

@@ -10,9 +10,9 @@ import palmd
 from palmd.cli import main
 from palmd.observer.pivot.growing import SimulatedSmoothing
 from palmd.record.systems import pivot, read_log_of_any
-from palmd.rig.pivot import simulate_pivot_log
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotRig
+from tools.studies.pivot_logs import simulate_pivot_log
 
 FIELDS = {
     *(

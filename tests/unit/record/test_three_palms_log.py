@@ -16,8 +16,8 @@ from palmd.record.logreader import LogError
 from palmd.record.meshfile import MESHES, Mesh, band_colours
 from palmd.record.systems import read_log_of_any
 from palmd.record.systems.three_palms import laid_out
-from palmd.rig.three_palms.simulate import header
 from palmd.system.three_palms import ThreePalmsRig
+from tools.studies.space_logs import header
 
 
 def joints(t, angle=(0.9, 0.8, 0.8)):

@@ -15,9 +15,6 @@ from palmd.config.pivot import PivotPlanSpec
 from palmd.config.three_palms import TiltPlanSpec
 from palmd.console.shipped import shipped
 from palmd.daemon.commands import Request
-from palmd.harness.pivot_wireless import PivotWireless
-from palmd.harness.three_palms_wireless import ThreePalmsWireless
-from palmd.harness.wireless import Wireless
 from palmd.record.run import RunError, read_any_run, read_run
 from palmd.report.course import course_of
 from palmd.report.why import answer, explain, lines
@@ -26,6 +23,7 @@ from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
 from tools.studies.silent_observer import SilentObserver
+from tools.wireless import PivotWireless, ThreePalmsWireless, Wireless
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 

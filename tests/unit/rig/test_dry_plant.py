@@ -10,8 +10,8 @@ from palmd.rig.dry_plant import DRY, DryPlant
 from palmd.rig.friction import plant_on
 from palmd.rig.plant import FrictionSurface, Hinge, PlantOptions, stable_poses
 from palmd.rig.shapes import cylinder, random_body
-from palmd.rig.sharp_shapes import rounded_polygon, uniform_body
 from palmd.rig.simulate import Rock, Rocking
+from tools.studies.sharp_shapes import rounded_polygon, uniform_body
 
 STEP = 5e-4
 FIXED = Hinge("fixed", base=(0.0, 0.0))

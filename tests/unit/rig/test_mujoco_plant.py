@@ -14,9 +14,8 @@ from palmd.config.two_palms import rig_description
 from palmd.config.vibration import VibrationConfig
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import require
-from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.daemon.exploration_requests import Decider
 from palmd.events import PalmMotion
-from palmd.harness.wireless import Wireless
 from palmd.observer import Simulated
 from palmd.rig.dry_plant import DryPlant
 from palmd.rig.ellipses import ellipse_of
@@ -30,6 +29,7 @@ from palmd.score import WRONG_M
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import Vibration
 from tools.studies.engines.daemon import demo
+from tools.wireless import InlineExplorer, Wireless
 
 STEP_S = 5e-4
 MOST_PENETRATION_M = 2e-6

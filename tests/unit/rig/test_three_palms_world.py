@@ -10,15 +10,15 @@ from palmd.daemon.three_palms_system import TiltPoses
 from palmd.devices.actuator import Pose
 from palmd.devices.pad import make_pad
 from palmd.events import PadSample
-from palmd.messages import stamp, validate
-from palmd.rig.three_palms.bodies import random_bodies
+from palmd.messages import stamp
+from palmd.rig.three_palms.bodies import random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms, backend, palm_rows
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
-from palmd.rig.three_palms.simulate import random_rotation
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.system.three_palms import PALMS, palms_at, readings_of
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 from palmd.yamlfile import load_any_config
+from tools.published import validate
 
 CONFIG = load_any_config(Path(__file__).parents[3] / "config/three_palms.yaml")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from palmd.quantities import ESTIMATE, SHAPE
-from palmd.rig.real_things import thing
 from palmd.view.naming import NamingError, named
+from tools.studies.real_things import thing
 
 THETA = np.arange(360) * (math.tau / 360)
 

@@ -16,10 +16,10 @@ import pymunk
 
 from palmd.events import FloatArray
 from palmd.rig.shapes import Body, SupportFunction
-from palmd.rig.sharp_shapes import ArcSupport
 from palmd.rig.simulate import STEP_S
 from palmd.system.mechanism import PALMS
 from tools.studies.engines.scene import EngineRun, EngineScene, RunRows, palm_steps
+from tools.studies.sharp_shapes import ArcSupport
 
 STEPS = 12
 """Of the engine in each row of a run: 42 µs."""

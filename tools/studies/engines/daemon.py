@@ -17,10 +17,9 @@ import numpy as np
 from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
-from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.daemon.exploration_requests import Decider
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.harness.standing import Standing
-from palmd.harness.wireless import Wireless
 from palmd.observer import Simulated
 from palmd.rig.plant import PHYSICS, Physics, PlantOptions
 from palmd.rig.shapes import Kind
@@ -30,6 +29,7 @@ from tools.studies import harness
 from tools.studies.cells import Cell, count, errors, percent, quantiles, runs
 from tools.studies.harness import ALL, Goal, Study, result
 from tools.studies.scoring import FAR
+from tools.wireless import InlineExplorer, Wireless
 
 KIND: Kind = "ellipse"
 TOUCHED = 0.95  # of the normals: the goal that the demo's plan explores to

@@ -20,10 +20,10 @@ from palmd.devices.armlink import LineReader, LinkError, SetPoint, parse_command
 from palmd.devices.port import DevicePort
 from palmd.events import PalmMotion
 from palmd.faults import TABLE, Severity
-from palmd.messages import validate
 from palmd.quantities import LOOP
 from palmd.rig.adept_arm import AdeptArm
 from palmd.topics import TOPICS
+from tools.published import validate
 from tools.studies.simulation.causes import CAUSES, FOR_GOOD, LINGERS_S, Cause
 
 STANDS_RAD_S = math.radians(1.0)

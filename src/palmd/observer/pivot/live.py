@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from palmd.observer.pivot.claimed import (
     Gripper,
     OutlinePoint,
 )
+from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching
 
 NAME = "pivot"
@@ -32,16 +33,6 @@ FELT_S = 0.06  # of readings that what is felt is the mean of
 NIS_S, NIS_MOST, NIS_BEGIN = 0.5, 3.0, 1.0
 LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
 KNOWN_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
-
-
-class PivotSmoothing(Protocol):
-    """Where the smoother runs; nothing here keeps the loop waiting."""
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Hand the events of a tick over."""
-
-    def collect(self, t: float) -> PivotAnswer | None:
-        """The newest answer that has come by `t` (s), each once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +55,7 @@ class Present:
 class PivotObserver:
     """See the module and `observer.observer.LiveObserver`. Safe in the loop."""
 
-    def __init__(self, rig: PivotRig, smoothing: PivotSmoothing) -> None:
+    def __init__(self, rig: PivotRig, smoothing: SmoothingOfOne[PivotAnswer]) -> None:
         """`smoothing` tells the outline; without its answers nothing is claimed but what is measured."""
         self.name, self.backend = NAME, "numpy"
         self.object_count, self.late_dropped, self.improvements = 1, 0, 0

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from palmd.observer.pivot.live import PivotObserver, PivotSmoothing
+from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.rolling import RollingObserver
-from palmd.system.pivot import PivotRig
+from palmd.observer.smoothing import SmoothingOfOne
+from palmd.system.pivot import PivotAnswer, PivotRig
 
 
-def pivot_observer(rig: PivotRig, smoothing: PivotSmoothing) -> PivotObserver:
+def pivot_observer(rig: PivotRig, smoothing: SmoothingOfOne[PivotAnswer]) -> PivotObserver:
     """By whether the gripper is rigid in height or on a slide."""
     return (RollingObserver if rig.vertical == "float" else PivotObserver)(rig, smoothing)

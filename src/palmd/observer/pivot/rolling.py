@@ -15,7 +15,8 @@ import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
 from palmd.observer.pivot.claimed import GAP_S, GATE, ClaimedOutline, Gripper
-from palmd.observer.pivot.live import NIS_BEGIN, PivotObserver, PivotSmoothing, Present
+from palmd.observer.pivot.live import NIS_BEGIN, PivotObserver, Present
+from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotRig
 
 PAST_S = 20.0  # of events that are kept: an answer is about a time that is gone
@@ -119,7 +120,7 @@ class _Coming:
 class RollingObserver(PivotObserver):
     """See the module, and `PivotObserver`. A new answer is followed from its own time on, so many events a tick."""
 
-    def __init__(self, rig: PivotRig, smoothing: PivotSmoothing) -> None:
+    def __init__(self, rig: PivotRig, smoothing: SmoothingOfOne[PivotAnswer]) -> None:
         super().__init__(rig, smoothing)
         self._past: deque[Event] = deque()
         self._coming: _Coming | None = None

@@ -11,13 +11,13 @@ import bisect
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from palmd.events import Event, FloatArray, PadLift, PalmSample, ShapeEstimate
 from palmd.model.icosphere import icosphere
 from palmd.model.rotation import quaternion
+from palmd.observer.smoothing import SmoothingOfOne
 from palmd.observer.three_palms import body_filter, kernels
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
@@ -40,20 +40,10 @@ FORCE_SHARE = 0.03
 SEEN_S = 0.02  # how often it is kept where the palms touch the body
 
 
-class BodySmoothing(Protocol):
-    """Where the smoother runs; nothing here keeps the loop waiting."""
-
-    def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Hand the events of a tick over."""
-
-    def collect(self, t: float) -> BodyAnswer | None:
-        """The newest answer that has come by `t` (s), each once."""
-
-
 class BodyObserver:
     """See the module and `observer.observer.LiveObserver`. Safe in the loop."""
 
-    def __init__(self, rig: ThreePalmsRig, smoothing: BodySmoothing) -> None:
+    def __init__(self, rig: ThreePalmsRig, smoothing: SmoothingOfOne[BodyAnswer]) -> None:
         """`smoothing` tells motion and shape; without its answers nothing is claimed but the joints."""
         self.name = NAME
         self.object_count, self.late_dropped, self.improvements = 1, 0, 0

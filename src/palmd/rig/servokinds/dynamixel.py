@@ -60,11 +60,6 @@ class EmulatedServo(ServoShaft):
         """Its number on the bus."""
         return self.get(dxl.ID)
 
-    @property
-    def second_id(self) -> int:
-        """Another number that it obeys, without an answer; above 252: none."""
-        return self.get(servotable.SECONDARY_ID)
-
     def _start(self, kept: Mapping[Register, int]) -> None:
         """As from the factory, but for these registers."""
         for entry in servotable.ENTRIES:

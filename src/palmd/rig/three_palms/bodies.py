@@ -108,3 +108,10 @@ def spread_directions(count: int) -> FloatArray:
     turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
     across = np.sqrt(1.0 - z**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
+
+def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
+    """(count, 3, 3) rotations."""
+    R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
+    R *= np.linalg.det(R)[:, None, None]
+    return R

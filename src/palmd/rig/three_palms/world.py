@@ -20,17 +20,19 @@ from palmd.rig.fault_injection import FaultOrder, PortName
 from palmd.rig.pads import GOOD_PADS, PadOptions, Press
 from palmd.rig.shapes import Kind
 from palmd.rig.three_palms.arm import TiltArm
-from palmd.rig.three_palms.bodies import random_bodies
+from palmd.rig.three_palms.bodies import random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms
 from palmd.rig.three_palms.pads import PlanePadEmulator
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
-from palmd.rig.three_palms.simulate import REST_POSE, SETTLING_DRAG, SETTLING_S, random_rotation
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
 HALF_STEP = 2
 """Base steps in half a step of the plant."""
 PLANT_STEP_S = 2 * HALF_STEP * STEP_S
+REST_POSE = np.array([0.9, 0.8, 0.8])
+SETTLING_S = 2.5
+SETTLING_DRAG = 4e-3
 AWAY_S = 2.0
 MASS_KG = (0.04, 0.12)
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)

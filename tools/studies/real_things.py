@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.rig.shapes import Body, Support
-from palmd.rig.sharp_shapes import ArcSupport, Disc, Point, hull_of_discs, rounded_polygon, uniform_body
+from tools.studies.sharp_shapes import ArcSupport, Disc, Point, hull_of_discs, rounded_polygon, uniform_body
 
 Random = np.random.Generator
 _ELLIPSE_ORDER = 60

@@ -14,24 +14,38 @@ from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 import msgpack
 
 from palmd import observer
+from palmd.config.pivot import PivotConfig, PivotPlanSpec, pivot_rig
+from palmd.config.three_palms import ThreePalmsConfig, TiltPlanSpec, three_palms_rig
 from palmd.config.two_palms import Config, PlanSpec, rig_description
+from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.commands import parse
 from palmd.daemon.core import Core
-from palmd.daemon.exploration_requests import Decider, InlineExplorer, Source
+from palmd.daemon.exploration_requests import Decider, Decides, ExplorationAnswer, Question, Source
 from palmd.daemon.lifecycle import State
 from palmd.daemon.planner import Plan
 from palmd.faults import Severity
 from palmd.messages import Fields
 from palmd.motion.check import motion_limits
+from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import compile_plan
+from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
 from palmd.observer import Observer, ObserverName, Smoothing
+from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
+from palmd.observer.pivot.observer import pivot_observer
+from palmd.observer.smoothing import SmoothingOfOne
+from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.observer.three_palms.live import BodyObserver
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.pads import GOOD_PADS, PadOptions
+from palmd.rig.pivot_world import PivotWorld
 from palmd.rig.plant import AS_ASSUMED, FrictionSurface, PlantOptions
 from palmd.rig.shapes import Body, Kind
+from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.rig.world import World
+from palmd.system.three_palms import BodyAnswer
 
 ANSWER_S = 2.0
+LATENCY_S = 0.3  # of a decision
 READY_S = 5.0
 
 P = ParamSpec("P")
@@ -180,6 +194,41 @@ class Wireless(ClosedLoop[World]):
         super().__init__(world, Core(config, estimator, AtOnce(), plan, explorer=explorer), config.loop.rate_hz)
 
 
+class PivotWireless(ClosedLoop[PivotWorld]):
+    """Of a pivoting grasp."""
+
+    def __init__(
+        self, config: PivotConfig, spec: PivotPlanSpec, seed: int, *, kind: Kind = "rig", period_s: float = PERIOD_S
+    ) -> None:
+        """`seed` draws body and noise; `period_s` is how often the smoother is begun."""
+        limits, rig = PivotLimits.of(config), pivot_rig(config)
+        plan = Plan(spec, compile_pivot_plan(spec, limits), limits, None)
+        observer = pivot_observer(rig, SimulatedSmoothing(rig, period_s))
+        core = Core(config, observer, AtOnce(), plan)
+        super().__init__(PivotWorld(config, seed, kind=kind), core, config.loop.rate_hz)
+
+
+class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
+    """Of three palms in space."""
+
+    def __init__(
+        self,
+        config: ThreePalmsConfig,
+        spec: TiltPlanSpec,
+        seed: int,
+        smoothing: SmoothingOfOne[BodyAnswer] | None = None,
+        explorer: Source | None = None,
+    ) -> None:
+        """`seed` draws body and noise. `smoothing` takes the place of the smoother that knows nothing beforehand, and
+        `explorer` of the one whose decisions come after a fixed time.
+        """
+        limits, rig = TiltLimits.of(config), three_palms_rig(config)
+        plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
+        explorer = explorer or InlineExplorer(BodyDecider(rig, seed))
+        core = Core(config, BodyObserver(rig, smoothing or SimulatedGrowing(rig)), AtOnce(), plan, explorer=explorer)
+        super().__init__(ThreePalmsWorld(config, seed), core, config.loop.rate_hz)
+
+
 class AtOnce(Executor):
     """Does the work when it is asked for, so that nothing depends on how long it takes."""
 
@@ -190,3 +239,31 @@ class AtOnce(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class InlineExplorer:
+    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
+
+    A question that comes while another is being answered is dropped.
+    """
+
+    def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
+        self._decider = decider
+        self._latency = latency_s
+        self._ready: ExplorationAnswer | None = None
+
+    def prepare(self) -> None:
+        """Nothing to do."""
+
+    def ask(self, question: Question) -> None:
+        """Decide at once, and keep the answer back."""
+        if self._ready is None:
+            self._ready = self._decider.answer(question)
+
+    def collect(self, t: float) -> ExplorationAnswer | None:
+        """The answer to what was asked at least the latency ago."""
+        ready = self._ready
+        if ready is None or t < ready.t + self._latency:
+            return None
+        self._ready = None
+        return ready

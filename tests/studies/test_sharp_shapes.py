@@ -10,7 +10,7 @@ import pytest
 from palmd.events import PalmMotion
 from palmd.rig.plant import FrictionSurface, Hinge, Plant
 from palmd.rig.shapes import Support
-from palmd.rig.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
+from tools.studies.sharp_shapes import ArcSupport, ChordSupport, rounded_polygon, uniform_body
 
 SQUARE = [(9e-3, 9e-3), (-9e-3, 9e-3), (-9e-3, -9e-3), (9e-3, -9e-3)]
 CIRCLE = Support.from_coefficients((0.02 + 0j,))

@@ -9,15 +9,15 @@ import pytest
 from outcomes import conclude, outcome, take
 
 from palmd.config.two_palms import PlanSpec, rig_description
-from palmd.daemon.exploration_requests import Decider, InlineExplorer
+from palmd.daemon.exploration_requests import Decider
 from palmd.harness.scorer import Scorer
-from palmd.harness.wireless import Wireless, WirelessError
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
 from palmd.observer import Simulated
 from palmd.rig.fault_injection import order
-from palmd.rig.real_things import thing
 from palmd.rig.world import default_config
+from tools.studies.real_things import thing
+from tools.wireless import InlineExplorer, Wireless, WirelessError
 
 ROCK = PlanSpec.model_validate(
     {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from palmd.events import FloatArray
-from palmd.rig.real_things import THINGS, thing
 from palmd.rig.shapes import Body
-from palmd.rig.sharp_shapes import hull_of_discs
+from tools.studies.real_things import THINGS, thing
+from tools.studies.sharp_shapes import hull_of_discs
 
 THETA = np.linspace(0.0, math.tau, 7200, endpoint=False)
 

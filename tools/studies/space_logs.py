@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.rig.three_palms.bodies import Bodies, random_bodies, spread_directions
+from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation, spread_directions
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import Rubbing
+from palmd.rig.three_palms.world import REST_POSE, SETTLING_DRAG, SETTLING_S
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
 STEP_S = 2e-3
-REST_POSE = np.array([0.9, 0.8, 0.8])
-SETTLING_S = 2.5
-SETTLING_DRAG = 4e-3
 EASE_S = 1.0  # in which a motion grows in
 SINES = 3
 REPORT_S = 0.016
@@ -154,13 +152,6 @@ def started(
             state[:] = plant.state
         states[:, 3:6] = states[:, 15:] = 0.0
     return states
-
-
-def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
-    """(count, 3, 3) rotations."""
-    R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
-    R *= np.linalg.det(R)[:, None, None]
-    return R
 
 
 def _logs(

@@ -1,0 +1,347 @@
+"""Event logs of the pivoting grasp with their truth, without wires: an object turning freely in a gripper over one pad.
+
+tilt   the gripper is rigid; each side of the dead centre is touched once, the arm goes round in between
+float  the gripper slides up and down in a slide of its own weight, while the arm drags it to and fro
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from palmd.events import FloatArray
+from palmd.rig.pivot import GRAVITY, Axis, Grasp
+from palmd.rig.shapes import random_body
+
+Line = dict[str, Any]
+PivotKind = Literal["tilt", "float"]
+PIVOT_KINDS: tuple[PivotKind, ...] = get_args(PivotKind)
+
+STEP_S = 5e-4
+_ROW_S, _COARSE_S = 2e-3, 4e-2
+_ARM_PERIOD_S = 0.016
+_PAD_M = 0.0555
+_MARGIN_M = 3.5e-3
+_BANDS_S, _WEIGHTS = (0.00625, 0.0125, 0.01875), (0.55, 0.30, 0.15)
+_LEAST_N, _MOST_N = 0.05, 2.5
+_ROUND_S = 1.0  # that the arm takes from one touch to the next
+LEAST_S = 2.0  # of a run: in less no drag can be followed
+_COLUMNS = ("t", "psi_rad", "omega0_rad_s", "s1_m", "z_m", "e_m", "f1_n", "touch")
+
+
+@dataclass(frozen=True, slots=True)
+class PivotImperfections:
+    """By how much a run's readings differ from what line 1 says of them; the defaults are as it says.
+
+    outliers: share of the pad's readings that are thrown anywhere on it. gaps: how many times the pad is silent for
+    `gap_s`. noise, force_noise: factors on the noise. coulomb: friction of a pad that stands still, by tanh(u/u_d).
+    zero: of the pad (m). lag: of the pad's time stamps (s).
+    """
+
+    outliers: float = 0.0
+    gaps: int = 0
+    gap_s: float = 0.2
+    noise: float = 1.0
+    force_noise: float = 1.0
+    coulomb: bool = False
+    zero: float = 0.0
+    lag: float = 0.0
+
+
+AS_TOLD = PivotImperfections()
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedPivot:
+    """A grasp, the arm's plan along x and z (z: rigid only; None while the arm goes round) and what happened."""
+
+    kind: PivotKind
+    grasp: Grasp
+    x: Callable[[float], Axis]
+    z: Callable[[float], Axis] | None
+    history: FloatArray  # rows of _COLUMNS
+
+
+def simulate_pivot_log(
+    kind: PivotKind,
+    seed: int,
+    duration_s: float = 12.0,
+    off: PivotImperfections = AS_TOLD,
+    *,
+    sides: int = 2,
+    odd: bool = False,
+) -> tuple[list[Line], Line]:
+    """A run as event-log lines (header first), and its truth; the same seed, the same run.
+
+    sides: of the dead centre that a rigid gripper touches. Runs that wedge, lift off, press harder than `_MOST_N` or
+    leave the pad are drawn again. Raises ValueError for less than `LEAST_S`.
+    """
+    if not LEAST_S <= duration_s < math.inf:
+        raise ValueError(f"a run lasts {LEAST_S:g} s at least, got {duration_s:g} s")
+    rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
+    while True:
+        run = _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
+        if run is not None:
+            return _log(run, off, rng), _truth(run)
+
+
+def _grasp(rng: np.random.Generator, off: PivotImperfections, least: float, most: float, mu: Axis, odd: bool) -> Grasp:
+    body = random_body("odd" if odd else "friction", rng)
+    body = replace(body, mass=float(rng.uniform(0.04, 0.12)))
+    far, angle = float(rng.uniform(least, most)), float(rng.uniform(0.0, math.tau))
+    pivot = (far * math.cos(angle), far * math.sin(angle))
+    friction = float(rng.uniform(mu[0], mu[1]))
+    dither, damping = float(rng.uniform(8e-3, 20e-3)), float(rng.uniform(1e-5, 4e-5))
+    return Grasp(body, pivot, friction, dither, damping, coulomb=off.coulomb)
+
+
+# ------------------------------------------------------------------------------------------------------ rigid
+
+
+def _tilt(
+    rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool
+) -> SimulatedPivot | None:
+    grasp = _grasp(rng, off, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
+    angles = np.linspace(-math.pi, math.pi, 1441)
+    heights = np.array([grasp.height(a) for a in angles])
+    top, bottom = heights.max(), heights.min()
+    high = top - float(rng.uniform(0.10, 0.24)) * (top - bottom)
+    low = bottom + float(rng.uniform(0.05, 0.20)) * (top - bottom)
+    each = duration if sides == 1 else (duration - _ROUND_S) / 2
+    drags = [_dragged(rng, each) for _ in range(sides)]
+    z = _lowered(high, low, each)
+    offsets = np.array([grasp.offset(a) for a in angles])
+    order = [1.0, -1.0] if rng.random() < 0.5 else [-1.0, 1.0]
+    rows: list[tuple[float, ...]] = []
+    turned = 0.0
+    for side in range(sides):
+        wanted = np.flatnonzero((np.diff(np.sign(heights - high)) != 0) & (np.sign(offsets[1:]) == order[side]))
+        if not len(wanted):
+            return None
+        psi = float(angles[wanted[0]])
+        begin = side * (each + _ROUND_S)
+        if side == 0:
+            turned = psi
+        elif rows:
+            rows += [(begin - _ROUND_S + k * 1e-2, rows[-1][1], 0, math.nan, high, 0, 0, 0) for k in range(1, 100)]
+        begun = (begin, psi, order[side])
+        # most draws fail somewhere: a coarse look first
+        if _touched(grasp, drags[side], z, each, begun, _COARSE_S) is None:
+            return None
+        touched = _touched(grasp, drags[side], z, each, begun, _ROW_S)
+        if touched is None:
+            return None
+        rows += touched
+    history = np.array(rows)
+    history[:, 1] -= turned
+    turned_grasp = replace(grasp, body=grasp.body.turned(turned), pivot=grasp.arm(turned))
+
+    def both(plan: list[Callable[[float], Axis]]) -> Callable[[float], Axis]:
+        def at(t: float) -> Axis:
+            if t <= each or sides == 1:
+                return plan[0](min(t, each))
+            if t >= each + _ROUND_S:
+                return plan[1](min(t - each - _ROUND_S, each))
+            begin, end = plan[0](each)[0], plan[1](0.0)[0]
+            w, dw, ddw = _eased((t - each) / _ROUND_S)
+            return begin + (end - begin) * w, (end - begin) * dw / _ROUND_S, (end - begin) * ddw / _ROUND_S**2
+
+        return at
+
+    return SimulatedPivot("tilt", turned_grasp, both(drags), both([z] * sides), history)
+
+
+def _touched(
+    grasp: Grasp,
+    x: Callable[[float], Axis],
+    z: Callable[[float], Axis],
+    lasts: float,
+    begun: tuple[float, float, float],
+    step: float,
+) -> list[tuple[float, ...]] | None:
+    """Rows of `_COLUMNS` of one touch, from its time, orientation and side of the dead centre; None if it fails."""
+    begin, psi, side = begun
+    rows: list[tuple[float, ...]] = []
+    for k in range(round(lasts / step) + 1):
+        t = k * step
+        at_x, at_z = x(t), z(t)
+        for _ in range(20):
+            e = grasp.offset(psi)
+            if e * side < 1e-3:
+                return None
+            off = at_z[0] - grasp.height(psi)
+            psi -= off / e  # dz/dψ = −e
+            if abs(off) < 1e-13:
+                break
+        e = grasp.offset(psi)
+        omega = -at_z[1] / e
+        h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
+        alpha = (h2 * omega * omega - at_z[2]) / e
+        force = grasp.pressed(psi, omega, alpha, at_x, at_z)
+        s = at_x[0] + e
+        if not (_LEAST_N < force < _MOST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
+            return None
+        rows.append((begin + t, psi, omega, s, at_z[0], e, force, 1.0))
+    return rows
+
+
+def _lowered(high: float, low: float, each: float) -> Callable[[float], Axis]:
+    """From `high` to `low` and back, at rest at both ends and in the middle."""
+    half = each / 2
+
+    def at(t: float) -> Axis:
+        down = t <= half
+        w, dw, ddw = _eased((t if down else t - half) / half)
+        begin, way = (high, low - high) if down else (low, high - low)
+        return begin + way * w, way * dw / half, way * ddw / half**2
+
+    return at
+
+
+def _dragged(rng: np.random.Generator, each: float) -> Callable[[float], Axis]:
+    """To a point and on or back, each leg at its own speed."""
+    half = each / 2
+    start = float(rng.uniform(0.008, 0.047))
+    ways = [float(rng.uniform(-0.032, 0.032)) for _ in range(2)]
+
+    def at(t: float) -> Axis:
+        first = t <= half
+        w, dw, ddw = _eased((t if first else t - half) / half)
+        begin, way = (start, ways[0]) if first else (start + ways[0], ways[1])
+        return begin + way * w, way * dw / half, way * ddw / half**2
+
+    return at
+
+
+def _eased(u: float) -> Axis:
+    """The smooth step on 0…1, its first and second derivative."""
+    u = min(max(u, 0.0), 1.0)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * u * u * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
+
+
+# ------------------------------------------------------------------------------------------------------ sliding
+
+
+def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, odd: bool) -> SimulatedPivot | None:
+    grasp = _grasp(rng, off, 0.5e-3, 3e-3, (0.25, 0.4, 0.0), odd)
+    carriage = grasp.body.mass * float(rng.uniform(0.8, 2.0))
+    grasp = replace(grasp, carriage=carriage, carriage_damping=carriage * float(rng.uniform(1.0, 2.0)))
+    f1, f2 = float(rng.uniform(0.12, 0.3)), float(rng.uniform(0.25, 0.45))
+    a1, a2 = float(rng.uniform(0.010, 0.020)), float(rng.uniform(0.004, 0.010))
+    p1, p2 = (float(rng.uniform(0.0, math.tau)) for _ in range(2))
+
+    def x(t: float) -> Axis:
+        w, dw, ddw = _eased(t)
+        value = rate = acceleration = 0.0
+        for a, f, p in ((a1, f1, p1), (a2, f2, p2)):
+            k = math.tau * f
+            s, c = math.sin(k * t + p) - math.sin(p), math.cos(k * t + p)
+            value += a * w * s
+            rate += a * (dw * s + w * k * c)
+            acceleration += a * (ddw * s + 2 * dw * k * c - w * k * k * (s + math.sin(p)))
+        return 0.0277 + value, rate, acceleration
+
+    psi = float(rng.uniform(-math.pi, math.pi))
+    turned_grasp = replace(grasp, body=grasp.body.turned(psi), pivot=grasp.arm(psi))
+    grasp, psi, omega = turned_grasp, 0.0, 0.0
+    rows = []
+    for k in range(round(duration / STEP_S) + 1):
+        t = k * STEP_S
+        now = x(t)
+        alpha, force = grasp.motion(psi, omega, now)
+        if k % 4 == 0:  # each _ROW_S
+            e = grasp.offset(psi)
+            s = now[0] + e
+            if not (force > _LEAST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
+                return None
+            rows.append((t, psi, omega, s, grasp.height(psi), e, force, 1.0))
+        middle, end = x(t + STEP_S / 2), x(t + STEP_S)
+        h = STEP_S
+        k1p, k1o = omega, alpha
+        k2p = omega + h / 2 * k1o
+        k2o = grasp.motion(psi + h / 2 * k1p, k2p, middle)[0]
+        k3p = omega + h / 2 * k2o
+        k3o = grasp.motion(psi + h / 2 * k2p, k3p, middle)[0]
+        k4p = omega + h * k3o
+        k4o = grasp.motion(psi + h * k3p, k4p, end)[0]
+        psi += h / 6 * (k1p + 2 * k2p + 2 * k3p + k4p)
+        omega += h / 6 * (k1o + 2 * k2o + 2 * k3o + k4o)
+        if not abs(omega) < 100.0:
+            return None
+    return SimulatedPivot("float", grasp, x, None, np.array(rows))
+
+
+# ------------------------------------------------------------------------------------------------------ the log
+
+
+def _log(run: SimulatedPivot, off: PivotImperfections, rng: np.random.Generator) -> list[Line]:
+    grasp, history = run.grasp, run.history
+    end = float(history[-1, 0])
+    gripper: Line = {"vertical": "rigid" if run.z else "float", "z_measured": True}
+    if run.z is None:
+        gripper |= {"carriage_mass_kg": round(grasp.carriage, 5), "damping_n_s_m": round(grasp.carriage_damping, 5)}
+    rig: Line = {
+        "system": "pivot",
+        "gravity_m_s2": GRAVITY,
+        "gripper": gripper,
+        "pad": {"length_m": _PAD_M, "noise_m": 1e-4, "resolution_m": 1.27e-4},
+        "arm_noise_m": 2e-5,
+        "force_scale_std": 0.05,
+        "calibration_sd": dict.fromkeys(("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad"), 0.0),
+        "vibration": {"relation": "none" if grasp.coulomb else "independent"},
+    }
+    events: list[Line] = []
+    for t in np.arange(int(end / _ARM_PERIOD_S)) * _ARM_PERIOD_S:
+        x, z = run.x(t), run.z(t) if run.z else (float(np.interp(t, history[:, 0], history[:, 4])), 0.0, 0.0)
+        noise = rng.normal(0.0, 2e-5, 2)
+        arm = {"x_m": x[0] + noise[0], "z_m": z[0] + noise[1], "vx_m_s": x[1], "ax_m_s2": x[2]}
+        if run.z:
+            arm |= {"vz_m_s": z[1], "az_m_s2": z[2]}
+        events.append({"t": round(float(t), 6), "arm": {name: round(float(value), 7) for name, value in arm.items()}})
+    count = int(end / 0.005)
+    steps = np.maximum(rng.choice(_BANDS_S, count, p=_WEIGHTS) + rng.normal(0.0, 2e-3, count), 1e-4)
+    times = float(rng.uniform(0.0, 0.01)) + np.cumsum(steps) - steps[0]
+    times = times[times < end - 0.02]
+    for begin in rng.uniform(0.0, end, off.gaps):
+        times = times[(times < begin) | (times > begin + off.gap_s)]
+    touch = np.interp(times, history[:, 0], history[:, 7])
+    times = times[touch > 0.999]
+    s, force = (np.interp(times - lag, history[:, 0], history[:, i]) for i, lag in ((3, off.lag), (6, 0.0)))
+    s = s + off.zero + rng.normal(0.0, 1e-4 * off.noise, len(s))
+    thrown = rng.random(len(s)) < off.outliers
+    s[thrown] = rng.uniform(0.0, _PAD_M, int(thrown.sum()))
+    s = np.round(s / 1.27e-4) * 1.27e-4
+    force = np.maximum(np.round(force * (1 + rng.normal(0, 0.05 * off.force_noise, len(s))) / 0.02) * 0.02, 0.0)
+    for t, s_m, force_n in zip(times.tolist(), s.tolist(), force.tolist(), strict=True):
+        events.append({"t": round(t, 6), "pad": 1, "s_m": round(s_m, 6), "force_n": round(force_n, 2)})
+    return [{"palmd_log": 1, "rig": rig}, *sorted(events, key=_time_of)]
+
+
+def _time_of(line: Line) -> float:
+    return float(line["t"])
+
+
+def _truth(run: SimulatedPivot) -> Line:
+    grasp, history = run.grasp, run.history
+    theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
+    h = grasp.body.support.sample(theta)
+    px, py = grasp.pivot
+    return {
+        "kind": run.kind,
+        "shape": grasp.body.shape,
+        "rho_m": grasp.body.rho,
+        "mass_kg": grasp.body.mass,
+        "mu": grasp.mu,
+        "dither_m_s": grasp.dither,
+        "vibration_m_s": None if grasp.coulomb else grasp.vibration,
+        "pivot_damping_m2_s": grasp.damping,
+        "carriage_ratio": grasp.carriage / grasp.body.mass or None,
+        "pivot_m": [px, py],
+        "theta_rad": theta.tolist(),
+        "h_m": h.tolist(),
+        "hP_m": (h - px * np.cos(theta) - py * np.sin(theta)).tolist(),
+    } | dict(zip(_COLUMNS, history[::5].T.tolist(), strict=True))
