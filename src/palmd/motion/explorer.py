@@ -53,7 +53,8 @@ AWAY = math.radians(10.0)  # a first move that is to be one on the road
 SURELY = 0.9  # of the longest time to go: what takes longer may well never come
 DEEPEST = 8  # bins into what is wanted: the nearest one alone is often had over and over by a long detour each
 REACH_EVERY_S = 4.0
-# As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
+# As long as the radii at the contacts are not known better, or no smoother vouches for the object, the palms keep to
+# gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
 CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RADIUS_M = 0.02

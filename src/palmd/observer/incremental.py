@@ -32,7 +32,9 @@ from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
-TRIAL_S = 2.0  # of readings at least that a hypothesis must foretell, one step after the other, before it is vouched for
+TRIAL_S = (
+    2.0  # of readings at least that a hypothesis must foretell, one step after the other, before it is vouched for
+)
 ARCHIVED = 4  # objects that were taken away
 
 # Where each state of the shape map stands among (constants, last node).
@@ -143,7 +145,7 @@ class IncrementalSmoother:
                 return None
             self._follower = Follower(tried)
             self._trial_until = max(segment.start + TELLING_S, tried.end + TRIAL_S)
-            return self._tried(segment, self._follower.smoothed(segment))
+            return self._followed(segment, self._follower)
         found = self._seeker.sure and answer.lasts > TELLING_S - SPACING_S
         if not found and not self._archive:
             return answer
@@ -158,29 +160,27 @@ class IncrementalSmoother:
     def _followed(self, segment: DataSegment, follower: Follower) -> Answer | None:
         answer = follower.smoothed(segment)
         self._unexplained = answer is None
-        if self._on_trial:
-            return self._tried(segment, answer)
+        if answer is None and self._on_trial:
+            self._seek()
+            self._drop_before(segment.end - RENEWED_S)
+            return None
         if follower.lost:
             self._end([])
             self._drop_before(segment.end - LEAD_S)
             return None
         if answer is not None and self._joined(follower):
+            self._trial_until = -math.inf
             answer = follower.smoothed(segment)
-        self._drop_before(follower.needs_from)
+        if answer is not None and answer.end >= self._trial_until:
+            self._trial_until = -math.inf
+        if not self._on_trial:
+            self._drop_before(follower.needs_from)
         return answer
 
     @property
     def _on_trial(self) -> bool:
+        """Whether the follower has yet to prove itself; until then all readings are kept, for a search."""
         return self._trial_until > -math.inf
-
-    def _tried(self, segment: DataSegment, answer: Answer | None) -> Answer | None:
-        """What a follower on trial has said: it is established in time, or the object is sought anew, without it."""
-        if answer is None:
-            self._seek()
-            self._drop_before(segment.end - RENEWED_S)
-        elif answer.end >= self._trial_until:
-            self._trial_until = -math.inf
-        return answer
 
     def _joined(self, follower: Follower) -> bool:
         """Whether the object is one that was felt before; then its part of the archive is the follower's now."""

@@ -173,7 +173,7 @@ class Seeker:
         return answer
 
     def _resumed(self, search: Search, budget: Budget) -> Minima | None:
-        """What explains the readings from the hypotheses on; what can be tried instead has the other half of a budget."""
+        """What explains the readings from the hypotheses on; a trial instead has the other half of a budget."""
         if not self._tries:
             return search.resumed(self._guesses)
         half = Budget(min(budget.left, LIVE_BUDGET / 2))

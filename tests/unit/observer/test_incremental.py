@@ -28,6 +28,7 @@ from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.rig.smooth_error import drawn_error
 from palmd.score import score_outline
+from palmd.system.description import AS_CALIBRATED
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import INDEPENDENT
 
@@ -371,3 +372,30 @@ def test_a_backlog_of_readings_is_processed_in_parts_within_the_budget(monkeypat
     assert len(times) > 1
     error, sd, _ = scored(answer, run)
     assert error < 2.5 * sd
+
+
+def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
+    """It is established once it has explained enough; nothing of the kind on a rig that is known exactly."""
+    run = simulated("friction", 700, 9.0)
+    session, carried_on = Session(1, 0.0), Search.resumed
+
+    def resumed(self, guesses, pressed=False, strict=True):
+        return None if strict else carried_on(self, guesses, pressed, strict)
+
+    def answers(rig):
+        beside = Beside(replace(run, rig=rig))
+        beside.until(2.0, session)
+        assert beside.answers
+        assert not beside.answers[-1].established
+        with monkeypatch.context() as patch:
+            patch.setattr(Search, "resumed", resumed)
+            beside.until(9.0, session)
+        return beside.answers
+
+    on_trial = answers(run.rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0}))
+    assert {answer.established for answer in on_trial if answer.t < TELLING_S} == {False}
+    assert on_trial[-1].established
+    error, sd, touched = scored(on_trial[-1], run)
+    assert touched > 0.1
+    assert error < 3.0 * sd
+    assert not any(answer.established for answer in answers(run.rig))
