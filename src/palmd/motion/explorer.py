@@ -53,8 +53,7 @@ AWAY = math.radians(10.0)  # a first move that is to be one on the road
 SURELY = 0.9  # of the longest time to go: what takes longer may well never come
 DEEPEST = 8  # bins into what is wanted: the nearest one alone is often had over and over by a long detour each
 REACH_EVERY_S = 4.0
-# As long as the radii at the contacts are not known better, or no smoother vouches for the object, the palms keep to
-# gentle moves far from the pads' ends.
+# As long as the radii at the contacts are not known better, the palms keep to gentle moves far from the pads' ends.
 CAREFUL_M = 2.5e-4
 CAREFUL_ANGLES = (math.radians(22.0), math.radians(75.0)), (math.radians(66.0), math.radians(118.0))
 CAREFUL_RADIUS_M = 0.02
@@ -139,8 +138,7 @@ class Explorer:
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
-        unsharp = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
-        careful = unsharp or not outlook.vouched_for
+        careful = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
         wanted = self._wanted(outlook, touched)
         roads = None if careful else self._roads(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, None if roads is None else roads.near)

@@ -16,7 +16,7 @@ from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
-from palmd.motion.explorer import CAREFUL_ANGLES, RIG_S, STUCK_S, Explorer, _inmost
+from palmd.motion.explorer import RIG_S, STUCK_S, Explorer, _inmost
 from palmd.motion.limits import MotionLimits, problems, ranges
 from palmd.motion.rollout_predictor import BINS, MEAN_FORCES, Moves, RolloutPredictor, may_hop
 from palmd.motion.segments import Move
@@ -108,20 +108,6 @@ def test_what_it_does_shows_new_normals_on_the_plant():
         t += move.duration
         under_way = UnderWay(move, move.duration)
     assert touched.mean() > 0.3
-
-
-def test_before_a_smoother_vouches_for_the_object_the_palms_stay_where_any_lies_well():
-    """However sharp a filter believes itself to be: its first moves had pushed objects off the palms."""
-    unvouched = replace(outlook(), rig=np.zeros(RIG_CONSTANTS))
-    vouched = replace(unvouched, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
-
-    def goes_far(belief):
-        ends = [explorer(seed).decide(belief, STANDING).move.end for seed in range(6)]
-        inside = [all(a <= x <= b for x, (a, b) in zip(end, CAREFUL_ANGLES, strict=True)) for end in ends]
-        return not all(inside)
-
-    assert not goes_far(unvouched)
-    assert goes_far(vouched)
 
 
 def test_asked_for_no_choice_it_only_judges_the_move_under_way():
