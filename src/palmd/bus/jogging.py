@@ -19,25 +19,25 @@ def jog(
 ) -> dict[str, Any]:
     """Turns each joint, named as the jog command's argument, by so many degrees; the last reply.
 
-    The first step tells the whole of it: what cannot be done to its end is not begun. Letting go stops the palms. Where
-    a later step is refused, its error says how far they were asked to turn before. `first`: arguments that the first
-    step has besides.
+    The first step tells the whole of it: what cannot be done to its end is not begun. Letting go stops the palms. If
+    a later step is refused, its error contains the angles commanded before it. `first`: further arguments of the first
+    step.
     """
     reply: dict[str, Any] = {}
-    turned = dict.fromkeys(whole_deg, 0.0)
+    commanded = dict.fromkeys(whole_deg, 0.0)
     whole: dict[str, Any] = {f"whole_{name}": angle for name, angle in whole_deg.items()} | dict(first or {})
     for step in jog_steps(*whole_deg.values()):
         t_next = time.monotonic() + JOG_EVERY_S
         reply = client.ask("jog", {**dict(zip(whole_deg, step, strict=True)), **whole})
         whole = {}
         if not reply["ok"]:
-            if any(turned.values()):
+            if any(commanded.values()):
                 so_far = ", ".join(
-                    f"{name} {turned[name]:.1f} of {angle:g}" for name, angle in whole_deg.items() if angle
+                    f"{name} {commanded[name]:.1f} of {angle:g}" for name, angle in whole_deg.items() if angle
                 )
                 reply = reply | {"error": f"stopped on the way ({so_far}): {reply['error']}"}
             break
-        turned = {name: turned[name] + angle for name, angle in zip(whole_deg, step, strict=True)}
+        commanded = {name: commanded[name] + angle for name, angle in zip(whole_deg, step, strict=True)}
         time.sleep(max(0.0, t_next - time.monotonic()))
     return reply
 

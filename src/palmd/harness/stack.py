@@ -59,7 +59,7 @@ class Stack:
     ) -> None:
         """`folder` takes configurations and what the processes say, `runs` the recordings (None: in `folder`).
 
-        Once `give_up` says so nothing is waited for; `tell` is told of what takes its time. `show` gets the page's
+        Once `give_up` returns true nothing is waited for; `tell` gets messages about slow steps. `show` gets the page's
         address as soon as it is served, which may be before the daemon publishes.
         """
         self._folder, self._config, self._runs = folder, config, runs or folder / "runs"

@@ -44,7 +44,7 @@ class Answer:
 
     @property
     def end(self) -> float:
-        """The time of the last reading that is explained (s); the search may have had later ones."""
+        """The time of the last explained reading (s); the search may have had later ones."""
         return float(self.finding.record.t[-1])
 
     @property

@@ -32,9 +32,7 @@ from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
 
-TRIAL_S = (
-    2.0  # of readings at least that a hypothesis must foretell, one step after the other, before it is vouched for
-)
+TRIAL_S = 2.0  # of readings that a follower on trial must explain at least (choice: two of its steps, `REACH_S`)
 ARCHIVED = 4  # objects that were taken away
 
 # Where each state of the shape map stands among (constants, last node).
@@ -72,7 +70,7 @@ class IncrementalSmoother:
         self._seeker = Seeker(self._rig, seed)
         self._found: Answer | None = None
         self._follower: Follower | None = None
-        self._trial_until = -math.inf  # that the follower must explain (s), before it vouches for anything
+        self._trial_until = -math.inf  # (s): what a follower on trial must explain; -inf: not on trial
 
     @property
     def elapsed_s(self) -> float:
@@ -179,7 +177,7 @@ class IncrementalSmoother:
 
     @property
     def _on_trial(self) -> bool:
-        """Whether the follower has yet to prove itself; until then all readings are kept, for a search."""
+        """Whether the follower is not confirmed yet; all readings are kept until then, for another search."""
         return self._trial_until > -math.inf
 
     def _joined(self, follower: Follower) -> bool:
@@ -234,10 +232,10 @@ class IncrementalSmoother:
         except np.linalg.LinAlgError:  # of a fit that has run aground on readings of no such motion
             return None
         made_convex(x, P, _OUTLINE)
-        established = self._follower is not None and not self._on_trial
+        confirmed = None if self._on_trial else self._follower
         against = answer.belief.contradicted
-        if self._follower is not None and established:
-            touched = self._follower.touched
+        if confirmed is not None:
+            touched = confirmed.touched
         else:
             touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
             # what is not sure helps the bank, but vouches for nothing: on short records a rig that is off
@@ -245,7 +243,7 @@ class IncrementalSmoother:
             touched &= self._seeker.sure and not against.any()
             against = np.zeros_like(against)
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(covariance)[RIG])
-        return Improvement(answer.end, x, P, self._frame, established, touched, rig, rig_sd, spread, against)
+        return Improvement(answer.end, x, P, self._frame, confirmed is not None, touched, rig, rig_sd, spread, against)
 
 
 def given_the_rig(y: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ def reidentified(
         p[C.SHAPE :] = information.about[C.SHAPE :]
         prior = replace(search.prior, information=information)
         finding = search.knowing(prior).resumed([Guess(fit.guess.x + np.array([turn, 0.0]), p)])
-        if finding is None or len(finding.record.t) < len(search.record.t):
+        if finding is None or not search.covers(finding):
             continue
         if finding.fits[0].settled and explained(finding.fits[0], finding.record):
             follower = Follower(Answer(search, finding))

@@ -374,6 +374,10 @@ class Search:
         step = longer.contact_step[int(np.argmax(gone))]
         return self.record.until(max(longer.t[step], now + LEAST_GROWTH_S))
 
+    def covers(self, finding: Minima) -> bool:
+        """Whether a finding explains the readings to their end; `resumed` may return a shorter part."""
+        return len(finding.record.t) == len(self.record.t)
+
     def explained(self, fit: Fit, record: Record) -> bool:
         """As the function of that name, by this search's limit of strain."""
         return explained(fit, record, self._most_strain)

@@ -83,8 +83,8 @@ class Seeker:
         self._survived = self._challenges = 0
         self._failed = self._in_vain = 0
         self._doubtful = True
-        self.hypothesis: Answer | None = None  # of what explained the readings last, rivals or not
-        self.stuck = False  # the last readings are hard to explain from it on
+        self.hypothesis: Answer | None = None  # the last answer that explained its readings, with or without rivals
+        self.stuck = False  # the search could not extend the hypothesis to the last readings
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
@@ -134,7 +134,7 @@ class Seeker:
         known = self._known_until(segment)
         if known is not None:
             finding = self._resumed(search, budget)
-            self.stuck = self._tries and (finding is None or partial(finding, search))
+            self.stuck = self._tries and (finding is None or not search.covers(finding))
             if self.stuck:
                 return None
             if finding is None and self.sure and now - known < LOST_S:
@@ -173,7 +173,7 @@ class Seeker:
         return answer
 
     def _resumed(self, search: Search, budget: Budget) -> Minima | None:
-        """What explains the readings from the hypotheses on; a trial instead has the other half of a budget."""
+        """Extend the hypotheses to the last readings; half the budget at most where a trial comes next."""
         if not self._tries:
             return search.resumed(self._guesses)
         half = Budget(min(budget.left, LIVE_BUDGET / 2))
@@ -185,7 +185,7 @@ class Seeker:
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
         """Whether a hypothesis that explains all readings is due for a challenge by a blind search."""
         due = search.segment.lasts >= self._challenge_s or not self.sure or bool(unfit(finding.fits[0], finding.record))
-        return due and len(finding.record.t) == len(search.record.t)
+        return due and search.covers(finding)
 
     def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
         """Since when readings are of use for the next search (s), by what is doubted of the last one's answer."""
@@ -264,9 +264,9 @@ class Seeker:
 
     @property
     def _tries(self) -> bool:
-        """Whether a hypothesis that is hard to carry on is better followed on trial than searched for again.
+        """Whether a hypothesis that cannot be extended is followed on trial (decision 82) instead of searched for again.
 
-        On a rig that is known exactly, and with palms that rub unequally, the evidence of searches decides.
+        Not on an exactly known rig nor with unequal friction of the palms: searches decide there.
         """
         known = self.hypothesis
         return known is not None and not self._exact and not self._rig.lopsided and known.lasts > OPEN_S
@@ -287,8 +287,3 @@ class Seeker:
                 break
             answer = Answer(anew, found)
         return answer
-
-
-def partial(finding: Minima, search: Search) -> bool:
-    """Whether the last readings of a search are left out, which the hypotheses do not explain."""
-    return len(finding.record.t) < len(search.record.t)
