@@ -264,7 +264,7 @@ class Seeker:
 
     @property
     def _tries(self) -> bool:
-        """Whether a hypothesis that cannot be extended is followed on trial (decision 82) instead of searched for again.
+        """Whether a hypothesis that cannot be extended is followed on trial (decision 82), not searched for again.
 
         Not on an exactly known rig nor with unequal friction of the palms: searches decide there.
         """

@@ -399,3 +399,18 @@ def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
     assert touched > 0.1
     assert error < 3.0 * sd
     assert not any(answer.established for answer in answers(run.rig))
+
+
+def test_what_explains_only_the_first_readings_is_never_established(monkeypatch):
+    """However many readings there were: it does not predict those that it leaves out."""
+    run, carried_on = simulated("friction", 700, 9.0), Search.resumed
+
+    def resumed(self, guesses, pressed=False, strict=True):
+        found = carried_on(self, guesses, pressed, strict)
+        return found.until(TELLING_S - 1.0) or found if strict and found is not None else found
+
+    monkeypatch.setattr(Search, "resumed", resumed)
+    beside = Beside(run)
+    beside.until(9.0, Session(1, 0.0))
+    assert beside.answers[-1].t > TELLING_S - 1.5
+    assert not any(answer.established for answer in beside.answers)
