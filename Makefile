@@ -63,8 +63,7 @@ site: dev docs  ## the documentation as a site that reads without a network, in 
 release: dev docs  ## dist/: wheel, source archive, site, upgrade notes, checksums, container image where a builder is; the wheel is tried
 	$(BIN)/python -m tools.release --check
 
-build: setup  ## compile the observers' C once (seconds; skipped without a compiler)
-	@command -v cc >/dev/null || echo "no C compiler: observers run on CasADi's virtual machine; for speed: sudo apt-get install gcc libc6-dev"
+build: setup  ## compile the observers' C once (takes a C compiler: sudo apt-get install gcc libc6-dev)
 	@$(BIN)/palmd doctor build
 
 setup: $(VENV)/.run-installed

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from plain_body_equations import acceleration_kernel
 
 from palmd.model.spherical import count, evaluator
 from palmd.observer.three_palms import kernels
@@ -60,7 +61,7 @@ def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(p
     p = p.copy()
     p[-2:] = mu, math.log(0.4)  # some slips are slower than that, some faster
     palms, R, omega = moment
-    alpha, force = kernels.acceleration(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, (GRAVITY, 1.0)))[:2]
+    alpha, force = acceleration_kernel(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, (GRAVITY, 1.0)))[:2]
     T = len(R)
     bodies = Bodies(*(np.repeat(getattr(body, name), T, axis=0) for name in body.__dataclass_fields__))
     rubbing = Rubbing(*(np.full(T, each) for each in (mu, 0.4, DAMPING)))

@@ -62,7 +62,7 @@ def _installed(name: str) -> bool:
 
 
 def compiler() -> Finding:
-    """Without one the observers run, several times slower unless the wheel carries compiled ones."""
+    """Without one the observers run only where the wheel carries compiled ones."""
     from palmd.model.compiled import shipped_fits
     from palmd.model.compiler import CompilerError, command, tried
 

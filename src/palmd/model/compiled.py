@@ -3,7 +3,8 @@
 Kernels are generated, compiled and checked once (`model.building`) into a cache. What is found there is loaded in a
 millisecond, without CasADi: its name tells the sources, the compiler's flags and the processor that it was made from
 and for, a note beside it its functions and its hash. Where nothing can be compiled, libraries that the wheel of a
-release carries are loaded; without these CasADi's virtual machine serves: slower, the same numbers to rounding.
+release carries are loaded. Without these, C by hand is refused (decision 32); what is generated alone runs on CasADi's
+virtual machine: slower, the same numbers to rounding.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from palmd.console.errors import RIG_FAILED, CliError
 from palmd.events import FloatArray
 from palmd.model import compiler
 
@@ -57,6 +59,14 @@ _SAID: set[str] = set()
 Run = Callable[[int], None]
 
 
+class NotCompiledError(CliError):
+    """What has C by hand could not be compiled, and no wheel carries it; the text says why, and what to do."""
+
+    def __init__(self, name: str, why: str) -> None:
+        self.why = why
+        super().__init__(RIG_FAILED, f"{name} cannot be compiled, and runs compiled only: {why}")
+
+
 @dataclass(frozen=True, slots=True)
 class Signature:
     """A kernel's inputs and outputs: name and size of each, of one column where it is of columns.
@@ -74,13 +84,19 @@ class Signature:
 class Library:
     """A set of kernels ready to be bound, and what runs them: compiled C or CasADi's virtual machine.
 
-    `path` is that of the compiled library.
+    `path` is that of the compiled library, which there is wherever C by hand is part of it.
     """
 
     signatures: dict[str, Signature]
     backend: Backend
     runner: Callable[[str, Sequence[FloatArray], Sequence[FloatArray]], Run]
     path: Path | None = None
+
+    def opened(self) -> ctypes.CDLL:
+        """The compiled library itself; raises RuntimeError where its kernels run on CasADi's virtual machine."""
+        if self.path is None:
+            raise RuntimeError("kernels are not compiled; see `palmd doctor`")
+        return ctypes.CDLL(str(self.path))
 
     def bind(self, name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> BoundCall:
         """A call that reads `inputs` and writes `outputs` in place, in microseconds.
@@ -129,9 +145,12 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
 
 
 def load_written(name: str, source: Path) -> ctypes.CDLL | None:
-    """A file of C alone as a library called `name`, as `load` has it; None where there is no compiler."""
-    path = load(name, list, written=[str(source)]).path
-    return None if path is None else ctypes.CDLL(str(path))
+    """A file of C alone as a library called `name`; None, with a warning, where it cannot be had and Python serves."""
+    try:
+        return load(name, list, written=[str(source)]).opened()
+    except NotCompiledError as error:
+        say(f"{name} runs slower, in Python: {error.why}")
+        return None
 
 
 def load(
@@ -142,9 +161,9 @@ def load(
 ) -> Library:
     """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
 
-    `written`: files of C that are compiled with it, in this package or by their absolute paths. Takes seconds the
-    first time and a millisecond afterwards; not for use inside the loop. Never raises for want of a compiler or of a
-    writable cache: it falls back to the virtual machine with a warning.
+    `written`: files of C by hand that are compiled with it, in this package or by their absolute paths. Takes seconds
+    the first time and a millisecond afterwards; not for use inside the loop. For want of a compiler or of a writable
+    cache it falls back to the virtual machine with a warning, or raises NotCompiledError where there is C by hand.
     """
     files = [_PACKAGE / each for each in written]
     sources = _sources() + b"".join(each.read_bytes() for each in files)
@@ -156,21 +175,27 @@ def load(
         return found
     from palmd.model import building
 
-    made = list(kernels())
+    made, warning, why = list(kernels()), "", "its compiler does not work"
     failed = note.with_suffix(FAILED)
-    if compiler.known_fault(note.parent):
-        return shipped_library(name, sources) or building.on_the_vm(made)
     try:
-        if failed.exists():
+        if compiler.known_fault(note.parent):
+            pass  # whoever found it has said so
+        elif failed.exists():
             raise compiler.CompilerError(f"{failed.read_text(encoding='utf-8')} (`palmd doctor build` tries again)")
-        if building.build(name, made, files, note, sources):
+        elif building.build(name, made, files, note, sources):
             found = _opened(note)
         else:
-            say("no C compiler: observers run on CasADi's virtual machine (install gcc for speed)")
+            why = "no C compiler (install gcc, or a wheel that carries compiled kernels)"
+            warning = "no C compiler: observers run on CasADi's virtual machine (install gcc for speed)"
     except (OSError, compiler.CompilerError) as error:
-        why = f"{error.filename or note.parent}: {error.strerror}" if isinstance(error, OSError) else error
-        say(f"{name} is not compiled, and runs slower: {why}")
-    return found or shipped_library(name, sources) or building.on_the_vm(made)
+        why = f"{error.filename or note.parent}: {error.strerror}" if isinstance(error, OSError) else str(error)
+        warning = f"{name} is not compiled, and runs slower: {why}"
+    found = found or shipped_library(name, sources)
+    if written and found is None:
+        raise NotCompiledError(name, why)
+    if warning:
+        say(warning)
+    return found or building.on_the_vm(made)
 
 
 def say(text: str) -> None:

@@ -1,6 +1,6 @@
 """Rollout predictor: what objects will do on sequences of palm moves, many at once. Pure; not for the loop.
 
-Compiled in `model/rollout.c`; its twin in NumPy serves without a compiler, and to check it against.
+Compiled in `model/rollout.c`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
 from palmd.model.dynamics import VIBRATION_OFF_INPUTS
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import LEAST_FORCES, MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
+from palmd.model.rollout import LEAST_FORCES, MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.system.description import PadSensor
@@ -28,9 +29,6 @@ CALL_S = SUBSTEPS * STEP_S
 """Moves last whole multiples of this."""
 
 BINS = rollout.BINS
-_BIN_RAD = 2 * np.pi / BINS
-
-COLUMNS = 4 * LANES  # sequences that the twin rolls side by side
 MOST_MOVES = 16  # of one sequence
 LEAST_FORCE = 0.8  # m/s², of a contact: one that rests has several
 MARGIN_M = 3e-3  # of the contacts from a pad's ends
@@ -148,12 +146,10 @@ class _Task(ctypes.Structure):
     )
 
 
-def _compiled(curved: bool) -> Callable[[_Task], None] | None:
-    """`roll_sequences`; None without a compiler. Raises RuntimeError where its sizes are not the model's."""
-    path = rollout.library(curved).path
-    if path is None:
-        return None
-    library = ctypes.CDLL(str(path))
+@cache
+def _routine(curved: bool) -> Callable[[_Task], None]:
+    """`roll_sequences`. Raises RuntimeError where its sizes are not the model's."""
+    library = rollout.library(curved).opened()
     wanted = [LANES, shape_map.N, MOVE_INPUTS, SUBSTEPS, TOLD, BINS, MOST_MOVES]
     if list((ctypes.c_long * len(wanted)).in_dll(library, "rollout_sizes")) != wanted:
         raise RuntimeError("model/rollout.c has other sizes than model/rollout.py")
@@ -162,24 +158,12 @@ def _compiled(curved: bool) -> Callable[[_Task], None] | None:
 
 
 class RolloutPredictor:
-    """Rolls the dynamic model forward; holds the kernel's memory."""
+    """Rolls the dynamic model forward."""
 
-    def __init__(self, rig: FloatArray, *, compiled: bool = True):
-        """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first.
-
-        Not `compiled`: by the twin in NumPy.
-        """
+    def __init__(self, rig: FloatArray):
+        """`rig` as `model.outputs.rig_inputs` gives it; takes seconds when its C has to be compiled first."""
         self._rig, self._angles = rig, np.zeros(2)
-        curved = bool(rig[CURVATURE_INPUTS].any())
-        self._compiled = _compiled(curved) if compiled else None
-        self._x = np.zeros((COLUMNS, shape_map.N))
-        self._move = np.zeros((COLUMNS, MOVE_INPUTS))
-        self._moved = np.zeros((COLUMNS, 2))
-        self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
-        self._s = np.zeros((COLUMNS, 2))
-        bind = rollout.library(curved).bind
-        self._begin = bind("begin_batch", [self._x, self._move, rig], [self._s])
-        self._roll = bind("roll_batch", [self._x, self._s, self._move, rig], [self._moved, self._told])
+        self._roll = _routine(bool(rig[CURVATURE_INPUTS].any()))
 
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
@@ -196,28 +180,10 @@ class RolloutPredictor:
         n, k = moves.durations.shape
         if not 0 < k <= MOST_MOVES:
             raise ValueError(f"a sequence is of 1 to {MOST_MOVES} moves, not {k}")
-        states = np.broadcast_to(states, (n, shape_map.N))
-        if self._compiled is not None:
-            return self._of(self._compiled, states, moves, elapsed, horizon_s)
-        order = np.argsort(moves.durations.sum(axis=1), kind="stable")  # those side by side end at about the same time
-        parts = [
-            self._batch(states[some], moves.some(some), elapsed, horizon_s)
-            for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
-        ]
-        back = np.argsort(order, kind="stable")
-        longest = max(part.path.shape[1] for part in parts)
-        parts = [replace(part, path=_lengthened(part.path, longest)) for part in parts]
-        return Prediction(
-            *(np.concatenate([getattr(part, name) for part in parts])[back] for name in Prediction.__slots__)
-        )
-
-    def _of(
-        self, roll: Callable[[_Task], None], states: FloatArray, moves: Moves, elapsed: float, horizon_s: float
-    ) -> Prediction:
-        n, k = moves.durations.shape
         before = np.broadcast_to(moves.start, (n, 1, 2))
         points = np.concatenate([before, moves.ends], axis=1) + self._angles
-        states, durations = np.ascontiguousarray(states), np.ascontiguousarray(moves.durations)
+        states = np.ascontiguousarray(np.broadcast_to(states, (n, shape_map.N)))
+        durations = np.ascontiguousarray(moves.durations)
         longest = min(float(durations.sum(axis=1).max()) - elapsed, horizon_s)
         calls = max(math.ceil((longest - 1e-9) / CALL_S), 1)
         shape = (n, k)
@@ -228,70 +194,5 @@ class RolloutPredictor:
         )  # fmt: skip
         inputs = (each.ctypes.data for each in (states, points, durations, self._rig))
         told = (getattr(foreseen, name).ctypes.data for name in Prediction.__slots__)
-        roll(_Task(*inputs, elapsed, horizon_s, n, k, calls, *told))
+        self._roll(_Task(*inputs, elapsed, horizon_s, n, k, calls, *told))
         return foreseen
-
-    def _batch(self, states: FloatArray, moves: Moves, elapsed: float, horizon_s: float) -> Prediction:
-        n, k = moves.durations.shape
-        rows = np.arange(COLUMNS)
-        filled = np.minimum(rows, n - 1)
-        ends, durations = moves.ends[filled], moves.durations[filled]
-        finished = np.cumsum(durations, axis=1) - elapsed
-        points = np.concatenate([np.broadcast_to(moves.start, (COLUMNS, 1, 2)), ends], axis=1)
-        points += self._angles
-        calls = max(int(np.ceil((min(finished[:, -1].max(), horizon_s) - 1e-9) / CALL_S)), 1)
-        told = np.empty((COLUMNS, calls * SUBSTEPS, TOLD))
-        leg_of = np.empty((COLUMNS, calls), dtype=np.intp)
-        self._x[:] = states[filled]
-        for call in range(calls):
-            t = call * CALL_S
-            leg = np.minimum((finished <= t + 1e-9).sum(axis=1), k - 1)
-            leg_of[:, call] = leg
-            begun = finished[rows, leg] - durations[rows, leg]
-            self._move[:, 0:2], self._move[:, 2:4] = points[rows, leg], points[rows, leg + 1]
-            self._move[:, 4], self._move[:, 5] = durations[rows, leg], t - begun
-            if call == 0:
-                self._begin()
-            self._roll()
-            told[:, call * SUBSTEPS : (call + 1) * SUBSTEPS] = self._told
-            self._x[:, :2], self._s[:] = self._moved, self._told[:, -1, S]
-        return _foreseen(told[:n], np.repeat(leg_of[:n], SUBSTEPS, axis=1), finished[:n], k)
-
-
-def _foreseen(told: FloatArray, leg: npt.NDArray[np.intp], finished: FloatArray, k: int) -> Prediction:
-    n, steps, _ = told.shape
-    live = np.arange(steps) * STEP_S < finished[:, -1:] - 1e-9
-    rows = np.broadcast_to(np.arange(n)[:, None], (n, steps))
-    theta = told[..., THETA]
-    turned = np.remainder(np.where(np.isfinite(theta), theta, 0.0), 2 * np.pi)  # where it diverged it is no bin's
-    bins = np.floor(turned / _BIN_RAD).astype(np.intp) % BINS
-    touched = np.zeros((n, k, BINS), dtype=np.bool_)
-    for contact in range(2):
-        touched[rows[live], leg[live], bins[..., contact][live]] = True
-    lowest, nearest, farthest = (np.full((n, k), value) for value in (np.inf, np.inf, -np.inf))
-    force, low, high = told[..., 2:4].min(axis=-1), told[..., 4:6].min(axis=-1), told[..., 4:6].max(axis=-1)
-    force = np.where(np.isfinite(force), force, -np.inf)
-    for number in range(k):
-        own = live & (leg == number)
-        lowest[:, number] = np.where(own, force, np.inf).min(axis=1)
-        nearest[:, number] = np.where(own, low, np.inf).min(axis=1)
-        farthest[:, number] = np.where(own, high, -np.inf).max(axis=1)
-    last = np.clip(np.ceil(finished / STEP_S - 1e-9).astype(np.intp) - 1, 0, steps - 1)
-    path = told[:, SUBSTEPS - 1 :: SUBSTEPS].copy()
-    path[np.arange(steps // SUBSTEPS) * CALL_S >= finished[:, -1:] - 1e-9] = np.nan
-    path[:, 0] = told[:, SUBSTEPS - 1]
-    each = np.arange(n)[:, None]
-    lowest[finished > steps * STEP_S + 1e-9] = -np.inf
-    return Prediction(
-        np.logical_or.accumulate(touched, axis=1),
-        np.minimum.accumulate(lowest, axis=1),
-        np.minimum.accumulate(nearest, axis=1),
-        np.maximum.accumulate(farthest, axis=1),
-        told[each, last, 0],
-        told[each, last, 1],
-        path,
-    )
-
-
-def _lengthened(path: FloatArray, length: int) -> FloatArray:
-    return np.pad(path, ((0, 0), (0, length - path.shape[1]), (0, 0)), constant_values=np.nan)

@@ -174,6 +174,21 @@ def test_without_a_compiler_the_virtual_machine_serves(
     assert y[15, 1] == pytest.approx(46.0 * 47.0)
 
 
+def test_without_a_compiler_c_by_hand_is_refused_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    by_hand = tmp_path / "by_hand.c"
+    by_hand.write_text("int one(void) { return 1; }")
+    with pytest.raises(compiled.NotCompiledError, match=r"toy cannot be compiled.*install gcc"):
+        load("toy", lambda: [single(_function())], tmp_path / "cache", [str(by_hand)])
+    assert not caplog.text
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
+    assert compiled.load_written("by_hand", by_hand) is None
+    assert "by_hand runs slower, in Python: no C compiler" in caplog.text
+
+
 @pytest.fixture
 def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A wheel's folder with the toy in it, on a machine whose own cache is empty."""

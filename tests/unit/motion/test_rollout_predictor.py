@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from plain_rollouts import PlainPredictor
 
 from palmd.config.two_palms import LimitsConfig
 from palmd.events import PalmMotion
@@ -234,7 +235,7 @@ def test_the_compiled_predictor_is_its_twin_in_numpy(elapsed, horizon_s):
     ends = START + 0.5 * random.standard_normal((n, k, 2))
     moves = Moves(START, ends, CALL_S * random.integers(3, 20, (n, k)))
     rig = rig_inputs(RigDescription())
-    mine, twin = RolloutPredictor(rig), RolloutPredictor(rig, compiled=False)
+    mine, twin = RolloutPredictor(rig), PlainPredictor(rig)
     got, wanted = (each.of(states, moves, elapsed, horizon_s) for each in (mine, twin))
     assert (wanted.least_force < 0.0).any()
     assert (wanted.least_force > 0.0).any()

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_palm_path import smoothed_plainly
 
 from palmd.events import PalmSample
 from palmd.observer import palm_path
-from palmd.observer.palm_path import PalmPath, smoothed_path, twin
+from palmd.observer.palm_path import PalmPath, smoothed_path
 from palmd.rig.simulate import Rock, Rocking
 
 NOISE = 2e-4
@@ -95,7 +96,6 @@ def now_and_then(samples):
 
 def test_what_is_compiled_is_the_twins(monkeypatch):
     samples = now_and_then(list(reports()))
-    assert palm_path._smoothing() is not twin
     got = smoothed_path(samples, NOISE).state
-    monkeypatch.setattr(palm_path, "_smoothing", lambda: twin)
+    monkeypatch.setattr(palm_path, "_smoothing", lambda: smoothed_plainly)
     np.testing.assert_allclose(got, smoothed_path(samples, NOISE).state, rtol=1e-9, atol=1e-10)

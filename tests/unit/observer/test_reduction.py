@@ -1,23 +1,16 @@
 """The smoother's arithmetic: what is compiled against its twin in NumPy, and both against the dense matrices."""
 
-import ctypes
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_reduction import PlainArithmetic
 
-from palmd.model import smoothing
 from palmd.model.smoothing import CONSTANTS, NODE
-from palmd.observer.reduction import BAND, Compiled, ReadingRows, Reduced, StepRows, Twin, arithmetic, wide
+from palmd.observer.reduction import BAND, ReadingRows, Reduced, StepRows, arithmetic, wide
 
 STEPS = 41
 SIDE, WIDTH = CONSTANTS, wide(CONSTANTS)
-
-
-def compiled():
-    path = smoothing.library().path
-    assert path is not None
-    return Compiled(ctypes.CDLL(str(path)))
 
 
 def residuals(seed=0, counts=(37, 50), constants=CONSTANTS):
@@ -45,10 +38,6 @@ def dense(banded):
     return matrix
 
 
-def test_what_is_compiled_is_used():
-    assert isinstance(arithmetic(), Compiled)
-
-
 def readings(count, astray, seed=0):
     """Values beside predictions, as far off as their noise is; those in `astray` by a hundred times."""
     random = np.random.default_rng(seed)
@@ -63,7 +52,7 @@ def readings(count, astray, seed=0):
 @pytest.mark.parametrize("astray", [slice(0), slice(3, 9), slice(None, None, 3), slice(None)])
 def test_readings_are_weighed_as_by_the_twin(count, astray):
     given = readings(count, astray, count)
-    got, wanted = compiled().weighed(*given), Twin().weighed(*given)
+    got, wanted = arithmetic().weighed(*given), PlainArithmetic().weighed(*given)
     np.testing.assert_array_equal(got.residual, wanted.residual)
     np.testing.assert_allclose(got.root, wanted.root, rtol=1e-13)
     assert got.cost == pytest.approx(wanted.cost, rel=1e-12)
@@ -74,13 +63,13 @@ def test_readings_are_weighed_as_by_the_twin(count, astray):
 def test_numbers_that_are_none_have_an_end():
     predicted, *given = readings(50, slice(0))
     predicted[::3] = np.nan
-    assert not np.isfinite(compiled().weighed(predicted, *given).cost)
+    assert not np.isfinite(arithmetic().weighed(predicted, *given).cost)
 
 
 @pytest.mark.parametrize(("counts", "constants"), [((37, 50), 45), ((5,), 45), ((), 45), ((37, 50), 60)])
 def test_the_assembled_equations_are_the_twins(counts, constants):
     steps, kinds = residuals(1, counts, constants)
-    got, wanted = compiled().assembled(steps, kinds), Twin().assembled(steps, kinds)
+    got, wanted = arithmetic().assembled(steps, kinds), PlainArithmetic().assembled(steps, kinds)
     assert got.slack == pytest.approx(wanted.slack, rel=1e-12)
     for name in ("banded", "rows", "corner"):
         a, b = getattr(got, name), getattr(wanted, name)
@@ -89,7 +78,7 @@ def test_the_assembled_equations_are_the_twins(counts, constants):
     assert not got.rows[:, constants + 1 :].any()
 
 
-@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [arithmetic, PlainArithmetic], ids=["compiled", "twin"])
 def test_what_is_left_is_schurs_complement(does):
     steps, kinds = residuals(2)
     made = does().assembled(steps, kinds)
@@ -106,9 +95,11 @@ def test_what_is_left_is_schurs_complement(does):
 
 def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
     steps, kinds = residuals(3)
-    made = compiled().assembled(steps, kinds)
+    made = arithmetic().assembled(steps, kinds)
     before = [each.copy() for each in (made.banded, made.rows, made.corner)]
-    got, wanted = (each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (compiled(), Twin()))
+    got, wanted = (
+        each.reduced(made.banded, np.zeros(NODE), made.rows, made.corner) for each in (arithmetic(), PlainArithmetic())
+    )
     for a, b in zip(before, (made.banded, made.rows, made.corner), strict=True):
         np.testing.assert_array_equal(a, b)
     for name in Reduced.__slots__:
@@ -118,7 +109,7 @@ def test_reducing_gives_the_twins_numbers_and_leaves_its_inputs_alone():
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * np.abs(b).max(), err_msg=name)
 
 
-@pytest.mark.parametrize("does", [compiled, Twin], ids=["compiled", "twin"])
+@pytest.mark.parametrize("does", [arithmetic, PlainArithmetic], ids=["compiled", "twin"])
 @pytest.mark.parametrize("wrong", [-1e9, np.nan, np.inf])
 def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
     steps, kinds = residuals(4)
@@ -130,7 +121,7 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(does, wrong):
 
 def test_arrays_that_do_not_fit_are_refused():
     steps, kinds = residuals(5)
-    made, does = compiled().assembled(steps, kinds), compiled()
+    made, does = arithmetic().assembled(steps, kinds), arithmetic()
     nothing = np.zeros(NODE)
     with pytest.raises(ValueError, match=r"float64 \(28, 56\), not of \(56, 56\)"):
         does.reduced(made.banded, nothing, made.rows, made.corner[::2])

@@ -7,18 +7,19 @@ from itertools import accumulate, islice
 import numpy as np
 import pytest
 from curvature import curvatures
+from plain_body_equations import PlainEquations
 
 from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, compiled_equations, growth, smoother
+from palmd.observer.three_palms import beliefs, growth, smoother
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
 from palmd.observer.three_palms.body import ORDER
-from palmd.observer.three_palms.compiled_equations import CompiledEquations, equations_of
+from palmd.observer.three_palms.compiled_equations import CompiledEquations
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.equations import BodyMotion, Equations
+from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.felt_outline import foretelling, near
 from palmd.observer.three_palms.needed import needed
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
@@ -74,8 +75,8 @@ def test_a_body_is_found_blind_from_starts_that_meet(run):
 
 def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, monkeypatch):
     """None is compiled while a body lies on the palms, where there may be no compiler."""
-    asked, equations_of = set(), smoother.equations_of
-    monkeypatch.setattr(smoother, "equations_of", lambda *given: asked.add(given[-1]) or equations_of(*given))
+    asked = set()
+    monkeypatch.setattr(smoother, "CompiledEquations", lambda *given: asked.add(given[-1]) or CompiledEquations(*given))
     live = replace(task, finer=())
     assert growth.anew(live, live.record(1.3), beliefs.hypotheses())
     built = {what for what, _ in needed(None)}
@@ -90,11 +91,10 @@ def test_compiled_equations_are_those_of_their_twin(task, right, intervals):
     nodes = random.normal(0.0, (0.05,) * 3 + (0.5,) * 3, (intervals + 1, 6))
     motion = BodyMotion(right.motion.R[: intervals + 1], right.motion.omega[: intervals + 1], right.motion.p)
     motion = motion.moved(nodes, random.normal(0.0, 1e-4, len(motion.p)))
-    assert isinstance(equations_of(record, task.noise, task.rig, ORDER), CompiledEquations)
     for nodes_alone in (False, True):
         compiled, twin = (
             make(record, task.noise, task.rig, ORDER).at(motion, nodes_alone=nodes_alone)
-            for make in (equations_of, Equations)
+            for make in (CompiledEquations, PlainEquations)
         )
         for name in ("diagonal", "upper", "border", "corner", "nodes_gradient", "gradient"):
             one, other = getattr(compiled.arrow, name), getattr(twin.arrow, name)
@@ -110,13 +110,8 @@ def test_a_record_without_readings_has_equations(task, right):
     none = replace(none, interval=empty, share=np.zeros(0), slot=empty, geometry=np.zeros((0, 24)))
     motion = BodyMotion(right.motion.R[:5], right.motion.omega[:5], right.motion.p)
     given = none, task.noise, task.rig, ORDER
-    squares = equations_of(*given).at(motion).squares
-    assert squares == pytest.approx(Equations(*given).at(motion).squares, rel=1e-9)
-
-
-def test_without_a_compiler_the_twin_serves(task, monkeypatch):
-    monkeypatch.setattr(compiled_equations, "written", lambda: None)
-    assert isinstance(equations_of(task.whole, task.noise, task.rig, ORDER), Equations)
+    squares = CompiledEquations(*given).at(motion).squares
+    assert squares == pytest.approx(PlainEquations(*given).at(motion).squares, rel=1e-9)
 
 
 def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):

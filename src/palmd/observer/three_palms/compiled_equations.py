@@ -1,4 +1,4 @@
-"""What `body_equations.c` computes of one record; its twin in NumPy is in `equations`."""
+"""What `body_equations.c` computes of one record: see `equations`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.model.compiled import EXPORTED, load_written
+from palmd.model.compiled import EXPORTED, load
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY, PALM_INPUTS, RIG_INPUTS, library
 from palmd.observer.three_palms.arrow import STATES, Arrow
-from palmd.observer.three_palms.equations import BodyMotion, Equations, Noise, SumOfSquares
+from palmd.observer.three_palms.equations import BodyMotion, Noise, SumOfSquares
 from palmd.observer.three_palms.record import BodyRecord
 from palmd.system.three_palms import ThreePalmsRig
+from palmd.system.vibration import VibrationLaw
 
 GEOMETRY, OF_STEP, CHUNK = 24, 6, 32
 
@@ -42,23 +43,12 @@ class _Equations(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in _FILLED)
 
 
-def equations_of(record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> Equations | CompiledEquations:
-    """Those of a record, for outlines up to degree `order`: compiled, or in NumPy where there is no compiler."""
-    own, kernels = written(), library(order, rig.vibration.law).path
-    if own is None or kernels is None:
-        return Equations(record, noise, rig, order)
-    return CompiledEquations(own, str(kernels), record, noise, rig, order)
-
-
 class CompiledEquations:
-    """As `equations.Equations`."""
+    """Of one record, for outlines up to degree `order`."""
 
-    def __init__(
-        self, own: ctypes.CDLL, kernels: str, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int
-    ) -> None:
-        """By the library of `body_equations.c`, and the one at the path `kernels` of `model.three_palms`."""
-        self._assemble, self._harmonics = own.body_equations, count(order)
-        addresses, acting = _addresses(kernels), tuple(rig.acting)
+    def __init__(self, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> None:
+        self._assemble, self._harmonics = written().body_equations, count(order)
+        addresses, acting = _addresses(order, rig.vibration.law), tuple(rig.acting)
         self._of_all = _BlockKernels(*addresses[:2], count(order) + BODY, count(order), acting)
         self._of_motion = _BlockKernels(*addresses[2:], 0, 0, acting)
         K, S = len(record.middle_palms), len(record.interval)
@@ -71,7 +61,7 @@ class CompiledEquations:
         self._of_rows: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
 
     def at(self, motion: BodyMotion, *, nodes_alone: bool = False) -> SumOfSquares:
-        """See `equations.Equations.at`."""
+        """At `motion`; `nodes_alone`: as if the parameters were known, in less time."""
         m, model = (0, self._of_motion) if nodes_alone else (len(motion.p), self._of_all)
         arrow = Arrow.empty(self._intervals + 1, m)
         residual, force = np.empty((self._readings, 2)), np.empty((self._intervals + 1, 3))
@@ -96,19 +86,17 @@ class CompiledEquations:
 
 
 @cache
-def _addresses(kernels: str) -> tuple[int | None, ...]:
+def _addresses(order: int, law: VibrationLaw) -> tuple[int | None, ...]:
     """Of the kernels of accelerations and readings, then of those of the motion alone."""
-    compiled = ctypes.CDLL(kernels)
+    kernels = library(order, law).opened()
     names = (f"{EXPORTED}{what}{of}_block" for of in ("", "_of_motion") for what in ("acceleration", "reading"))
-    return tuple(ctypes.cast(compiled[name], ctypes.c_void_p).value for name in names)
+    return tuple(ctypes.cast(kernels[name], ctypes.c_void_p).value for name in names)
 
 
 @cache
-def written() -> ctypes.CDLL | None:
+def written() -> ctypes.CDLL:
     """`body_equations.c`; RuntimeError where it has other sizes than the model."""
-    found = load_written("body_equations", Path(__file__).with_name("body_equations.c"))
-    if found is None:
-        return None
+    found = load("body_equations", list, written=[str(Path(__file__).with_name("body_equations.c"))]).opened()
     sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OF_STEP, CHUNK)
     if tuple((ctypes.c_long * len(sizes)).in_dll(found, "body_equations_sizes")) != sizes:
         raise RuntimeError("body_equations.c has other sizes than the model")

@@ -1,4 +1,4 @@
-"""What `body_filter.c` computes for a `BodyFilter`; safe inside the loop. Its twin in NumPy is there."""
+"""What `body_filter.c` computes for a `BodyFilter`; safe inside the loop."""
 
 from __future__ import annotations
 
@@ -45,12 +45,11 @@ class CompiledSteps:
     changed in place.
     """
 
-    def __init__(self, path: Path, order: int, acting: tuple[float, ...], **constants: float) -> None:
+    def __init__(self, library: ctypes.CDLL, order: int, acting: tuple[float, ...], **constants: float) -> None:
         """`acting` is of `ThreePalmsRig`, constants are named as in `body_filter.c`.
 
-        RuntimeError where the library at `path` has other sizes.
+        RuntimeError where the library has other sizes.
         """
-        library = ctypes.CDLL(str(path))
         sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:
             raise RuntimeError("body_filter.c has other sizes than the model")
@@ -93,7 +92,7 @@ def _track(joints: JointTrack) -> _Track:
 
 
 @cache
-def steps(order: int, law: VibrationLaw, acting: tuple[float, ...], **constants: float) -> CompiledSteps | None:
-    """Those for outlines up to this degree; None where there is no compiler."""
-    path = filter_library(order, law, str(Path(__file__).with_name("body_filter.c"))).path
-    return None if path is None else CompiledSteps(path, order, acting, **constants)
+def steps(order: int, law: VibrationLaw, acting: tuple[float, ...], **constants: float) -> CompiledSteps:
+    """Those for outlines up to this degree."""
+    library = filter_library(order, law, str(Path(__file__).with_name("body_filter.c"))).opened()
+    return CompiledSteps(library, order, acting, **constants)

@@ -12,7 +12,7 @@ from palmd.events import FloatArray
 from palmd.model import three_palms
 from palmd.model.compiled import LANES, Library
 from palmd.model.spherical import count
-from palmd.model.three_palms import BODY, PALM_INPUTS, RIG_INPUTS
+from palmd.model.three_palms import PALM_INPUTS, RIG_INPUTS
 from palmd.system.three_palms import PalmPlanes
 from palmd.system.vibration import VibrationLaw
 
@@ -80,31 +80,10 @@ def backend(order: int) -> str:
 
 
 @cache
-def acceleration(order: int, law: VibrationLaw = "sign_pairs", *, of_motion: bool = False) -> BlockKernel:
-    """(R, ω, palms; p, rig) → (ω̇, f, ∂/∂δ, ∂/∂ω, ∂/∂p); of the motion alone: without the last."""
-    m = count(order) + BODY
-    shapes = [(3,), (3,), (3, 3), (3, 3), (3, m)]
-    return _kernel("acceleration", order, law, (9, 3, PALM_INPUTS), (m, RIG_INPUTS), shapes, of_motion)
-
-
-@cache
-def reading(order: int, law: VibrationLaw = "sign_pairs", *, of_motion: bool = False) -> BlockKernel:
-    """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c); of the motion alone: without the last."""
+def reading(order: int, law: VibrationLaw = "sign_pairs") -> BlockKernel:
+    """(R, geometry; c) → (y, ∂y/∂δ, ∂y/∂c)."""
     n = count(order)
-    return _kernel("reading", order, law, (9, 24), (n,), [(2,), (2, 3), (2, n)], of_motion)
-
-
-def _kernel(
-    what: str,
-    order: int,
-    law: VibrationLaw,
-    each: Sequence[int],
-    shared: Sequence[int],
-    shapes: Sequence[tuple[int, ...]],
-    of_motion: bool,
-) -> BlockKernel:
-    name, told = (f"{what}_of_motion_block", shapes[:-1]) if of_motion else (f"{what}_block", shapes)
-    return BlockKernel(three_palms.library(order, law), name, each, shared, told)
+    return BlockKernel(three_palms.library(order, law), "reading_block", (9, 24), (n,), [(2,), (2, 3), (2, n)])
 
 
 @cache

@@ -75,9 +75,7 @@ class BodyObserver:
     def warm_up(self) -> None:
         """Load the kernels, and the directions of a surface."""
         icosphere()
-        if body_filter.steps(ORDER, self._rig) is None:
-            kernels.acceleration(ORDER)
-            kernels.reading(ORDER)
+        body_filter.steps(ORDER, self._rig)
 
     def feed(self, event: Event) -> None:
         """Take one event; a reading of a time that has been fused already is counted and dropped."""

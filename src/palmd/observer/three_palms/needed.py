@@ -17,14 +17,22 @@ def needed(_config: object) -> list[Part]:
     def space(order: int) -> Part:
         return f"three palms in space, degree {order}", lambda: three_palms.library(order).backend
 
+    def equations() -> str:
+        written()
+        return "c"
+
+    def filter_() -> str:
+        steps(ORDER, ThreePalmsRig())
+        return "c"
+
     return [
         ("three palms in space, the beginning", lambda: three_palms.driven_library().backend),
         *(space(order) for order in (*(order for order, _ in COARSE), ORDER, *FINER_LIVE)),
-        ("three palms in space, the smoother's equations", lambda: "python" if written() is None else "c"),
+        ("three palms in space, the smoother's equations", equations),
         ("three palms in space, foresight", lambda: body_rollout.library(ORDER, body_rollout.STEP_S).backend),
         (
             "three palms in space, rough foresight",
             lambda: body_rollout.library(body_rollout.ROUGH_ORDER, body_rollout.ROUGH_STEP_S).backend,
         ),
-        ("three palms in space, the filter", lambda: "python" if steps(ORDER, ThreePalmsRig()) is None else "c"),
+        ("three palms in space, the filter", filter_),
     ]

@@ -16,7 +16,7 @@ from palmd.model import rotation
 from palmd.model.spherical import order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms.arrow import STATES, Arrow
-from palmd.observer.three_palms.compiled_equations import equations_of
+from palmd.observer.three_palms.compiled_equations import CompiledEquations
 from palmd.observer.three_palms.equations import BodyMotion, Noise
 from palmd.observer.three_palms.record import BodyRecord
 from palmd.system.three_palms import ThreePalmsRig
@@ -70,7 +70,7 @@ class BodySmoother:
 
     def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, rig: ThreePalmsRig) -> None:
         self._prior, self._reading_sd = prior, noise.reading
-        self._equations = equations_of(record, noise, rig, order_of(len(prior.mean) - BODY))
+        self._equations = CompiledEquations(record, noise, rig, order_of(len(prior.mean) - BODY))
 
     def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
         """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, in less time."""
