@@ -19,7 +19,7 @@ from palmd.daemon.realtime import freeze_collector
 from palmd.motion.check import motion_limits
 from palmd.motion.pivot import PivotLimits
 from palmd.observer import Simulated
-from palmd.observer.pivot.growing import SimulatedSmoothing
+from palmd.observer.pivot.incremental import SimulatedSmoothing
 from palmd.yamlfile import load_any_config
 from tools.wireless import InlineExplorer, PivotWireless, Wireless
 

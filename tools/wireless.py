@@ -30,10 +30,10 @@ from palmd.motion.pivot import PivotLimits, compile_pivot_plan
 from palmd.motion.plan import compile_plan
 from palmd.motion.three_palms import TiltLimits, compile_tilt_plan
 from palmd.observer import Observer, ObserverName, Smoothing
-from palmd.observer.pivot.growing import PERIOD_S, SimulatedSmoothing
+from palmd.observer.pivot.incremental import PERIOD_S, SimulatedSmoothing
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.observer.smoothing import SmoothingOfOne
-from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.observer.three_palms.incremental import SimulatedIncrementalSmoother
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.pads import GOOD_PADS, PadOptions
@@ -225,7 +225,9 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
         limits, rig = TiltLimits.of(config), three_palms_rig(config)
         plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
         explorer = explorer or InlineExplorer(BodyDecider(rig, seed))
-        core = Core(config, BodyObserver(rig, smoothing or SimulatedGrowing(rig)), AtOnce(), plan, explorer=explorer)
+        core = Core(
+            config, BodyObserver(rig, smoothing or SimulatedIncrementalSmoother(rig)), AtOnce(), plan, explorer=explorer
+        )
         super().__init__(ThreePalmsWorld(config, seed), core, config.loop.rate_hz)
 
 

@@ -167,7 +167,7 @@ class Improvement:
     and then of the constants themselves. contradicted: (15,) by how many sigmas each is not what it was taken for,
     0 where nothing speaks against it. The outline has the smoother's harmonics. `frame` is another when it has another
     gauge than before. `established`: what was found has proved true for so long that no rival needs to be kept.
-    touched: (72,) as in `Outlook`.
+    touched: (72,) as in `PlanningBelief`.
     """
 
     t: float
@@ -214,7 +214,7 @@ class ObjectEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Outlook:
+class PlanningBelief:
     """What is known of the object at time `t` (s), for choosing motions.
 
     states: (K, 21) of `model.shape_map`, SI, the likeliest first, then samples of what the object may be besides, all
@@ -237,6 +237,6 @@ class Outlook:
     mass_sd: float = math.nan
 
     @property
-    def vouched_for(self) -> bool:
+    def confirmed(self) -> bool:
         """Whether what is said to be touched stays so: not before a smoother beside the observer has found it too."""
         return self.rig is None or self.rig_spread is not None

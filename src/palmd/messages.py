@@ -57,7 +57,7 @@ NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
 _SD_NAMES = {source: name for name, source in _UNCERTAIN.items()}
 
 
-class Says(Protocol):
+class MessageCodec(Protocol):
     """A system's module of messages: what every system publishes, as fields, and its events read back."""
 
     @property

@@ -120,7 +120,7 @@ class ToAndFro(Decider):
 
     def answer(self, question):
         answer = super().answer(question)
-        if question.outlook is None:
+        if question.belief is None:
             return answer
         self.questions_left -= 1
         here = question.under_way.move.end

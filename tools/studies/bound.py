@@ -20,7 +20,7 @@ from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior, friction_of
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import directions, felt_normals, gauge_free_sd, touched_by
+from palmd.observer.outline import contact_normals, directions, gauge_free_sd, touched_by
 from palmd.observer.reconstruct import SPACING_S
 from palmd.observer.record import LEAST_FORCE_N, Record, lay_out
 from palmd.observer.search import Search
@@ -69,7 +69,7 @@ class AtTruth:
     @property
     def touched(self) -> FloatArray:
         """The directions (rad) that a palm has been at, in the outline's gauge."""
-        normals = felt_normals(self.record, self.guess.x[:, 0], self.guess.p[C.SHAPE :])
+        normals = contact_normals(self.record, self.guess.x[:, 0], self.guess.p[C.SHAPE :])
         return directions()[touched_by(normals)]
 
 

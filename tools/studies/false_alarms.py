@@ -24,7 +24,7 @@ from palmd.daemon.lifecycle import State
 from palmd.faults import Severity
 from palmd.harness.operator import Operator
 from palmd.observer import Simulated
-from palmd.observer.pivot.growing import PERIOD_S
+from palmd.observer.pivot.incremental import PERIOD_S
 from palmd.record.run import RecordedAnswers
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config, load_plan, parse, read_document

@@ -27,7 +27,7 @@ from palmd.daemon.dragging import Dragging
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
-from palmd.observer.pivot.claimed import friction_of
+from palmd.observer.pivot.accepted import friction_of
 from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER
 from palmd.record.systems import read_log_of_any
 from palmd.rig.imperfections import perfect

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from typing import Any, Literal
 
-from palmd.events import Estimate, Event, Improvement, ObjectEstimate, Outlook, ShapeEstimate
+from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PlanningBelief, ShapeEstimate
 from palmd.observer import Observer
 from palmd.observer.answer import no_answer
 
@@ -41,7 +41,7 @@ class SilentObserver:
         """It knows none."""
         return None
 
-    def outlook(self, _t: float) -> Outlook | None:
+    def planning_belief(self, _t: float) -> PlanningBelief | None:
         """It foresees nothing."""
         return None
 

@@ -21,7 +21,7 @@ from palmd.config.pivot import PivotConfig, pivot_rig
 from palmd.console.configured import any_configured
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.events import Event
-from palmd.observer.pivot.growing import as_fed
+from palmd.observer.pivot.incremental import as_fed
 from palmd.record import RunError, is_recording
 from palmd.record.eventlog import LogError
 from palmd.record.run import read_any_run

@@ -13,7 +13,7 @@ from pathlib import Path
 from palmd.cli.drawings import curves_of_result, drawing, write_drawing
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
 from palmd.record.run import RunError, read_any_run
@@ -66,5 +66,5 @@ def run(arguments: argparse.Namespace) -> int:
         raise missing(f"the form {form}", "pyarrow", "lerobot") from error
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
-    say_notes(recording.notes)
+    print_notes(recording.notes)
     return 0

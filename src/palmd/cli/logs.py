@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.console.output import strict_output
 from palmd.console.progress import working
 from palmd.record import RunError, is_recording
@@ -78,7 +78,7 @@ def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tu
             system, log = _recorded(path) if is_recording(path) else read_log_of_any(path)
     except (LogError, RunError) as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    say_notes(log.notes)
+    print_notes(log.notes)
     try:
         return system, system.known_to(log, dict(calibration_sd))
     except NotYetError as error:

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record import SUFFIX
 from palmd.record.mcapread import Layout
@@ -52,10 +52,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise CliError(BAD_INPUT, str(error)) from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
-    say_notes(recording.damage_notes)
+    print_notes(recording.damage_notes)
     if layout.foreign:
         added = ", ".join(f"{count:,} of {topic}" for topic, count in sorted(layout.foreign.items()))
-        say_notes([f"{source}: messages of other programs are left out: {added}"])
+        print_notes([f"{source}: messages of other programs are left out: {added}"])
     print(f"{target}: {_saved(layout)}")
     damage = layout.damage
     missing = layout.foreign or damage.lost or damage.torn_bytes or damage.preface_bytes

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from palmd.bus.link import PUBLISH
 from palmd.config.addresses import LocalAddress
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
 from palmd.harness.rules import Kept, kept_by
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Ends with the run or when asked to; status 1 when a check finds a difference. CliError for an unusable run."""
     try:
         recording = read_any_run(arguments.run)
-        say_notes(recording.notes)
+        print_notes(recording.notes)
         if arguments.check:
             return _check(recording)
         _publish(recording, arguments.publish, arguments.speed, arguments.frames, loop=arguments.loop)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.jsonvalues import or_none
 from palmd.record.run import RunError, read_any_run
 from palmd.report.why import Explanation, explain, lines
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Prints the answer; CliError for an unusable run, or a time that is not in it."""
     try:
         recording = read_any_run(arguments.run)
-        say_notes(recording.damage_notes)
+        print_notes(recording.damage_notes)
         answer = explain(recording, arguments.at)
         print(json.dumps(as_json(answer), ensure_ascii=False) if arguments.json else "\n".join(lines(answer)))
     except (RunError, OSError) as error:

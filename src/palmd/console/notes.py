@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 
 
-def say_notes(notes: Iterable[str]) -> None:
+def print_notes(notes: Iterable[str]) -> None:
     """A line each."""
     for note in notes:
         print(note, file=sys.stderr)

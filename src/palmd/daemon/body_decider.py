@@ -12,11 +12,11 @@ from palmd.model.convex_bodies import convex
 from palmd.model.icosphere import icosphere
 from palmd.model.three_palms import BODY
 from palmd.motion.body_explorer import LEAST_FORCE, NEAR_RAD, BodyDraws, BodyExplorer
-from palmd.motion.body_foresight import Bearings, BodyForesight
+from palmd.motion.body_prediction import Bearings, BodyPredictor
 from palmd.motion.body_swing import Swing
 from palmd.motion.decisions import Decision
 from palmd.motion.segments import Move
-from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
+from palmd.system.three_palms import BodyPlanningBelief, ThreePalmsRig
 
 HALVINGS = 3  # of the directions that are counted: 642
 TOUCHED_RAD = NEAR_RAD - math.radians(4.0)  # from what an answer calls touched, which is within 4 degrees of it
@@ -46,33 +46,33 @@ class BodyDecider:
 
     def answer(self, question: Question) -> ExplorationAnswer:
         """The answer to a question; a new task, and a body in a new frame, begin with a new explorer."""
-        task, outlook, move = question.task, question.outlook, question.under_way.move
+        task, belief, move = question.task, question.belief, question.under_way.move
         if task.run != self._run:
             self._run, self._begun, self._known, self._frame = task.run, question.t, None, None
             self._stood = math.inf
-        if outlook is None:
+        if belief is None:
             swing = Swing(task.limits).next(move.end, self._random)
             decision = Decision("move", swing, "swings the body until it is known where it is")
             return ExplorationAnswer(question.t, task.run, move, None, decision)
-        assert isinstance(outlook, BodyOutlook), "it is of three palms"
-        return ExplorationAnswer(question.t, task.run, move, outlook.object_count, self._decided(question, outlook))
+        assert isinstance(belief, BodyPlanningBelief), "it is of three palms"
+        return ExplorationAnswer(question.t, task.run, move, belief.object_count, self._decided(question, belief))
 
-    def _decided(self, question: Question, outlook: BodyOutlook) -> Decision:
+    def _decided(self, question: Question, belief: BodyPlanningBelief) -> Decision:
         task, under_way = question.task, question.under_way
-        foresight, explorer = self._of(question, outlook)
-        felt = icosphere()[0][outlook.touched]
-        since = explorer.covered(outlook.since)
-        if outlook.claimed:
+        foresight, explorer = self._of(question, belief)
+        felt = icosphere()[0][belief.touched]
+        since = explorer.covered(belief.since)
+        if belief.claimed:
             self._shown |= since
         touched = explorer.covered(felt, TOUCHED_RAD) | since | self._shown
-        if outlook.claimed:
+        if belief.claimed:
             self._sure = touched
         coverage = float(touched.mean())
-        if coverage >= task.goal.coverage and outlook.claimed:
+        if coverage >= task.goal.coverage and belief.claimed:
             return Decision("done", None, f"{coverage:.0%} of all directions have been touched", coverage, 1.0)
         if question.t - self._begun > task.goal.time_limit_s:
             return Decision("done", None, f"the time limit of {task.goal.time_limit_s:g} s is over", coverage, 1.0)
-        begin = Bearings(outlook.R[None], outlook.omega[None], np.array([under_way.move.start]))
+        begin = Bearings(belief.R[None], belief.omega[None], np.array([under_way.move.start]))
         left = under_way.move.duration - under_way.elapsed
         foreseen = foresight.of(
             begin, np.array([under_way.move.end]), np.array([max(under_way.move.duration, 1e-3)]),
@@ -81,48 +81,48 @@ class BodyDecider:
         if not (foreseen.least_force[0] > 0.0 and foreseen.room[0] > 0.0):
             if left > 0.0 and under_way.move != self._swing:
                 return Decision("unsafe", None, "the move under way would lose the body", coverage, 1.0)
-            return self._waits(question, outlook, "the body will not stay where it is", coverage)
+            return self._waits(question, belief, "the body will not stay where it is", coverage)
         if not question.choose:
             return Decision("safe", None, "", coverage, 1.0)
-        least = max(LEAST_FORCE, FELT_N / outlook.mass if outlook.mass > 0.0 else 0.0)
+        least = max(LEAST_FORCE, FELT_N / belief.mass if belief.mass > 0.0 else 0.0)
         seen = touched | explorer.covered(foreseen.normals)
-        drawn = BodyDraws.of(outlook.p, outlook.covariance, self._random)
-        self._was_claimed |= outlook.claimed
+        drawn = BodyDraws.of(belief.p, belief.covariance, self._random)
+        self._was_claimed |= belief.claimed
         most = SLOWER_RAD_S if self._was_claimed else SHORT_RAD_S
-        least, most = (least, STRIDE_RAD_S) if outlook.claimed else (CAREFUL * least, most)
+        least, most = (least, STRIDE_RAD_S) if belief.claimed else (CAREFUL * least, most)
         move = explorer.decide(foreseen.after, seen, least, drawn, most_rad_s=most, shortest_s=SHORTEST_S)
         if move is None:
-            return self._waits(question, outlook, "no safe motion found yet", coverage)
+            return self._waits(question, belief, "no safe motion found yet", coverage)
         self._stood = math.inf
-        return Decision("move", move, "", coverage, 1.0, then=explorer.then if outlook.claimed else None)
+        return Decision("move", move, "", coverage, 1.0, then=explorer.then if belief.claimed else None)
 
-    def _waits(self, question: Question, outlook: BodyOutlook, reason: str, coverage: float) -> Decision:
+    def _waits(self, question: Question, belief: BodyPlanningBelief, reason: str, coverage: float) -> Decision:
         """No move is safe by what is believed, so that the palms stand; not for ever, as nothing is learnt so."""
         self._stood = min(self._stood, question.t)
-        if outlook.claimed or not question.choose or question.t - self._stood < STOOD_S:
+        if belief.claimed or not question.choose or question.t - self._stood < STOOD_S:
             return Decision("wait", None, reason, coverage, 1.0)
         self._swing = Swing(question.task.limits).next(question.under_way.move.end, self._random)
         reason = "swings the body, for what is believed of it lets nothing be foreseen"
         return Decision("move", self._swing, reason, coverage, 1.0, blind=True)
 
-    def _of(self, question: Question, outlook: BodyOutlook) -> tuple[BodyForesight, BodyExplorer]:
+    def _of(self, question: Question, belief: BodyPlanningBelief) -> tuple[BodyPredictor, BodyExplorer]:
         """Who foresees this body as it is known now."""
-        known = outlook.object_count, outlook.begun
-        p = convex(outlook.p, outlook.covariance[6:, 6:], slice(0, len(outlook.p) - BODY))
+        known = belief.object_count, belief.begun
+        p = convex(belief.p, belief.covariance[6:, 6:], slice(0, len(belief.p) - BODY))
         if self._explorer is None or known != self._known:
-            self._known, self._was_claimed = known, outlook.claimed
+            self._known, self._was_claimed = known, belief.claimed
             # What has been touched while it was claimed: answers tell it by less, in steps of their directions.
-            self._shown = self._sure = self._carried(outlook)
-            self._foresight = BodyForesight(p, self._rig)
+            self._shown = self._sure = self._carried(belief)
+            self._foresight = BodyPredictor(p, self._rig)
             self._explorer = BodyExplorer(self._foresight, question.task.limits, self._directions, self._seed)
         self._foresight.learn(p)
         return self._foresight, self._explorer
 
-    def _carried(self, outlook: BodyOutlook) -> npt.NDArray[np.bool_]:
+    def _carried(self, belief: BodyPlanningBelief) -> npt.NDArray[np.bool_]:
         """(D,) what earlier records touched while they were claimed, in the frame of a new one; none in another."""
-        last, frame = self._turn, (outlook.object_count, outlook.frame)
-        same, self._frame, self._turn = frame == self._frame, frame, outlook.turn
+        last, frame = self._turn, (belief.object_count, belief.frame)
+        same, self._frame, self._turn = frame == self._frame, frame, belief.turn
         if not same:
             return np.zeros(len(self._directions), np.bool_)
-        before = self._directions @ (last.T @ outlook.turn).T
+        before = self._directions @ (last.T @ belief.turn).T
         return np.asarray(self._sure[(before @ self._directions.T).argmax(axis=1)], np.bool_)

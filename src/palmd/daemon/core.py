@@ -436,7 +436,7 @@ class Core:
             touching=all(self._felt),
             known=self._observer.foresees,
             object_count=self._observer.object_count,
-            look=lambda: self._observer.outlook(t),
+            look=lambda: self._observer.planning_belief(t),
             sticking=self._system.sticking,
             cornered=self._observer.cornered,
         )

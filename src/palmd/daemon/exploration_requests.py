@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from palmd.config.plans import ExploreGoal
-from palmd.events import Outlook
+from palmd.events import PlanningBelief
 from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.excitation import homewards, rock
 from palmd.motion.limits import MotionLimits
@@ -34,7 +34,7 @@ class Question:
 
     t: float
     task: ExplorationTask
-    outlook: object | None
+    belief: object | None
     under_way: UnderWay
     choose: bool = True
     sticking: tuple[float, ...] | None = None
@@ -85,7 +85,7 @@ class Decider:
 
     def answer(self, question: Question) -> ExplorationAnswer:
         """The answer to a question; a new task begins with a new explorer."""
-        task, outlook, move = question.task, question.outlook, question.under_way.move
+        task, belief, move = question.task, question.belief, question.under_way.move
         if task.run != self._run:
             from palmd.motion.explorer import Explorer  # here: who only asks need not load it
 
@@ -95,9 +95,9 @@ class Decider:
             self._corners: tuple[Angles, ...] = ()  # that are still to come of the rounds that provoke slips
             self._tips = False
             self._aim: Angles | None = None  # the pose of the rounds that tip it which comes next
-        if outlook is not None:
-            assert isinstance(outlook, Outlook), "it is of two palms"
-        stuck_at = None if outlook is not None and outlook.vouched_for else question.sticking
+        if belief is not None:
+            assert isinstance(belief, PlanningBelief), "it is of two palms"
+        stuck_at = None if belief is not None and belief.confirmed else question.sticking
         if stuck_at is None:
             self._corners = ()
         self._tips = self._tips or question.cornered  # whatever is believed of it later
@@ -105,14 +105,12 @@ class Decider:
             decision = self._tipped(move.end, task.limits, question.choose)
         elif stuck_at is not None:
             decision = self._provoked(stuck_at, move, task.limits, question.choose)
-        elif outlook is not None:
+        elif belief is not None:
             self._centre = None
-            decision = self._explorer.decide(outlook, question.under_way, choose=question.choose)
+            decision = self._explorer.decide(belief, question.under_way, choose=question.choose)
         else:
             decision = self._until_known(move.end, task.limits)
-        return ExplorationAnswer(
-            question.t, task.run, move, None if outlook is None else outlook.object_count, decision
-        )
+        return ExplorationAnswer(question.t, task.run, move, None if belief is None else belief.object_count, decision)
 
     def _provoked(self, contacts: tuple[float, ...], last: Move, limits: MotionLimits, choose: bool) -> Decision:
         """The move after `last` of an object that sticks, its contacts (m) being there: no belief foresees any."""

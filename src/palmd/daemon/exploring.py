@@ -234,13 +234,13 @@ class Exploring(Explores):
             return
         to_go = exploration.end - tau - self._ahead
         self._t_ask = t + max(ASK_S, min(CHECK_S, to_go))
-        outlook = senses.look() if senses.known else None
+        belief = senses.look() if senses.known else None
         may_rock = senses.touching and (self._rocking or t - self._t_moved > BLIND_S)
-        if outlook is None and (senses.known or not may_rock):
+        if belief is None and (senses.known or not may_rock):
             return
         choose = self._next is None and to_go <= 0.0
         under_way = UnderWay(move, elapsed)
-        source.ask(Question(t, self._task, outlook, under_way, choose, senses.sticking, senses.cornered))
+        source.ask(Question(t, self._task, belief, under_way, choose, senses.sticking, senses.cornered))
 
     def _halt(self, reason: str) -> None:
         self._halting = True

@@ -27,9 +27,9 @@ class PivotSmootherProcess(BatchingProcess[PivotAnswer]):
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the rig's fields as JSON."""
-    from palmd.observer.pivot.growing import PERIOD_S, GrowingSmoother  # SciPy, in this process alone
+    from palmd.observer.pivot.incremental import PERIOD_S, IncrementalPivotSmoother  # SciPy, in this process alone
 
-    smoother = GrowingSmoother(rig_from_json(rig, PivotRig))
+    smoother = IncrementalPivotSmoother(rig_from_json(rig, PivotRig))
 
     def answer() -> list[Any] | None:
         a = smoother.answer()

@@ -21,7 +21,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
-from palmd.messages import Fields, Says
+from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.pivot.live import PivotObserver
@@ -75,7 +75,7 @@ class PivotPoses:
 class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
 
-    says: ClassVar[Says] = messages
+    says: ClassVar[MessageCodec] = messages
     naming = NAMING
     outside = OUTSIDE_M
 

@@ -26,7 +26,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields, Says, sound
+from palmd.messages import Fields, MessageCodec, sound
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
@@ -46,7 +46,7 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     poses: Poses
     guards: GuardLimits
     """What the arm's reports are judged by."""
-    says: ClassVar[Says]
+    says: ClassVar[MessageCodec]
     """Its messages."""
     naming: ClassVar[Naming]
     """What joints and pads are called."""

@@ -34,10 +34,10 @@ class BodySmootherProcess(BatchingProcess[BodyAnswer]):
 
 def serve(address: str, rig: str) -> None:
     """The process's work, for ever; `rig` is the rig's fields as JSON. A thread thinks while events go on to come."""
-    from palmd.observer.three_palms.growing import GrowingBody  # SciPy, in this process alone
+    from palmd.observer.three_palms.incremental import IncrementalBodySmoother  # SciPy, in this process alone
 
     sys.setswitchinterval(SWITCH_S)
-    smoother = GrowingBody(rig_from_json(rig, ThreePalmsRig))
+    smoother = IncrementalBodySmoother(rig_from_json(rig, ThreePalmsRig))
     pool = ThreadPoolExecutor(1)
     thought: Future[BodyAnswer | None] | None = None
 

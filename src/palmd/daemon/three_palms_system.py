@@ -17,7 +17,7 @@ from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
 from palmd.devices.actuator import Place, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
-from palmd.messages import Fields, Says
+from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
 from palmd.observer.observer import LiveObserver
 from palmd.observer.three_palms.live import BodyObserver
@@ -57,7 +57,7 @@ class TiltPoses:
 class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     """A body between three palms; see `LiveSystem`."""
 
-    says: ClassVar[Says] = messages
+    says: ClassVar[MessageCodec] = messages
     naming = NAMING
     outside = OUTSIDE_RAD
 

@@ -22,7 +22,7 @@ from palmd.daemon.smoothing import SmootherProcess
 from palmd.daemon.swap import SwapWatch
 from palmd.daemon.systems import LiveSystem
 from palmd.events import Estimate, Improvement, PadSample, PalmMotion, ShapeEstimate, Unexplained
-from palmd.messages import Fields, Says, improvement_fields, shape_fields, unexplained_fields
+from palmd.messages import Fields, MessageCodec, improvement_fields, shape_fields, unexplained_fields
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.observer.sticking import StickingWatch
 from palmd.outlinefile import Outline
@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 class LiveTwoPalms(LiveSystem[Config, Estimate]):
     """Two palms on a hinge; see `LiveSystem`."""
 
-    says: ClassVar[Says] = messages
+    says: ClassVar[MessageCodec] = messages
     naming = NAMING
     outside = math.radians(1.0)
     jogs = True

@@ -20,7 +20,7 @@ from palmd.events import FloatArray
 from palmd.model import rotation
 from palmd.model.convex_bodies import convex
 from palmd.model.three_palms import BODY
-from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight, ForeseenMoves
+from palmd.motion.body_prediction import COLUMNS, Bearings, BodyPredictor, PredictedMoves
 from palmd.motion.limits import MotionLimits
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Move
 from palmd.system.three_palms import palms_at
@@ -106,10 +106,10 @@ def weight_shares(joints: FloatArray) -> FloatArray:
 class BodyExplorer:
     """Decides one move at a time; deterministic for given seed and calls. A decision takes some 0.3 s of a core."""
 
-    def __init__(self, foresight: BodyForesight, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
+    def __init__(self, foresight: BodyPredictor, limits: MotionLimits, directions: FloatArray, seed: int = 0) -> None:
         """`directions`: (D, 3) evenly spread, of which as many as possible are to be touched."""
         self._foresight, self._limits, self._directions = foresight, limits, directions
-        self._rough = BodyForesight(foresight.known, foresight.rig, rough=True)
+        self._rough = BodyPredictor(foresight.known, foresight.rig, rough=True)
         self._random = np.random.default_rng(seed)
         self._been: list[FloatArray] = []
         self._plans: list[tuple[Move, ...]] = []  # what the last decision's best sequences go on with
@@ -267,7 +267,7 @@ class BodyExplorer:
             found[k] = _MoveSequence(after, seen, seconds, (*parent.moves, move), gain, value)
         return found
 
-    def _safe(self, foreseen: ForeseenMoves) -> Bools:
+    def _safe(self, foreseen: PredictedMoves) -> Bools:
         slow = foreseen.spin < min(MOST_SPIN, PEAK * self._most_rad_s)
         return (foreseen.least_force > self._least_force) & (foreseen.room > LEAST_ROOM_M) & slow
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.config.plans import ExploreGoal
-from palmd.events import FloatArray, Outlook
+from palmd.events import FloatArray, PlanningBelief
 from palmd.model import shape_map
 from palmd.model.arcs import touched_normals
 from palmd.model.outputs import rig_inputs
@@ -112,48 +112,48 @@ class Explorer:
         self._object_count = 0
         self._forget()
 
-    def decide(self, outlook: Outlook, under_way: UnderWay, *, choose: bool = True) -> Decision:
+    def decide(self, belief: PlanningBelief, under_way: UnderWay, *, choose: bool = True) -> Decision:
         """What the palms shall do after the move under way, or that it must not go on.
 
         Without `choose` only the latter is asked, and soon answered.
         """
-        if outlook.object_count != self._object_count:
-            self._object_count = outlook.object_count
+        if belief.object_count != self._object_count:
+            self._object_count = belief.object_count
             self._forget()
         if math.isnan(self._t_begin):
-            self._t_begin = outlook.t
-        if outlook.rig is not None:
-            self._predictor.correct(outlook.rig)
-        self._see(outlook)
-        self._weigh(outlook)
-        coverage, reachable = self._coverage(outlook.touched), float(self._reach.mean())
-        seen = coverage >= self._goal.coverage and self._sharp(outlook) and outlook.vouched_for
-        open_rig = self._open_rig(outlook) if seen else None
-        ended = self._ended(outlook, coverage, seen and open_rig is None)
+            self._t_begin = belief.t
+        if belief.rig is not None:
+            self._predictor.correct(belief.rig)
+        self._see(belief)
+        self._weigh(belief)
+        coverage, reachable = self._coverage(belief.touched), float(self._reach.mean())
+        seen = coverage >= self._goal.coverage and self._sharp(belief) and belief.confirmed
+        open_rig = self._open_rig(belief) if seen else None
+        ended = self._ended(belief, coverage, seen and open_rig is None)
         if ended:
             return Decision("done", None, ended, coverage, reachable)
-        states, touched, safe = self._after(outlook, under_way)
+        states, touched, safe = self._after(belief, under_way)
         if not safe:
             return Decision("unsafe", None, self._unsafe(), coverage, reachable)
         if not choose:
             return Decision("safe", None, "", coverage, reachable)
         start = np.array(under_way.move.end)
-        careful = _spread(states[: len(outlook.states)], start, self._curvatures) > CAREFUL_M
-        wanted = self._wanted(outlook, touched)
+        careful = _spread(states[: len(belief.states)], start, self._curvatures) > CAREFUL_M
+        wanted = self._wanted(belief, touched)
         roads = None if careful else self._roads(states[0], wanted)
         tried = self._tried(start, self._careful if careful else self._limits, None if roads is None else roads.near)
         foreseen = self._predictor.of(states[0], tried, 0.0, HORIZON_S)
         if open_rig is None:
             score = self._score(foreseen, tried, wanted, roads)
         else:
-            score = self._rig_score(outlook, open_rig, foreseen, tried)
+            score = self._rig_score(belief, open_rig, foreseen, tried)
             if not np.any(self._expected) and 0.0 < score.max() < RIG_RATE:
-                return Decision("done", None, self._enough(outlook, coverage), coverage, reachable)
+                return Decision("done", None, self._enough(belief, coverage), coverage, reachable)
         move = self._choose(states, tried, foreseen, score.max(axis=1), roads is not None and open_rig is None)
         if move is None:
             return Decision("wait", None, "no safe motion found yet", coverage, reachable)
         if open_rig is not None:
-            self._expect(outlook, open_rig, states[0], move)
+            self._expect(belief, open_rig, states[0], move)
         return Decision("move", move, "", coverage, reachable)
 
     # ---- what is known, and what is wanted
@@ -169,64 +169,64 @@ class Explorer:
         self._kept: Moves | None = None
         self._roadmap: Roadmap | None = None
 
-    def _see(self, outlook: Outlook) -> None:
-        if outlook.touched.sum() > self._most or math.isinf(self._t_new):
-            self._most, self._t_new = int(outlook.touched.sum()), outlook.t
+    def _see(self, belief: PlanningBelief) -> None:
+        if belief.touched.sum() > self._most or math.isinf(self._t_new):
+            self._most, self._t_new = int(belief.touched.sum()), belief.t
             if self._roadmap is not None:
                 self._roadmap.forget()
-        if outlook.t - self._t_seen < REACH_EVERY_S:
+        if belief.t - self._t_seen < REACH_EVERY_S:
             return
-        self._t_seen = outlook.t
-        self._reach = reach(outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits) | outlook.touched
+        self._t_seen = belief.t
+        self._reach = reach(belief.states[0, shape_map.Z.SHAPE :], self._surface_limits) | belief.touched
 
-    def _weigh(self, outlook: Outlook) -> None:
+    def _weigh(self, belief: PlanningBelief) -> None:
         """What may press on the pads; after a saturated reading they do not say, and what was known counts."""
-        if self._limits.pad_forces and outlook.mass > 0.0:
-            self._most_forces = most_forces(self._limits, self._pads, outlook.mass, outlook.mass_sd)
+        if self._limits.pad_forces and belief.mass > 0.0:
+            self._most_forces = most_forces(self._limits, self._pads, belief.mass, belief.mass_sd)
 
     def _coverage(self, touched: Bools) -> float:
         return float((touched & self._reach).sum() / max(self._reach.sum(), 1))
 
-    def _wanted(self, outlook: Outlook, touched: Bools) -> FloatArray:
+    def _wanted(self, belief: PlanningBelief, touched: Bools) -> FloatArray:
         """What touching each bin is worth: 1 where nobody has been, less where the outline is not known well enough."""
         worth = np.where(touched, 0.0, 1.0)
-        if not outlook.vouched_for and not (worth * self._reach).any():
+        if not belief.confirmed and not (worth * self._reach).any():
             worth[:] = 1.0  # what a smoother is to vouch for, it must be shown again
         if self._goal.band_mm is not None:
-            over = outlook.h_sd / (self._goal.band_mm * 1e-3) - 1.0
+            over = belief.h_sd / (self._goal.band_mm * 1e-3) - 1.0
             worth = np.maximum(worth, np.clip(over, 0.0, 1.0))
         return np.where(self._reach, worth, 0.0)
 
-    def _sharp(self, outlook: Outlook) -> bool:
+    def _sharp(self, belief: PlanningBelief) -> bool:
         band = self._goal.band_mm
-        return band is None or bool((outlook.h_sd[self._reach] < band * 1e-3).all())
+        return band is None or bool((belief.h_sd[self._reach] < band * 1e-3).all())
 
-    def _open_rig(self, outlook: Outlook) -> RigCost | None:
+    def _open_rig(self, belief: PlanningBelief) -> RigCost | None:
         """What is open of the rig's constants and touch would tell; None where that is little beside the whole band."""
-        cost = rig_cost(outlook, self._reach)
+        cost = rig_cost(belief, self._reach)
         if cost is None or cost.sd < RIG_SHARE * cost.band_sd:
             return None
-        self._t_seen_all = min(self._t_seen_all, outlook.t)
-        return cost if outlook.t - self._t_seen_all < RIG_S else None
+        self._t_seen_all = min(self._t_seen_all, belief.t)
+        return cost if belief.t - self._t_seen_all < RIG_S else None
 
-    def _ended(self, outlook: Outlook, coverage: float, enough: bool) -> str:
+    def _ended(self, belief: PlanningBelief, coverage: float, enough: bool) -> str:
         if enough:
-            return self._enough(outlook, coverage)
-        if outlook.t - self._t_begin > self._goal.time_limit_s:
-            return f"the time limit of {self._goal.time_limit_s:g} s is over{self._told(outlook)}"
+            return self._enough(belief, coverage)
+        if belief.t - self._t_begin > self._goal.time_limit_s:
+            return f"the time limit of {self._goal.time_limit_s:g} s is over{self._told(belief)}"
         found = self._most > 0  # who knows nothing yet is not stuck
-        if found and outlook.t - self._t_new > STUCK_S and self._sharp(outlook):
-            return f"nothing new for {STUCK_S:g} s{self._told(outlook)}"
+        if found and belief.t - self._t_new > STUCK_S and self._sharp(belief):
+            return f"nothing new for {STUCK_S:g} s{self._told(belief)}"
         return ""
 
-    def _enough(self, outlook: Outlook, coverage: float) -> str:
-        return f"{coverage:.0%} of what can be reached is touched{self._told(outlook)}"
+    def _enough(self, belief: PlanningBelief, coverage: float) -> str:
+        return f"{coverage:.0%} of what can be reached is touched{self._told(belief)}"
 
-    def _told(self, outlook: Outlook) -> str:
+    def _told(self, belief: PlanningBelief) -> str:
         """Which arcs of the outward normal were not touched, and which cannot be, and why."""
-        left = self._reach & ~outlook.touched
+        left = self._reach & ~belief.touched
         parts = [f"not touched: {arcs(left)}"] if left.any() else []
-        parts += why_not(~self._reach, outlook.states[0, shape_map.Z.SHAPE :], self._surface_limits)
+        parts += why_not(~self._reach, belief.states[0, shape_map.Z.SHAPE :], self._surface_limits)
         return "".join(f"; {part}" for part in parts)
 
     # ---- what will be
@@ -235,26 +235,26 @@ class Explorer:
         found = "lose a contact" if self._most_forces is None else "lose a contact or press harder on a pad than it may"
         return f"the move under way would {found}"
 
-    def _after(self, outlook: Outlook, under_way: UnderWay) -> tuple[FloatArray, Bools, bool]:
+    def _after(self, belief: PlanningBelief, under_way: UnderWay) -> tuple[FloatArray, Bools, bool]:
         """The states when the move under way has ended, what is touched then, and whether all get there safely."""
-        states = self._doubted(outlook)
+        states = self._doubted(belief)
         move, count = under_way.move, len(states)
         if under_way.elapsed >= move.duration:
-            return states, outlook.touched, True
+            return states, belief.touched, True
         ends, durations = np.tile(np.array(move.end), (count, 1, 1)), np.full((count, 1), move.duration)
         moves = Moves(np.array(move.start), ends, durations)
         foreseen = self._predictor.of(states, moves, under_way.elapsed)
         states[:, shape_map.Z.PSI], states[:, shape_map.Z.OMEGA0] = foreseen.psi[:, 0], foreseen.omega0[:, 0]
         safe = bool((self._goodness(foreseen, moves, under_way.elapsed) > 0.0).all())
-        return states, outlook.touched | foreseen.touched[0, 0], safe
+        return states, belief.touched | foreseen.touched[0, 0], safe
 
-    def _doubted(self, outlook: Outlook) -> FloatArray:
+    def _doubted(self, belief: PlanningBelief) -> FloatArray:
         """The states, and on arcs, until a smoother vouches for them, the likeliest with more friction as well."""
-        if outlook.vouched_for or not any(self._curvatures):
-            return outlook.states.copy()
-        rough = outlook.states[0].copy()
+        if belief.confirmed or not any(self._curvatures):
+            return belief.states.copy()
+        rough = belief.states[0].copy()
         rough[shape_map.Z.MU] = max(rough[shape_map.Z.MU], DOUBTED_MU)
-        return np.vstack([outlook.states, rough])
+        return np.vstack([belief.states, rough])
 
     def _roads(self, state: FloatArray, wanted: FloatArray) -> _Roads | None:
         """How far it is to what is wanted, None while the roadmap is being made."""
@@ -328,20 +328,20 @@ class Explorer:
             score = np.maximum(score, np.where(leads, (brings + roads.depth) / (time_s + deep), 0.0))
         return np.where(self._goodness(foreseen, tried) > 1.0, score, -np.inf)
 
-    def _rig_score(self, outlook: Outlook, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
+    def _rig_score(self, belief: PlanningBelief, cost: RigCost, foreseen: Prediction, tried: Moves) -> FloatArray:
         """By which share of its square each beginning lowers `cost` in a second (N, k), −inf where it is not safe."""
         if not np.array_equal(cost.steps, self._steps):
             self._steps, self._expected = cost.steps, 0.0
         time_s = np.cumsum(tried.durations, axis=1) + ANSWER_S + HOP_S * may_hop(foreseen, tried)
-        information = self._information.of(outlook, cost, foreseen.path, tried.durations)
+        information = self._information.of(belief, cost, foreseen.path, tried.durations)
         told = cost.share_told(information, self._expected)
         return np.where(self._goodness(foreseen, tried) > 1.0, told / time_s, -np.inf)
 
-    def _expect(self, outlook: Outlook, cost: RigCost, state: FloatArray, move: Move) -> None:
+    def _expect(self, belief: PlanningBelief, cost: RigCost, state: FloatArray, move: Move) -> None:
         """Count what the move will tell as told, until a smoother says what it has."""
         moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
         path = self._predictor.of(state, moves).path
-        self._expected = self._expected + self._information.of(outlook, cost, path, moves.durations)[0, 0]
+        self._expected = self._expected + self._information.of(belief, cost, path, moves.durations)[0, 0]
 
     def _safe_for_all(self, states: FloatArray, move: Move) -> bool:
         """Whether no sample of the object loses a contact on the move, nor if the palms then stand still."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import FloatArray, Outlook
+from palmd.events import FloatArray, PlanningBelief
 from palmd.model import shape, shape_map, smoothing
 from palmd.model.rollout import THETA
 from palmd.model.smoothing import CONSTANTS, CONTACT_INPUTS, NODE, ORDER, RIG, RIG_CONSTANTS, C, R
@@ -53,9 +53,9 @@ class RigCost:
         return share
 
 
-def rig_cost(outlook: Outlook, normals: Bools) -> RigCost | None:
+def rig_cost(belief: PlanningBelief, normals: Bools) -> RigCost | None:
     """Of the outline on these bins of `normals`; None where nothing is known of the rig."""
-    spread = outlook.rig_spread
+    spread = belief.rig_spread
     if spread is None:
         return None
     of_outline, of_rig = spread[:_OUTLINE], spread[_OUTLINE:]
@@ -65,9 +65,9 @@ def rig_cost(outlook: Outlook, normals: Bools) -> RigCost | None:
     others = _null_space(never_told / np.maximum(size, np.finfo(float).tiny))
     steps = np.vstack([of_rig, of_outline]) @ others
     theta = _NORMALS[normals]
-    free = shape.gauge_free_basis(theta, theta, _coefficients(outlook))
+    free = shape.gauge_free_basis(theta, theta, _coefficients(belief))
     moved, whole = free @ steps[RIG_CONSTANTS:], free @ of_outline
-    band_sd = np.sqrt(np.mean(outlook.h_sd[normals] ** 2 + (whole**2).sum(axis=1)))
+    band_sd = np.sqrt(np.mean(belief.h_sd[normals] ** 2 + (whole**2).sum(axis=1)))
     return RigCost(steps, moved.T @ moved / len(theta), float(band_sd))
 
 
@@ -95,10 +95,10 @@ class RigInformation:
             "contact_batch", [self._now, self._next, self._p, self._inputs], [np.zeros(BATCH), self._J]
         )
 
-    def of(self, outlook: Outlook, cost: RigCost, path: FloatArray, durations: FloatArray) -> FloatArray:
+    def of(self, belief: PlanningBelief, cost: RigCost, path: FloatArray, durations: FloatArray) -> FloatArray:
         """About the steps of `cost`, up to the end of each move (N, k, m, m): `path` foreseen, `durations` (N, k)."""
-        self._p[C.SHAPE :] = _coefficients(outlook)
-        self._p[RIG] = 0.0 if outlook.rig is None else outlook.rig
+        self._p[C.SHAPE :] = _coefficients(belief)
+        self._p[RIG] = 0.0 if belief.rig is None else belief.rig
         ends = np.cumsum(durations, axis=1)
         t = CALL_S * np.arange(1, path.shape[1] + 1)
         live = (t < ends[:, -1:] + CALL_S / 2) & np.isfinite(path).all(axis=-1)
@@ -148,7 +148,7 @@ class RigInformation:
         return of_psi, of_steps
 
 
-def _coefficients(outlook: Outlook) -> FloatArray:
+def _coefficients(belief: PlanningBelief) -> FloatArray:
     """Those of the likeliest outline, with as many harmonics as a smoother's (25,)."""
-    coefficients = outlook.states[0, shape_map.Z.SHAPE :]
+    coefficients = belief.states[0, shape_map.Z.SHAPE :]
     return np.pad(coefficients, (0, _OUTLINE - len(coefficients)))

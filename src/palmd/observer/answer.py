@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from palmd.events import Estimate, FloatArray, Outlook, PalmMotion, ShapeEstimate
+from palmd.events import Estimate, FloatArray, PalmMotion, PlanningBelief, ShapeEstimate
 from palmd.model import shape, shape_map
 from palmd.model.outputs import NAMED
 from palmd.observer.coverage import NORMAL_BINS, Marks
@@ -74,10 +74,10 @@ def outline_answer(
     return ShapeEstimate(t, THETA, h @ coefficients, h_sd, touched)
 
 
-def outlook(
+def planning_belief(
     t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
     random: np.random.Generator, object_count: int, rig: FloatArray | None, mass: MassEstimator,
-) -> Outlook | None:  # fmt: skip
+) -> PlanningBelief | None:  # fmt: skip
     """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
 
     None where the filters' state is none that motions are foretold with, or the belief cannot be drawn from.
@@ -100,7 +100,7 @@ def outlook(
     h_sd = inflation * np.sqrt(np.maximum(((rows @ outline) * rows).sum(axis=1), 0.0))
     spread = None if filters.spread is None else filters.spread[_SHAPE].copy()
     states = np.vstack([state, samples])
-    return Outlook(t, states, marks.copy(), h_sd, object_count, rig, spread, mass.value, mass.sd)
+    return PlanningBelief(t, states, marks.copy(), h_sd, object_count, rig, spread, mass.value, mass.sd)
 
 
 @cache

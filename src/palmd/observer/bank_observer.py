@@ -18,15 +18,15 @@ from palmd.events import (
     Event,
     Improvement,
     ObjectEstimate,
-    Outlook,
     PadLift,
     PadSample,
     PalmSample,
+    PlanningBelief,
     ShapeEstimate,
     Unexplained,
 )
 from palmd.model.outputs import NAMED, rig_inputs
-from palmd.observer.answer import answer, no_answer, outline_answer, outlook
+from palmd.observer.answer import answer, no_answer, outline_answer, planning_belief
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.filters.base import LONGEST_STEP_S, Filters
 from palmd.observer.fusion import Fusion
@@ -234,8 +234,8 @@ class BankObserver:
         nis = fusion.bank.nis_of(best)
         y, sd, disagreement = self._named(track, best, t)
         evidence = self._evidence(track, t, y, sd, disagreement, nis)
-        track.surprise.take(nis, t)
-        factor = track.surprise.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
+        track.innovation_test.take(nis, t)
+        factor = track.innovation_test.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
         told_sd = [each * factor for each in sd]
         safe = (
             settled(evidence, SETTLED)
@@ -255,7 +255,7 @@ class BankObserver:
             self._hypotheses.keep(track, t)
         lately = session.track is not None and self._contacts.read_lately(t)
         track.valid = valid
-        track.vouched_for |= valid
+        track.confirmed |= valid
         track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
         if track.predictable:
             for pad, force in zip(PALMS, _FORCES, strict=True):
@@ -277,7 +277,7 @@ class BankObserver:
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
         radius_sd = 0.0 if fusion.allows_for_rig else track.radius_sd
-        inflation = self._inflation(track, t) * track.surprise.factor
+        inflation = self._inflation(track, t) * track.innovation_test.factor
         return outline_answer(t, coefficients, cov, track.coverage.marks, inflation, radius_sd)
 
     @property
@@ -296,7 +296,7 @@ class BankObserver:
         track = self._session.track
         return track is not None and track.riding.cornered
 
-    def outlook(self, t: float) -> Outlook | None:
+    def planning_belief(self, t: float) -> PlanningBelief | None:
         """What is known of the object at `t` (s), for choosing motions; None unless it `foresees`."""
         fusion, track = self._fusion, self._session.track
         if track is None or not track.predictable:
@@ -305,7 +305,7 @@ class BankObserver:
         marks, count = track.coverage.marks, self._session.object_count
         rig = None if self._link is None else self._link.rig_off
         mass = track.likely_mass
-        return outlook(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig, mass)
+        return planning_belief(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig, mass)
 
     def identify(self, t: float) -> ObjectEstimate | None:
         """Which stored object it is at `t` (s), None before anything is felt or where none are stored."""

@@ -13,7 +13,6 @@ from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, C
 from palmd.observer.cornered import discs, side_normals, supported, turned
 from palmd.observer.cornered_fit import CorneredFit, Shared, fitted
-from palmd.observer.likeness import likeness, root_of
 from palmd.observer.lying import Carried, RideReadings, balance
 from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
@@ -23,6 +22,7 @@ from palmd.observer.record import IntArray, Record, lasting
 from palmd.observer.ridden import trimmed
 from palmd.observer.rides import TRIM_S, Ride, same
 from palmd.observer.search import Search
+from palmd.observer.shape_classification import root_of, shape_class
 from palmd.observer.sided_fits import LEAST_S, LN_GYRATION, LN_GYRATION_SD
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
@@ -139,7 +139,7 @@ def _told(
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=psi, omega0=spin, radii=np.stack([supported(p, each)[0] for each in normals.T]),
         reason="", seconds=time.perf_counter() - begun,
-        sides=_sides(fit, p, covariance), likeness=likeness(theta, h, root_of(rows, covariance), touched),
+        sides=_sides(fit, p, covariance), shape_class=shape_class(theta, h, root_of(rows, covariance), touched),
     )  # fmt: skip
 
 

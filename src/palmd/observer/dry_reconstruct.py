@@ -13,11 +13,11 @@ from palmd.model.rolling import Lying
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.dry_fit import ASYMMETRY, LN_MASS, LN_RHO, MU, RIG, SHAPE, DryFit, DryModel, phases_of
 from palmd.observer.factor import given
-from palmd.observer.likeness import likeness, root_of
-from palmd.observer.outline import felt_normals, made_convex, outline_of
+from palmd.observer.outline import contact_normals, made_convex, outline_of
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import Record, lay_out
 from palmd.observer.search import DIFFERENT_M, DOUBT, SPACING_S, Search, consistent, still
+from palmd.observer.shape_classification import root_of, shape_class
 from palmd.observer.stuck_palms import CHANGE_COST, HOPELESS_S, FilterStart, blind, stuck_guess
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
@@ -122,7 +122,7 @@ def _rivalled(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
     begun = prior.mean[C.SHAPE :] + RIVAL_SHAPE * prior.sd[C.SHAPE :] * drawn
     begun[0] = RIVAL_RADIUS * prior.mean[C.SHAPE]
     other = model.fit(model.begun(begun, math.exp(fit.z[LN_MASS]), fit.z[MU], fit.z[ASYMMETRY]))
-    theta = felt_normals(model.record, fit.psi, fit.z[SHAPE]).ravel()
+    theta = contact_normals(model.record, fit.psi, fit.z[SHAPE]).ravel()
     miss = shape.basis(theta, ORDER) @ (other.z[SHAPE] - fit.z[SHAPE])
     return other.cost < fit.cost + DOUBT and float(np.sqrt(np.mean(miss**2))) > DIFFERENT_M
 
@@ -133,7 +133,7 @@ def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconst
     if not made_convex(z, covariance, SHAPE):
         return None
     sd = np.sqrt(np.diagonal(covariance))
-    normals = felt_normals(record, fit.psi, z[SHAPE])
+    normals = contact_normals(record, fit.psi, z[SHAPE])
     outline = outline_of(z[SHAPE], covariance[SHAPE, SHAPE], [normals])
     told = outline_of(z[SHAPE], given(covariance, RIG, SHAPE), [normals])
     sharp = float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) < SHARP_M
@@ -152,5 +152,5 @@ def _told(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconst
         t=record.t, psi=fit.psi, omega0=np.gradient(fit.psi, record.t),
         radii=np.stack([rows @ z[SHAPE] for rows in lying.h]),
         reason="", seconds=time.perf_counter() - begun, turned_sd=model.turned_sd(fit, covariance),
-        likeness=likeness(outline.theta, outline.h, root, outline.touched),
+        shape_class=shape_class(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip

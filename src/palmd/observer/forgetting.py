@@ -50,8 +50,8 @@ class Forgetting:
         believed of the filters' constants at the start.
         """
         since = t - self.t_faded[block]
-        surprise = max(0.0, bank.nis[bank.best()] - SURPRISING_NIS)
+        innovation_test = max(0.0, bank.nis[bank.best()] - SURPRISING_NIS)
         learnt = age_s + float(self.prior_age_s[bank.members(block)].min())
-        fraction = STRENGTH * since / repeated / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * surprise)
+        fraction = STRENGTH * since / repeated / (FIRST_AGE_S + learnt) * (1.0 + STRENGTH_BY_SURPRISE * innovation_test)
         bank.fade(block, min(fraction, 1.0), constants)
         self.t_faded[block] = t

@@ -1,9 +1,9 @@
 """The smoother at a live observer's side: from everything felt of an object so far, a belief about its state now.
 
 A filter keeps what it made of each reading when it came. The smoother looks again, with what is known now: first at the
-whole record, in search of the object (`observer.seeker`), then at the latest seconds of it, everything older being kept
-as information (`observer.follower`). Its posterior at the last node is a Gaussian belief about the shape map's state,
-from which a filter can start.
+whole record, in search of the object (`observer.initialiser`), then at the latest seconds of it, everything older being
+kept as information (`observer.fixed_lag_smoother`). Its posterior at the last node is a Gaussian belief about the shape
+map's state, from which a filter can start.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from palmd.observer.contacts import GONE_S
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
-from palmd.observer.follower import TAIL_S, Answer, Follower
+from palmd.observer.fixed_lag_smoother import TAIL_S, Answer, FixedLagSmoother
+from palmd.observer.initialiser import LEAST_S, RENEWED_S, TELLING_S, Initialiser
 from palmd.observer.matching import Felt
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
-from palmd.observer.outline import felt_normals, made_convex
+from palmd.observer.outline import contact_normals, made_convex
 from palmd.observer.reidentification import reidentified
 from palmd.observer.search import LIVE_BUDGET, SPACING_S
-from palmd.observer.seeker import LEAST_S, RENEWED_S, TELLING_S, Seeker
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.system.description import RigDescription
@@ -67,9 +67,9 @@ class IncrementalSmoother:
         self._left: tuple[float, float] | None = None  # when (s) it was last felt, and its ψ (rad) then
         self._frame = 1
         self._unexplained = False  # by the last answer
-        self._seeker = Seeker(self._rig, seed)
+        self._initialiser = Initialiser(self._rig, seed)
         self._found: Answer | None = None
-        self._follower: Follower | None = None
+        self._fixed_lag: FixedLagSmoother | None = None
         self._trial_until = -math.inf  # (s): what a follower on trial must explain; -inf: not on trial
 
     @property
@@ -117,9 +117,9 @@ class IncrementalSmoother:
         if not found or math.isinf(self._session.begun):
             return None
         segment = found[-1]
-        if self._follower is not None and segment.start > self._follower.needs_from + LEAD_S:
+        if self._fixed_lag is not None and segment.start > self._fixed_lag.needs_from + LEAD_S:
             self._end(found[:-1])  # the arm was silent for a moment
-        answer = self._sought(segment) if self._follower is None else self._followed(segment, self._follower)
+        answer = self._sought(segment) if self._fixed_lag is None else self._followed(segment, self._fixed_lag)
         return None if answer is None else self._improvement(answer)
 
     def _sought(self, segment: DataSegment) -> Answer | None:
@@ -127,52 +127,52 @@ class IncrementalSmoother:
         if known is not None and LEAST_S < segment.lasts < TELLING_S:
             self._taken_away = None  # not tried again after a numerical failure
             half = Budget(LIVE_BUDGET / 2)
-            follower = reidentified(known, segment, self._rig, half, self._hopped_from(segment.start))
-            if follower is not None:
+            fixed_lag = reidentified(known, segment, self._rig, half, self._hopped_from(segment.start))
+            if fixed_lag is not None:
                 self._archive = [felt for felt in self._archive if felt is not known]
-                self._follower = follower
-                return self._followed(segment, follower)
+                self._fixed_lag = fixed_lag
+                return self._followed(segment, fixed_lag)
             self._taken_away, self._left = known, None  # wherever it lies, if it is the same
             budget = Budget(LIVE_BUDGET / 2 + half.left)
-        answer = self._found = self._seeker.sought(segment, self._hint, budget)
-        self._unexplained = self._seeker.unexplained
-        self._drop_before(self._seeker.needs_from)
+        answer = self._found = self._initialiser.sought(segment, self._hint, budget)
+        self._unexplained = self._initialiser.unexplained
+        self._drop_before(self._initialiser.needs_from)
         if answer is None:
-            tried = self._seeker.hypothesis
-            if tried is None or not self._seeker.stuck:
+            tried = self._initialiser.hypothesis
+            if tried is None or not self._initialiser.stuck:
                 return None
-            self._follower = Follower(tried)
+            self._fixed_lag = FixedLagSmoother(tried)
             self._trial_until = max(segment.start + TELLING_S, tried.end + TRIAL_S)
-            return self._followed(segment, self._follower)
-        found = self._seeker.sure and answer.lasts > TELLING_S - SPACING_S
+            return self._followed(segment, self._fixed_lag)
+        found = self._initialiser.sure and answer.lasts > TELLING_S - SPACING_S
         if not found and not self._archive:
             return answer
-        follower = Follower(answer)
-        if not self._joined(follower) and not found:
+        fixed_lag = FixedLagSmoother(answer)
+        if not self._joined(fixed_lag) and not found:
             return answer
-        self._follower = follower
-        answer = follower.smoothed(segment) or answer
-        self._drop_before(follower.needs_from)
+        self._fixed_lag = fixed_lag
+        answer = fixed_lag.smoothed(segment) or answer
+        self._drop_before(fixed_lag.needs_from)
         return answer
 
-    def _followed(self, segment: DataSegment, follower: Follower) -> Answer | None:
-        answer = follower.smoothed(segment)
+    def _followed(self, segment: DataSegment, fixed_lag: FixedLagSmoother) -> Answer | None:
+        answer = fixed_lag.smoothed(segment)
         self._unexplained = answer is None
         if answer is None and self._on_trial:
             self._seek()
             self._drop_before(segment.end - RENEWED_S)
             return None
-        if follower.lost:
+        if fixed_lag.lost:
             self._end([])
             self._drop_before(segment.end - LEAD_S)
             return None
-        if answer is not None and self._joined(follower):
+        if answer is not None and self._joined(fixed_lag):
             self._trial_until = -math.inf
-            answer = follower.smoothed(segment)
+            answer = fixed_lag.smoothed(segment)
         if answer is not None and answer.end >= self._trial_until:
             self._trial_until = -math.inf
         if not self._on_trial:
-            self._drop_before(follower.needs_from)
+            self._drop_before(fixed_lag.needs_from)
         return answer
 
     @property
@@ -180,9 +180,9 @@ class IncrementalSmoother:
         """Whether the follower is not confirmed yet; all readings are kept until then, for another search."""
         return self._trial_until > -math.inf
 
-    def _joined(self, follower: Follower) -> bool:
+    def _joined(self, fixed_lag: FixedLagSmoother) -> bool:
         """Whether the object is one that was felt before; then its part of the archive is the follower's now."""
-        known = follower.join(self._archive)
+        known = fixed_lag.join(self._archive)
         self._archive = [felt for felt in self._archive if felt is not known]
         return known is not None
 
@@ -192,24 +192,24 @@ class IncrementalSmoother:
 
     def _end(self, felt: Sequence[DataSegment]) -> None:
         """The object is away, or must be sought again; `felt` are the last readings of it."""
-        follower = self._follower
-        if follower is None and self._found is not None:
+        fixed_lag = self._fixed_lag
+        if fixed_lag is None and self._found is not None:
             found = self._found.finding.until(self._found.end - TAIL_S)
-            follower = Follower(Answer(self._found.search, found)) if found is not None else None
-        if follower is not None:
+            fixed_lag = FixedLagSmoother(Answer(self._found.search, found)) if found is not None else None
+        if fixed_lag is not None:
             if felt:
-                follower.end(felt[0])
-            self._archive = [follower.felt(), *self._archive][:ARCHIVED]
-            sure = (self._follower is not None and not self._on_trial) or self._seeker.sure
-            self._taken_away = self._archive[0] if sure and not follower.lost else None
-            self._left = (felt[-1].end, follower.psi) if felt else None
+                fixed_lag.end(felt[0])
+            self._archive = [fixed_lag.felt(), *self._archive][:ARCHIVED]
+            sure = (self._fixed_lag is not None and not self._on_trial) or self._initialiser.sure
+            self._taken_away = self._archive[0] if sure and not fixed_lag.lost else None
+            self._left = (felt[-1].end, fixed_lag.psi) if felt else None
         self._seek()
 
     def _seek(self) -> None:
         """Nothing is known of what the next readings are of."""
         self._frame += 1
-        self._seeker = Seeker(self._rig, self._seed + 100 * self._frame)
-        self._found = self._follower = None
+        self._initialiser = Initialiser(self._rig, self._seed + 100 * self._frame)
+        self._found = self._fixed_lag = None
         self._trial_until = -math.inf
 
     def _drop_before(self, t: float) -> None:
@@ -232,15 +232,15 @@ class IncrementalSmoother:
         except np.linalg.LinAlgError:  # of a fit that has run aground on readings of no such motion
             return None
         made_convex(x, P, _OUTLINE)
-        confirmed = None if self._on_trial else self._follower
+        confirmed = None if self._on_trial else self._fixed_lag
         against = answer.belief.contradicted
         if confirmed is not None:
             touched = confirmed.touched
         else:
-            touched = marks_of(felt_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
+            touched = marks_of(contact_normals(record, best.guess.x[:, 0], best.guess.p[C.SHAPE :]))
             # what is not sure helps the bank, but vouches for nothing: on short records a rig that is off
             # is more often an object that is not this one
-            touched &= self._seeker.sure and not against.any()
+            touched &= self._initialiser.sure and not against.any()
             against = np.zeros_like(against)
         rig, rig_sd = everything[RIG], np.sqrt(np.diagonal(covariance)[RIG])
         return Improvement(answer.end, x, P, self._frame, confirmed is not None, touched, rig, rig_sd, spread, against)

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from palmd.events import Estimate, Event, Improvement, LiveEstimate, ObjectEstimate, Outlook, ShapeEstimate, Unexplained
+from palmd.events import (
+    Estimate,
+    Event,
+    Improvement,
+    LiveEstimate,
+    ObjectEstimate,
+    PlanningBelief,
+    ShapeEstimate,
+    Unexplained,
+)
 
 
 class LiveObserver(Protocol):
@@ -57,7 +66,7 @@ class LiveObserver(Protocol):
     def foresees(self) -> bool:
         """Whether there is an outlook, of an estimate that need not be valid yet."""
 
-    def outlook(self, t: float) -> object:
+    def planning_belief(self, t: float) -> object:
         """What is known for choosing motions, None unless it `foresees`."""
 
     @property
@@ -81,5 +90,5 @@ class Observer(LiveObserver, Protocol):
     def estimate(self, t: float) -> Estimate:
         """As above."""
 
-    def outlook(self, t: float) -> Outlook | None:
+    def planning_belief(self, t: float) -> PlanningBelief | None:
         """As above."""

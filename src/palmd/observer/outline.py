@@ -48,7 +48,7 @@ def wrapped(angles: FloatArray) -> FloatArray:
     return within
 
 
-def felt_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
+def contact_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
     """The same at a record's nodes (n, 2), for an outline: on curved palms it tells where their tangents touch."""
     joints = record.palms[:, : len(JOINTS)].T
     normals = touched_normals(coefficients, joints[0], joints[1], psi, record.rig[CURVATURE_INPUTS].tolist())

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmd.events import Estimate, Event, Outlook, PadLift, PadSample, PalmMotion, PalmSample, ShapeEstimate
+from palmd.events import Estimate, Event, PadLift, PadSample, PalmMotion, PalmSample, PlanningBelief, ShapeEstimate
 from palmd.model import quasistatic as qs
 from palmd.model import shape
 from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
@@ -197,7 +197,7 @@ class QuasistaticObserver:
         """Never said: it knows smooth objects only."""
         return False
 
-    def outlook(self, t: float) -> Outlook | None:  # noqa: ARG002
+    def planning_belief(self, t: float) -> PlanningBelief | None:  # noqa: ARG002
         """None: what it knows is not enough to foresee a motion."""
         return None
 
@@ -221,7 +221,7 @@ class QuasistaticObserver:
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
         self._leader: MultiStart | None = None
         self._found: Leading | None = None
-        self._follower: MultiStart | None = None
+        self._fixed_lag: MultiStart | None = None
         self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
         self._rounds = 0
@@ -298,7 +298,7 @@ class QuasistaticObserver:
 
     def _follow(self, leader: MultiStart) -> None:
         """Draw a narrower set when it is time, and let it catch up; it leads when it has."""
-        if self._follower is None:
+        if self._fixed_lag is None:
             if leader.judged and self._t_node - self._t_first > self._next_round():
                 self._rounds += 1
                 self._draw(leader)
@@ -306,11 +306,11 @@ class QuasistaticObserver:
         for _ in range(STEPS_BEHIND):
             if len(self._ahead) > 1:
                 here = self._ahead.popleft()
-                self._follower.step(here, self._ahead[0])
-        self._follower.judge()
+                self._fixed_lag.step(here, self._ahead[0])
+        self._fixed_lag.judge()
         self._level = self._level + 1 if len(self._ahead) == 1 else 0
         if self._level > BLOCKS:
-            self._leader, self._follower = self._follower, None
+            self._leader, self._fixed_lag = self._fixed_lag, None
 
     def _draw(self, leader: MultiStart) -> None:
         """A set about the likeliest initial conditions, from the oldest node that is kept."""
@@ -321,7 +321,7 @@ class QuasistaticObserver:
             max(WIDTH_SDS * math.sqrt(float(weights @ (values - centre) ** 2)), LEAST_WIDTH_M)
             for values, centre in ((leader.mean, mean_then), (leader.balance, balance))
         ]
-        self._follower = MultiStart(
+        self._fixed_lag = MultiStart(
             Spread(mean, widths[0], balance, widths[1]), first.felt, first.psi, self._circle, STEP_S
         )
         self._ahead = deque(node.felt for node in self._nodes)

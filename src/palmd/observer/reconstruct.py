@@ -25,14 +25,14 @@ from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import SUSPICIOUS_GAP_S, DataSegment, data_segments
 from palmd.observer.dry_reconstruct import dry_reconstruction
 from palmd.observer.factor import Prior, given
-from palmd.observer.likeness import UNTOLD, likeness, root_of
+from palmd.observer.initialiser import attempts_for
 from palmd.observer.marginal import Marginal, marginalised
 from palmd.observer.mass import MassEstimator
 from palmd.observer.matching import Felt, matched
 from palmd.observer.noise import MAP_READINGS, map_as_noise, with_scatter, without_map
 from palmd.observer.normal_equations import Guess, ProcessNoise
 from palmd.observer.numerical import NUMERICAL_FAILURES
-from palmd.observer.outline import directions, felt_normals, made_convex, outline_of
+from palmd.observer.outline import contact_normals, directions, made_convex, outline_of
 from palmd.observer.pad_map import has_map, with_map
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import LEAST_FORCE_N, Record, lasting, lay_out
@@ -56,7 +56,7 @@ from palmd.observer.search import (
     still,
     unfit,
 )
-from palmd.observer.seeker import attempts_for
+from palmd.observer.shape_classification import UNTOLD, root_of, shape_class
 from palmd.observer.sharp_reconstruct import explained_smoothly, sharp_reconstruction
 from palmd.observer.smoother import Fit, Smoother
 from palmd.observer.validity import SHARP_M
@@ -318,7 +318,7 @@ class _Part:
             chain.learn(self.known.information)
         chain.append(self.record, self.fit.guess)
         p = self.fit.guess.p
-        return Felt(chain.information(p), marks_of(felt_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
+        return Felt(chain.information(p), marks_of(contact_normals(self.record, self.fit.guess.x[:, 0], p[C.SHAPE :])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -537,7 +537,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
     convex = made_convex(everything, covariance, _OUTLINE)
     p = everything[:CONSTANTS]
     parts = sorted([_Joined(record, x[:, 0], x[:, 1]), *others], key=lambda part: float(part.record.t[0]))
-    normals = [felt_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
+    normals = [contact_normals(part.record, part.psi, p[C.SHAPE :]) for part in parts]
     outline = outline_of(p[C.SHAPE :], covariance[_OUTLINE, _OUTLINE], normals)
     told = outline_of(p[C.SHAPE :], given(covariance, RIG, _OUTLINE), normals)
     if not reason and float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2))) > SHARP_M:
@@ -568,7 +568,7 @@ def _result(main: _Part, others: Sequence[_Joined], rig: RigDescription, begun: 
         turned_sd=math.nan if others else float(sd[CONSTANTS]),  # ψ is 0 at the first node: gauge
         rig_by_prior=by_prior,
         evidence=answered.evidence - main.belief.opened_nats,
-        likeness=UNTOLD if reason else likeness(outline.theta, outline.h, root, outline.touched),
+        shape_class=UNTOLD if reason else shape_class(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.observer.likeness import UNTOLD, Likeness
 from palmd.observer.record import lasting
+from palmd.observer.shape_classification import UNTOLD, ShapeClass
 from palmd.observer.visits import Counts
 
 PAUSE_S = 0.05  # between nodes, from which on nothing is told of the motion there
@@ -58,7 +58,7 @@ class Reconstruction:
     seconds: float
     turned_sd: float = math.nan
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    likeness: Likeness = UNTOLD
+    shape_class: ShapeClass = UNTOLD
     rig_by_prior: tuple[FloatArray, FloatArray] | None = None
     evidence: float = math.nan
 

@@ -14,7 +14,7 @@ from palmd.model.smoothing import C
 from palmd.observer.beginning import with_any_node
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import of_constants
-from palmd.observer.follower import PATIENCE, Answer, Follower
+from palmd.observer.fixed_lag_smoother import PATIENCE, Answer, FixedLagSmoother
 from palmd.observer.matching import Felt, of_any_small_turn
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
@@ -28,13 +28,13 @@ HOPPED_RAD = (0.0, -0.1, 0.1)  # initial offsets from the last orientation (choi
 
 def reidentified(
     known: Felt, segment: DataSegment, rig: RigDescription, budget: Budget, psi: float | None = None
-) -> Follower | None:
+) -> FixedLagSmoother | None:
     """A follower of the `known` object through all of `segment`; None where it is not confirmed.
 
     A fit to the readings is not enough: an outline is free where it was not touched, so that a wrong orientation may
-    fit as well. `Follower.join` weighs the evidence against other orientations and other objects. psi (rad): near which
-    it lies, if it was away for so short a time that it is the same object; then a fit is enough. Raises LinAlgError
-    where the normal equations are singular.
+    fit as well. `FixedLagSmoother.join` weighs the evidence against other orientations and other objects. psi (rad):
+    near which it lies, if it was away for so short a time that it is the same object; then a fit is enough. Raises
+    LinAlgError where the normal equations are singular.
     """
     search = Search(segment, with_scatter(rig, segment.pads), PATIENCE, budget=budget)
     for fit in _orientations(known, search, psi)[:MOST_ORIENTATIONS]:
@@ -47,8 +47,8 @@ def reidentified(
         if finding is None or not search.covers(finding):
             continue
         if finding.fits[0].settled and explained(finding.fits[0], finding.record):
-            follower = Follower(Answer(search, finding))
-            return follower if follower.join([known], None if psi is None else turn) is not None else None
+            fixed_lag = FixedLagSmoother(Answer(search, finding))
+            return fixed_lag if fixed_lag.join([known], None if psi is None else turn) is not None else None
     return None
 
 

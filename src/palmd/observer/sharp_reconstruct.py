@@ -16,12 +16,12 @@ from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import ORDER, RIG, C
 from palmd.observer.cornered_reconstruct import cornered_reconstruction
 from palmd.observer.factor import friction_of, given
-from palmd.observer.likeness import likeness, root_of
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import joined
 from palmd.observer.search import Search, explained, still
+from palmd.observer.shape_classification import root_of, shape_class
 from palmd.observer.sided import SidedSearch, in_order
 from palmd.observer.sided_fits import LEAST_S, Candidate
 from palmd.observer.validity import SHARP_M
@@ -162,7 +162,8 @@ def _told(
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
         reason="", seconds=time.perf_counter() - begun, turned_sd=math.nan if len(record.torn) else float(sd[len(p)]),
-        sides=sides_of(p, covariance), likeness=likeness(theta, h, root_of(rows, covariance[shape, shape]), touched),
+        sides=sides_of(p, covariance),
+        shape_class=shape_class(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip
 
 

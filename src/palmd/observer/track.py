@@ -10,10 +10,10 @@ from palmd.observer.contacts import Contacts
 from palmd.observer.coverage import Coverage, Marks
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.observer.fusion import Fusion
+from palmd.observer.innovation_test import InnovationTest
 from palmd.observer.mass import MassEstimator
 from palmd.observer.prior import BlindStart
 from palmd.observer.riding import Riding
-from palmd.observer.surprise import Surprise
 
 
 @dataclass(slots=True)
@@ -39,9 +39,9 @@ class Track:
     riding: Riding
     valid: bool = False
     predictable: bool = False
-    vouched_for: bool = False
+    confirmed: bool = False
     t_unlikely: float | None = None
-    surprise: Surprise = field(default_factory=Surprise)
+    innovation_test: InnovationTest = field(default_factory=InnovationTest)
 
     def age(self, t: float) -> float:
         """How long ago its filters began, at `t` (s)."""
@@ -52,6 +52,6 @@ class Track:
     ) -> None:
         """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
         filters.spread = spread
-        self.surprise = Surprise()
+        self.innovation_test = InnovationTest()
         self.coverage = Coverage(touched, 0, self.fusion.curvatures)
         self.fusion.lead_with(filters, x, P, nis)

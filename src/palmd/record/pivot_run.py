@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd import pivot_messages
 from palmd.config.pivot import PivotConfig
-from palmd.messages import Fields, Says
+from palmd.messages import Fields, MessageCodec
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.pivot_quantities import PIVOT_ANSWER
@@ -24,7 +24,7 @@ class PivotRun(AnyRun):
 
     system: ClassVar[str] = SYSTEM
     described: ClassVar[type] = PivotRig
-    says: ClassVar[Says] = pivot_messages
+    says: ClassVar[MessageCodec] = pivot_messages
 
     config: PivotConfig
     rig: PivotRig

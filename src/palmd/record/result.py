@@ -6,9 +6,9 @@ from typing import Any
 
 from palmd.chords import chords_of
 from palmd.jsonvalues import column, or_none
-from palmd.observer.likeness import as_json
 from palmd.observer.mass import MassEstimator
 from palmd.observer.reconstruction import Reconstruction
+from palmd.observer.shape_classification import as_json
 from palmd.observer.visits import Marks, kept_by_band, kept_by_visits
 from palmd.record.verdict import verdict
 from palmd.system.mechanism import RADII
@@ -42,7 +42,7 @@ def as_line(answer: Reconstruction, at_rest: MassEstimator) -> dict[str, Any]:
         "contradicted": _contradicted(answer) if len(answer.rig) else None,
         "sides": None if answer.h is None else _sides(answer),
         "chords": _chords(answer),
-        "looks_like": as_json(answer.likeness) if answer.converged else None,
+        "looks_like": as_json(answer.shape_class) if answer.converged else None,
         "trajectory": _trajectory(answer),
         "seconds": or_none(answer.seconds),
     }

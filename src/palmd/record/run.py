@@ -18,7 +18,7 @@ from palmd import messages
 from palmd.config.any_config import AnyConfig
 from palmd.config.two_palms import Config
 from palmd.events import Event, Improvement, Unexplained
-from palmd.messages import Fields, Says, improvement_of
+from palmd.messages import Fields, MessageCodec, improvement_of
 from palmd.observer.observer import LiveObserver, Observer
 from palmd.outlinefile import Outline, OutlineError, read_library
 from palmd.quantities import EVENTS, IMPROVEMENT, SCHEMA, UNEXPLAINED, SystemTopics, Topic
@@ -80,7 +80,7 @@ class AnyRun(ABC):
     system: ClassVar[str]
     described: ClassVar[type]
     """What `rig` is."""
-    says: ClassVar[Says]
+    says: ClassVar[MessageCodec]
     """Its messages."""
 
     path: Path
@@ -208,7 +208,7 @@ class Run(AnyRun):
 
     system: ClassVar[str] = TWO_PALMS
     described: ClassVar[type] = RigDescription
-    says: ClassVar[Says] = messages
+    says: ClassVar[MessageCodec] = messages
 
     config: Config
     rig: RigDescription

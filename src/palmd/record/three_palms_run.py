@@ -11,7 +11,7 @@ import numpy as np
 from palmd import three_palms_messages
 from palmd.config.three_palms import ThreePalmsConfig
 from palmd.events import FloatArray
-from palmd.messages import Fields, Says
+from palmd.messages import Fields, MessageCodec
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.record.outline_curves import OutlineCurves, curves_of
 from palmd.record.run import AnyRun, RecordedAnswers
@@ -28,7 +28,7 @@ class ThreePalmsRun(AnyRun):
 
     system: ClassVar[str] = SYSTEM
     described: ClassVar[type] = ThreePalmsRig
-    says: ClassVar[Says] = three_palms_messages
+    says: ClassVar[MessageCodec] = three_palms_messages
 
     config: ThreePalmsConfig
     rig: ThreePalmsRig

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing, only_without
-from palmd.console.notes import say_notes
+from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.report.series import Series, series_of
@@ -27,7 +27,7 @@ def run(recording: Path, output: Path) -> int:
     _check(output)
     try:
         recorded = read_any_run(recording)
-        say_notes(recorded.notes)
+        print_notes(recorded.notes)
         series = _read(recorded)
     except RunError as error:
         raise CliError(BAD_INPUT, str(error)) from None

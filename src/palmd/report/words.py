@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from palmd.chords import MEANT, chords_of
-from palmd.observer.likeness import likeness, root_of_band
+from palmd.observer.shape_classification import root_of_band, shape_class
 from palmd.observer.validity import MOST_NIS
 from palmd.quantities import ESTIMATE, MOTION
 from palmd.record.damage import described
@@ -90,7 +90,7 @@ def under_outline(series: Series, outline: OutlineAt) -> str:
     if outline.touched.any():
         said += f", median ±{SDS:g} sd there {_um(SDS * float(np.median(outline.h_sd[outline.touched])))}"
     root = root_of_band(outline.h_sd, outline.theta)
-    if outline.valid and (form := likeness(outline.theta, outline.h, root, outline.touched)).said:
+    if outline.valid and (form := shape_class(outline.theta, outline.h, root, outline.touched)).said:
         said += f"; looks like: {form.said}"
     if chords := chords_of(outline.theta, outline.h, outline.touched):
         said += f"; of the hull, which is what palms feel, straight ({MEANT}, dashed): "

@@ -132,7 +132,7 @@ class RigDescription:
         return np.outer(of_palm, np.where(np.arange(len(JOINTS)) > 0, math.sqrt(2.0), 1.0))
 
     @property
-    def lopsided(self) -> bool:
+    def unequal_friction(self) -> bool:
         """Whether palms that may rub unequally turn that into motion, as a fixed hinge does."""
         return self.hinge == "fixed" and self.friction_sd > 0.0
 

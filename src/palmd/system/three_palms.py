@@ -158,7 +158,7 @@ class BodyEstimate(LiveEstimate):
 
 
 @dataclass(frozen=True, slots=True)
-class BodyOutlook:
+class BodyPlanningBelief:
     """What is known of a body at time `t` (s), for choosing motions.
 
     R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m)

@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.blas import one_thread
 from palmd.events import FloatArray
-from palmd.observer.likeness import likeness, root_of_band
+from palmd.observer.shape_classification import root_of_band, shape_class
 from palmd.payload import unpacked
 from palmd.quantities import ESTIMATE, SHAPE
 
@@ -39,7 +39,7 @@ def named(latest: Mapping[str, bytes]) -> bytes | None:
     if not len(h):
         return None
     with one_thread():
-        told = likeness(theta, h, root_of_band(sd, theta), touched.astype(bool))
+        told = shape_class(theta, h, root_of_band(sd, theta), touched.astype(bool))
     return bytes(msgpack.packb({"object": estimate.get("object"), "said": told.said}))
 
 

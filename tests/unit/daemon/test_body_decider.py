@@ -22,7 +22,7 @@ from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.world import REST_POSE
-from palmd.system.three_palms import BodyOutlook, ThreePalmsRig
+from palmd.system.three_palms import BodyPlanningBelief, ThreePalmsRig
 
 RIG, SEED = ThreePalmsRig(), 4
 LIMITS = TiltLimits.over(WIDE, 75.0)
@@ -31,17 +31,17 @@ STANDING = UnderWay(Move(REST, REST, 0.0), 0.0)
 
 
 @pytest.fixture(scope="module")
-def outlook():
+def planning_belief():
     stand = BodyStand(SEED, RIG.gravity)
     (R,), (omega,) = stand.bearings
     p = known_parameters(stand.plant.body, stand.plant.rubbing)
     none = np.zeros(len(icosphere()[0]), np.bool_)
     sure = 1e-14 * np.eye(6 + len(p))
-    return BodyOutlook(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)), 1, np.eye(3))
+    return BodyPlanningBelief(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)), 1, np.eye(3))
 
 
-def question(outlook, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
-    return Question(t, ExplorationTask(run, TiltGoal(**goal), LIMITS), outlook, under_way, choose)
+def question(belief, under_way=STANDING, *, t=10.0, run=1, choose=True, **goal):
+    return Question(t, ExplorationTask(run, TiltGoal(**goal), LIMITS), belief, under_way, choose)
 
 
 def test_until_a_body_is_known_the_palms_swing():
@@ -50,61 +50,61 @@ def test_until_a_body_is_known_the_palms_swing():
     assert "swings" in answer.decision.reason
 
 
-def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(outlook):
+def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(belief):
     end = (0.95, 0.78, 0.8)
-    answer = BodyDecider(RIG).answer(question(outlook, UnderWay(Move(REST, end, 0.5), 0.1)))
+    answer = BodyDecider(RIG).answer(question(belief, UnderWay(Move(REST, end, 0.5), 0.1)))
     assert answer.object_count == 1
     assert answer.decision.kind == "move"
     assert answer.decision.move.start == end
     assert answer.decision.then.start == answer.decision.move.end
     assert math.isfinite(answer.decision.coverage)
-    believed = BodyDecider(RIG).answer(question(dataclasses.replace(outlook, claimed=False)))
+    believed = BodyDecider(RIG).answer(question(dataclasses.replace(belief, claimed=False)))
     assert (believed.decision.kind, believed.decision.then) == ("move", None)  # one by one, until it is claimed
 
 
-def test_who_is_only_asked_whether_it_may_go_on_says_so(outlook):
+def test_who_is_only_asked_whether_it_may_go_on_says_so(belief):
     decider, move = BodyDecider(RIG), Move(REST, (0.95, 0.78, 0.8), 0.5)
-    assert decider.answer(question(outlook, UnderWay(move, 0.1), choose=False)).decision.kind == "safe"
+    assert decider.answer(question(belief, UnderWay(move, 0.1), choose=False)).decision.kind == "safe"
     thrown = UnderWay(Move(REST, (1.3, 0.3, 0.3), 0.08), 0.01)
-    assert decider.answer(question(outlook, thrown, choose=False)).decision.kind == "unsafe"
+    assert decider.answer(question(belief, thrown, choose=False)).decision.kind == "unsafe"
 
 
-def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over(outlook):
+def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over(belief):
     decider, most = BodyDecider(RIG), icosphere()[0][:, 2] > -0.6
-    seen = dataclasses.replace(outlook, touched=most)
+    seen = dataclasses.replace(belief, touched=most)
     answer = decider.answer(question(seen, coverage=0.8)).decision
     assert (answer.kind, answer.reachable) == ("done", 1.0)
     assert answer.coverage > 0.8
     assert decider.answer(question(dataclasses.replace(seen, claimed=False), coverage=0.8)).decision.kind != "done"
-    late = decider.answer(question(outlook, t=75.0, time_limit_s=60)).decision
+    late = decider.answer(question(belief, t=75.0, time_limit_s=60)).decision
     assert (late.kind, late.reason) == ("done", "the time limit of 60 s is over")
 
 
-def test_what_was_felt_since_the_answer_counts_too(outlook):
+def test_what_was_felt_since_the_answer_counts_too(belief):
     decider = BodyDecider(RIG)
-    bare = decider.answer(question(outlook, choose=False)).decision.coverage
-    felt = dataclasses.replace(outlook, since=np.tile(np.eye(3), (5, 1, 1)))
+    bare = decider.answer(question(belief, choose=False)).decision.coverage
+    felt = dataclasses.replace(belief, since=np.tile(np.eye(3), (5, 1, 1)))
     share = decider.answer(question(felt, choose=False)).decision.coverage
     assert bare == 0.0
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
 
 
-def test_what_was_felt_while_it_was_claimed_counts_on(outlook):
-    felt = dataclasses.replace(outlook, since=np.tile(np.eye(3), (5, 1, 1)))
+def test_what_was_felt_while_it_was_claimed_counts_on(belief):
+    felt = dataclasses.replace(belief, since=np.tile(np.eye(3), (5, 1, 1)))
 
     def shares(*outlooks):
         decider = BodyDecider(RIG)
         return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks]
 
-    share, on, elsewhere = shares(felt, outlook, dataclasses.replace(outlook, begun=3.0, frame=2))
+    share, on, elsewhere = shares(felt, belief, dataclasses.replace(belief, begun=3.0, frame=2))
     assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
-    assert shares(dataclasses.replace(felt, claimed=False), outlook) == [share, 0.0]
+    assert shares(dataclasses.replace(felt, claimed=False), belief) == [share, 0.0]
 
 
-def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_next_record(outlook):
+def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_next_record(belief):
     one, turn = np.array([0.0, 0.0, 1.0]), exp(np.array([0.0, 1.1, 0.0]))
-    felt = dataclasses.replace(outlook, since=np.tile(one, (1, 3, 1)))
-    again = dataclasses.replace(outlook, begun=3.0, turn=turn)  # what was touched lies there at turn.T @ one
+    felt = dataclasses.replace(belief, since=np.tile(one, (1, 3, 1)))
+    again = dataclasses.replace(belief, begun=3.0, turn=turn)  # what was touched lies there at turn.T @ one
     there = dataclasses.replace(again, since=np.tile(turn.T @ one, (1, 3, 1)))
     elsewhere = dataclasses.replace(again, since=np.tile(one, (1, 3, 1)))
 
@@ -116,12 +116,12 @@ def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_nex
     assert share(felt, again) == pytest.approx(once, rel=0.25)
     assert share(felt, there) < 1.4 * once
     assert share(felt, elsewhere) > 1.7 * once
-    assert share(felt, again, outlook) == pytest.approx(once, rel=0.4)  # and back
+    assert share(felt, again, belief) == pytest.approx(once, rel=0.4)  # and back
 
 
-def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(outlook, monkeypatch):
+def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(belief, monkeypatch):
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *_, **__: None)
-    believed, late = dataclasses.replace(outlook, claimed=False), 10.1 + body_decider.STOOD_S
+    believed, late = dataclasses.replace(belief, claimed=False), 10.1 + body_decider.STOOD_S
     decider = BodyDecider(RIG)
     assert decider.answer(question(believed)).decision.kind == "wait"
     swing = decider.answer(question(believed, t=late)).decision
@@ -134,64 +134,64 @@ def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed
         decider.answer(question(leaving, UnderWay(swing.move, 0.1), t=late)).decision.kind == "unsafe"
     )  # the one before
     claimed = BodyDecider(RIG)
-    assert [claimed.answer(question(outlook, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
+    assert [claimed.answer(question(belief, t=t)).decision.kind for t in (10.0, late)] == ["wait", "wait"]
     decider.answer(question(believed, t=late, run=2))  # a new exploration waits anew
     assert decider.answer(question(believed, t=late + 0.1, run=2)).decision.kind == "wait"
 
 
-def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(outlook, monkeypatch):
+def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(belief, monkeypatch):
     asked = []
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *args, **_: asked.append(args[3]))
     decider = BodyDecider(RIG)
     for mass in (0.02, 10.0, math.nan):
-        decision = decider.answer(question(dataclasses.replace(outlook, mass=mass))).decision
+        decision = decider.answer(question(dataclasses.replace(belief, mass=mass))).decision
         assert (decision.kind, decision.reason) == ("wait", "no safe motion found yet")
     assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
-    decider.answer(question(dataclasses.replace(outlook, claimed=False)))
+    decider.answer(question(dataclasses.replace(belief, claimed=False)))
     assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.FELT_N / 0.08)
 
 
-def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(outlook, monkeypatch):
+def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(belief, monkeypatch):
     asked = []
     monkeypatch.setattr(
         body_decider.BodyExplorer, "decide", lambda *args, most_rad_s, **_: asked.append((most_rad_s, args[4]))
     )
     decider = BodyDecider(RIG)
     for claimed in (False, True, False):
-        decider.answer(question(dataclasses.replace(outlook, claimed=claimed)))
-    decider.answer(question(dataclasses.replace(outlook, claimed=False, begun=3.0)))  # in another frame
+        decider.answer(question(dataclasses.replace(belief, claimed=claimed)))
+    decider.answer(question(dataclasses.replace(belief, claimed=False, begun=3.0)))  # in another frame
     short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
     assert [most for most, _ in asked] == [short, stride, slower, short]
-    assert all(np.abs(drawn.p - outlook.p).max() < 1e-6 for _, drawn in asked)
+    assert all(np.abs(drawn.p - belief.p).max() < 1e-6 for _, drawn in asked)
 
 
-def test_no_move_is_over_before_the_next_can_be_decided(outlook, monkeypatch):
+def test_no_move_is_over_before_the_next_can_be_decided(belief, monkeypatch):
     made, grown = [], body_explorer.BodyExplorer._grown
     monkeypatch.setattr(body_explorer.BodyExplorer, "_grown", lambda *args: made.extend(grown(*args)) or made[-48:])
-    assert BodyDecider(RIG).answer(question(outlook)).decision.move.duration >= body_decider.SHORTEST_S
+    assert BodyDecider(RIG).answer(question(belief)).decision.move.duration >= body_decider.SHORTEST_S
     assert min(move.duration for each in made for move in each.moves) == body_decider.SHORTEST_S
 
 
-def test_another_frame_of_the_body_begins_anew(outlook, monkeypatch):
+def test_another_frame_of_the_body_begins_anew(belief, monkeypatch):
     made = []
     explorer = body_decider.BodyExplorer
     monkeypatch.setattr(body_decider, "BodyExplorer", lambda *a: made.append(a) or explorer(*a))
     decider = BodyDecider(RIG)
     for each in (
-        outlook,
-        outlook,
-        dataclasses.replace(outlook, begun=3.0),
-        dataclasses.replace(outlook, object_count=2),
+        belief,
+        belief,
+        dataclasses.replace(belief, begun=3.0),
+        dataclasses.replace(belief, object_count=2),
     ):
         decider.answer(question(each, choose=False))
     assert len(made) == 3
 
 
-def test_what_was_never_felt_is_foreseen_as_convex(outlook):
-    decider, hollow, n = BodyDecider(RIG), outlook.p.copy(), count(ORDER)
+def test_what_was_never_felt_is_foreseen_as_convex(belief):
+    decider, hollow, n = BodyDecider(RIG), belief.p.copy(), count(ORDER)
     hollow[count(8) : n] += 3e-5 * np.random.default_rng(0).normal(size=n - count(8))
-    wide = outlook.covariance.copy()
+    wide = belief.covariance.copy()
     wide[6 : 6 + n, 6 : 6 + n] += 1e-7 * np.eye(n)
     assert least_radii(hollow[:n])[0].min() < 0.0
-    decider.answer(question(dataclasses.replace(outlook, p=hollow, covariance=wide), choose=False))
+    decider.answer(question(dataclasses.replace(belief, p=hollow, covariance=wide), choose=False))
     assert least_radii(decider._foresight.known[:n])[0].min() > 0.0

@@ -30,7 +30,7 @@ from palmd.daemon.exploring import (
 )
 from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
-from palmd.events import Outlook, PalmMotion
+from palmd.events import PalmMotion, PlanningBelief
 from palmd.motion.check import motion_limits
 from palmd.motion.decisions import Decision, UnderWay
 from palmd.motion.plan import compile_plan
@@ -75,7 +75,7 @@ class Scripted:
         self.questions.append(question)
         decision = self.decide(question)
         if decision is not None:
-            seen = None if question.outlook is None else question.outlook.object_count
+            seen = None if question.belief is None else question.belief.object_count
             self.answers.append(
                 ExplorationAnswer(question.t, question.task.run, question.under_way.move, seen, decision)
             )
@@ -116,8 +116,8 @@ class Stage:
     def t(self) -> float:
         return self.steps * STEP_S
 
-    def look(self) -> Outlook:
-        return Outlook(self.t, np.zeros((1, 21)), np.zeros(72, dtype=bool), np.zeros(72), self.object_count)
+    def look(self) -> PlanningBelief:
+        return PlanningBelief(self.t, np.zeros((1, 21)), np.zeros(72, dtype=bool), np.zeros(72), self.object_count)
 
     def go(self, seconds: float) -> Iterator[PalmMotion]:
         """Live on; gives the commanded motion of each cycle."""
@@ -177,7 +177,7 @@ def test_it_asks_on_a_grid_and_about_the_last_move_only() -> None:
     for question in stage.source.questions:
         move = question.under_way.move
         assert question.under_way.elapsed >= 0.0
-        assert question.outlook is not None
+        assert question.belief is not None
         assert move.end == move.start or question.under_way.elapsed < move.duration - LEAD_S + 0.02
 
 
@@ -224,7 +224,7 @@ def test_short_moves_wait_for_one_decision_each_and_for_nothing_else() -> None:
             step = WAY if start[0] < HERE.angles[0] + 0.5 * WAY else -WAY
             move = Move(start, (start[0] + step, start[1]), 0.2)
             decision = Decision("move", move) if question.choose else Decision("safe")
-            seen = None if question.outlook is None else question.outlook.object_count
+            seen = None if question.belief is None else question.belief.object_count
             return ExplorationAnswer(question.t, question.task.run, question.under_way.move, seen, decision)
 
     stage = Stage()
@@ -434,7 +434,7 @@ def test_a_blind_start_rocks_the_object_gently_until_there_is_an_estimate() -> N
     stage = Stage()
     decider = Decider(rig_description(CONFIG))
     stage.source.decide = lambda question: (
-        onwards(question) if question.outlook is not None else decider.answer(question).decision
+        onwards(question) if question.belief is not None else decider.answer(question).decision
     )
     stage.valid = False
     assert stands(stage, BLIND_S)
@@ -477,18 +477,18 @@ def test_a_hold_drops_the_move_and_start_goes_on_from_there() -> None:
 
 
 def asked(
-    stage: Stage, outlook: Outlook | None, sticking: tuple[float, ...] | None, *, choose: bool = True
+    stage: Stage, belief: PlanningBelief | None, sticking: tuple[float, ...] | None, *, choose: bool = True
 ) -> Question:
     move = Move(HERE.angles, HERE.angles, 0.0)
     task = ExplorationTask(1, stage.spec.segments[-1].explore, LIMITS)  # type: ignore[union-attr]
-    return Question(5.0, task, outlook, UnderWay(move, 9.0), choose, sticking)
+    return Question(5.0, task, belief, UnderWay(move, 9.0), choose, sticking)
 
 
 def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
     guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
-    for outlook in (None, guessed):
-        answer = decider.answer(asked(stage, outlook, (0.02, 0.02)))
+    for belief in (None, guessed):
+        answer = decider.answer(asked(stage, belief, (0.02, 0.02)))
         assert answer.decision.blind
         assert "sticks" in answer.decision.reason
         assert answer.decision.move is not None
@@ -506,8 +506,8 @@ def test_what_sticks_is_made_to_slip_unless_a_smoother_vouches_for_what_is_known
 def test_what_has_a_corner_is_tipped_whatever_is_believed_of_it_later() -> None:
     stage, decider = Stage(), Decider(rig_description(CONFIG))
     guessed = replace(stage.look(), rig=np.zeros(len(RIG_NAMES)))
-    for outlook, cornered in ((guessed, True), (None, False), (guessed, False)):
-        question = replace(asked(stage, outlook, (0.02, 0.02)), cornered=cornered)
+    for belief, cornered in ((guessed, True), (None, False), (guessed, False)):
+        question = replace(asked(stage, belief, (0.02, 0.02)), cornered=cornered)
         decision = decider.answer(question).decision
         assert decision.blind
         assert "corners" in decision.reason

@@ -15,7 +15,7 @@ from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
 from palmd.motion import body_explorer
 from palmd.motion.body_explorer import BODIES, DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
-from palmd.motion.body_foresight import COLUMNS, Bearings, BodyForesight
+from palmd.motion.body_prediction import COLUMNS, Bearings, BodyPredictor
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
 from palmd.observer.three_palms import kernels
@@ -68,7 +68,7 @@ def test_what_is_foreseen_is_what_the_observers_equations_lead_to():
     p = stand()[1]
     ends = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75], *np.tile(REST_POSE, (COLUMNS - 2, 1))])
     durations = np.array([0.3, 0.24, *np.full(COLUMNS - 2, 0.2)])
-    foreseen = BodyForesight(p, RIG).of(bearings(COLUMNS, SPIN), ends, durations)
+    foreseen = BodyPredictor(p, RIG).of(bearings(COLUMNS, SPIN), ends, durations)
     for k in range(2):
         move = Move(tuple(REST_POSE.tolist()), tuple(ends[k].tolist()), float(durations[k]))
         R, omega, normals = integrated(move, stand()[0].bearings[0][0], np.array(SPIN), p)
@@ -81,7 +81,7 @@ def test_what_is_foreseen_is_what_the_observers_equations_lead_to():
 
 
 def test_what_is_foreseen_of_a_move_does_not_depend_on_the_others_beside_it():
-    foresight, random = BodyForesight(stand()[1], RIG), np.random.default_rng(0)
+    foresight, random = BodyPredictor(stand()[1], RIG), np.random.default_rng(0)
     ends = REST_POSE + random.uniform(-0.1, 0.1, (COLUMNS, 3))
     durations = random.uniform(0.05, 0.6, COLUMNS)
     p = stand()[1] * random.uniform(0.98, 1.02, (COLUMNS, 1))
@@ -97,7 +97,7 @@ def test_what_is_foreseen_of_a_move_does_not_depend_on_the_others_beside_it():
 
 
 def test_a_body_at_rest_stays_and_its_palms_bear_its_weight():
-    foreseen = BodyForesight(stand()[1], RIG).of(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
+    foreseen = BodyPredictor(stand()[1], RIG).of(bearings(3), np.tile(REST_POSE, (3, 1)), np.full(3, 0.4))
     share = GRAVITY * weight_shares(REST_POSE[None])[0]
     assert foreseen.least_force == pytest.approx(np.full(3, share.min()), rel=0.05)
     assert (foreseen.spin < 0.3).all()  # what harmonics do not hold of the body lets it settle a little
@@ -110,7 +110,7 @@ def test_shares_of_the_weight_are_those_of_statics():
 
 
 def explorer(limits=LIMITS, seed=0):
-    return BodyExplorer(BodyForesight(stand()[1], RIG), limits, icosphere(2)[0], seed)
+    return BodyExplorer(BodyPredictor(stand()[1], RIG), limits, icosphere(2)[0], seed)
 
 
 def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
@@ -291,7 +291,7 @@ def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
 
 
 def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
-    foresight, rest = BodyForesight(stand()[1], RIG), REST_POSE[None]
+    foresight, rest = BodyPredictor(stand()[1], RIG), REST_POSE[None]
     end, duration = np.array([[1.05, 0.7, 0.9]]), np.array([0.3])
     first = foresight.of(bearings(1, SPIN), end, duration)
     standing = foresight.of(first.after, end, np.array([0.1]))
@@ -306,7 +306,7 @@ def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
     there = BodyStand(SEED, GRAVITY)
     directions = icosphere(3)[0]
-    foresight = BodyForesight(known_parameters(there.plant.body, there.plant.rubbing), ThreePalmsRig())
+    foresight = BodyPredictor(known_parameters(there.plant.body, there.plant.rubbing), ThreePalmsRig())
     explorer = BodyExplorer(foresight, LIMITS, directions, SEED)
     pose, t, touched = tuple(REST_POSE.tolist()), 0.0, np.zeros(len(directions), np.bool_)
     while t < 4.0:

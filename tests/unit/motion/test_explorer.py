@@ -10,7 +10,7 @@ import pytest
 
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import LimitsConfig
-from palmd.events import Outlook, PalmMotion
+from palmd.events import PalmMotion, PlanningBelief
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
@@ -49,8 +49,8 @@ def lying(seed=2, mu=0.15):
     return states
 
 
-def outlook(t=0.0, touched=NOTHING, h_sd=SHARP, states=None, count=1):
-    return Outlook(t, lying() if states is None else states, touched, h_sd, count)
+def planning_belief(t=0.0, touched=NOTHING, h_sd=SHARP, states=None, count=1):
+    return PlanningBelief(t, lying() if states is None else states, touched, h_sd, count)
 
 
 def explorer(seed=0, **goal):
@@ -61,7 +61,7 @@ def test_the_same_seed_decides_the_same():
     def moves(seed):
         mine, under_way, found = explorer(seed), STANDING, []
         for number in range(2):
-            decision = mine.decide(outlook(0.5 * number), under_way)
+            decision = mine.decide(planning_belief(0.5 * number), under_way)
             found.append(decision.move)
             under_way = UnderWay(decision.move, decision.move.duration)
         return found
@@ -73,7 +73,7 @@ def test_the_same_seed_decides_the_same():
 def test_moves_begin_where_the_one_under_way_ends_and_keep_every_limit():
     mine, under_way, states = explorer(), STANDING, lying()
     for number in range(4):
-        decision = mine.decide(outlook(0.5 * number, states=states), under_way)
+        decision = mine.decide(planning_belief(0.5 * number, states=states), under_way)
         if decision.kind != "move":
             assert decision.reason
             continue
@@ -94,7 +94,7 @@ def test_what_it_does_shows_new_normals_on_the_plant():
     mine, under_way, touched, t = explorer(), STANDING, NOTHING.copy(), 0.0
     for _ in range(6):
         states[:, :2] = plant.state.psi, plant.state.omega0
-        decision = mine.decide(outlook(t, touched.copy(), states=states), under_way)
+        decision = mine.decide(planning_belief(t, touched.copy(), states=states), under_way)
         if decision.kind == "done":
             break
         assert decision.kind == "move"
@@ -112,25 +112,25 @@ def test_what_it_does_shows_new_normals_on_the_plant():
 
 def test_asked_for_no_choice_it_only_judges_the_move_under_way():
     sliding = UnderWay(Move(POSE, (math.radians(8.0), math.radians(36.0)), 0.3), 0.0)
-    assert explorer().decide(outlook(), STANDING, choose=False).kind == "safe"
-    assert explorer().decide(outlook(), sliding, choose=False).kind == "unsafe"
+    assert explorer().decide(planning_belief(), STANDING, choose=False).kind == "safe"
+    assert explorer().decide(planning_belief(), sliding, choose=False).kind == "unsafe"
 
 
 def test_it_is_done_when_enough_is_touched_and_reports_the_reach():
     enough = NOTHING.copy()
     enough[:70] = True  # 97 %
-    decision = explorer().decide(outlook(touched=enough), STANDING)
+    decision = explorer().decide(planning_belief(touched=enough), STANDING)
     assert decision.kind == "done"
     assert decision.coverage == pytest.approx(70 / 72, abs=0.03)
     assert 0.9 <= decision.reachable <= 1.0
     assert "touched" in decision.reason
-    assert explorer(coverage=1.0).decide(outlook(touched=enough), STANDING).kind != "done"
+    assert explorer(coverage=1.0).decide(planning_belief(touched=enough), STANDING).kind != "done"
 
 
 def test_it_is_not_done_before_a_smoother_vouches_for_what_is_touched():
     """A bank that has strayed says so as well: then what was touched is gone once the smoother has found the object."""
     everything = np.ones(BINS, dtype=np.bool_)
-    strayed = replace(outlook(touched=everything), rig=np.zeros(RIG_CONSTANTS))
+    strayed = replace(planning_belief(touched=everything), rig=np.zeros(RIG_CONSTANTS))
     mine = explorer()
     decision = mine.decide(strayed, STANDING)
     assert decision.kind == "move"
@@ -144,17 +144,17 @@ def test_a_band_that_was_asked_for_must_be_reached_too():
     everything = np.ones(BINS, dtype=np.bool_)
     blunt = SHARP.copy()
     blunt[20] = 1e-4
-    assert explorer(band_mm=0.05).decide(outlook(touched=everything, h_sd=blunt), STANDING).kind != "done"
-    assert explorer(band_mm=0.05).decide(outlook(touched=everything), STANDING).kind == "done"
-    assert explorer().decide(outlook(touched=everything, h_sd=blunt), STANDING).kind == "done"
+    assert explorer(band_mm=0.05).decide(planning_belief(touched=everything, h_sd=blunt), STANDING).kind != "done"
+    assert explorer(band_mm=0.05).decide(planning_belief(touched=everything), STANDING).kind == "done"
+    assert explorer().decide(planning_belief(touched=everything, h_sd=blunt), STANDING).kind == "done"
 
 
 def test_it_ends_at_the_time_limit_and_names_what_is_missing():
     mine = explorer(time_limit_s=10.0)
     gap = np.ones(BINS, dtype=np.bool_)
     gap[10:20] = False
-    assert mine.decide(outlook(0.0, gap), STANDING).kind != "done"
-    decision = mine.decide(outlook(10.5, gap), STANDING)
+    assert mine.decide(planning_belief(0.0, gap), STANDING).kind != "done"
+    decision = mine.decide(planning_belief(10.5, gap), STANDING)
     assert decision.kind == "done"
     assert "time limit of 10 s" in decision.reason
     assert "50–100°" in decision.reason
@@ -164,10 +164,10 @@ def test_it_gives_up_when_nothing_new_has_come_for_long():
     mine = explorer(time_limit_s=600.0)
     gap = np.ones(BINS, dtype=np.bool_)
     gap[-5:] = gap[:5] = False
-    assert mine.decide(outlook(0.0, gap), STANDING).kind != "done"
+    assert mine.decide(planning_belief(0.0, gap), STANDING).kind != "done"
     gap[4] = True
-    assert mine.decide(outlook(STUCK_S, gap), STANDING).kind != "done"
-    decision = mine.decide(outlook(2 * STUCK_S + 1.0, gap), STANDING)
+    assert mine.decide(planning_belief(STUCK_S, gap), STANDING).kind != "done"
+    decision = mine.decide(planning_belief(2 * STUCK_S + 1.0, gap), STANDING)
     assert decision.kind == "done"
     assert "nothing new" in decision.reason
     assert "335–20°" in decision.reason
@@ -177,22 +177,22 @@ def test_it_goes_on_while_nothing_is_known_yet():
     """What it would take to know is motion: palms that stand because nothing was found would never find anything."""
     mine = explorer(time_limit_s=600.0)
     for t in (0.0, STUCK_S + 1.0, 3 * STUCK_S):
-        assert mine.decide(outlook(t), STANDING).kind != "done"
+        assert mine.decide(planning_belief(t), STANDING).kind != "done"
     some = NOTHING.copy()
     some[3] = True
-    assert mine.decide(outlook(4 * STUCK_S, some), STANDING).kind != "done"
-    assert mine.decide(outlook(5 * STUCK_S + 1.0, some), STANDING).kind == "done"
+    assert mine.decide(planning_belief(4 * STUCK_S, some), STANDING).kind != "done"
+    assert mine.decide(planning_belief(5 * STUCK_S + 1.0, some), STANDING).kind == "done"
 
 
 def test_what_a_roadmap_has_learnt_counts_while_nothing_is_touched_yet():
     mine = explorer()
-    mine.decide(outlook(0.0), STANDING)
+    mine.decide(planning_belief(0.0), STANDING)
     mine._roadmap = Mock(complete=False)
-    mine.decide(outlook(1.0), STANDING)
+    mine.decide(planning_belief(1.0), STANDING)
     mine._roadmap.forget.assert_not_called()
     some = NOTHING.copy()
     some[3] = True
-    mine.decide(outlook(2.0, some), STANDING)
+    mine.decide(planning_belief(2.0, some), STANDING)
     mine._roadmap.forget.assert_called_once()
 
 
@@ -209,11 +209,11 @@ def test_the_inmost_of_what_is_wanted_lies_as_deep_as_it_is_far_from_the_rest():
 
 def test_a_move_that_throws_the_object_off_is_unsafe():
     hasty = UnderWay(Move(POSE, (POSE[0], math.radians(150.0)), 0.12), 0.02)
-    decision = explorer().decide(outlook(), hasty)
+    decision = explorer().decide(planning_belief(), hasty)
     assert decision.kind == "unsafe"
     assert "contact" in decision.reason
     gentle = UnderWay(Move(POSE, (POSE[0], math.radians(100.0)), 1.2), 0.02)
-    assert explorer().decide(outlook(), gentle).kind == "move"
+    assert explorer().decide(planning_belief(), gentle).kind == "move"
 
 
 def test_arcs_do_not_close_upon_a_first_estimate_of_the_friction():
@@ -228,7 +228,7 @@ def test_arcs_do_not_close_upon_a_first_estimate_of_the_friction():
     states[:, shape_map.Z.SHAPE + 1 :] = 0.0
     states[:, shape_map.Z.SHAPE + 3] = 2e-4  # nearly a circle, which would rest anywhere
     closing = UnderWay(Move(wide, closed, 1.6), 0.02)
-    first = replace(outlook(states=states), rig=np.zeros(RIG_CONSTANTS))
+    first = replace(planning_belief(states=states), rig=np.zeros(RIG_CONSTANTS))
     vouched = replace(first, rig_spread=np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS)))
 
     def judged(known, on=rig, within=limits):
@@ -245,7 +245,10 @@ def test_what_is_safe_with_the_likeliest_state_only_is_not_done():
     """One sample, so large that it leaves the pads, is enough to refuse the move that would be made otherwise."""
     states = lying().copy()
     states[3, shape_map.Z.SHAPE] *= 3.5
-    doubtful, sure = explorer().decide(outlook(states=states), STANDING), explorer().decide(outlook(), STANDING)
+    doubtful, sure = (
+        explorer().decide(planning_belief(states=states), STANDING),
+        explorer().decide(planning_belief(), STANDING),
+    )
     assert sure.kind == "move"
     assert doubtful.move != sure.move
 
@@ -261,7 +264,7 @@ def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
     mine = Explorer(RigDescription(), limits, ExploreGoal(coverage=0.95, time_limit_s=60.0))
     here = (math.radians(phi1_deg[0] + 0.25), math.radians(phi2_deg[0] + 1.0))
     for number in range(4):
-        decision = mine.decide(outlook(0.5 * number), UnderWay(Move(here, here, 0.1), 0.1))
+        decision = mine.decide(planning_belief(0.5 * number), UnderWay(Move(here, here, 0.1), 0.1))
         assert decision.kind in ("move", "wait")
         if decision.move is not None:
             motion = [limits.values(decision.move.at(t)) for t in np.linspace(0.0, decision.move.duration, 50)]
@@ -269,11 +272,11 @@ def test_limits_that_leave_next_to_no_room_are_kept_too(phi1_deg, phi2_deg):
 
 
 def open_rig(constant, off):
-    """Outlook with all touched, and one constant of the rig that is known to `off` alone, and with it the radius."""
+    """All is touched, and one constant of the rig is known to `off` alone, and with it the radius."""
     spread = np.zeros((2 * ORDER + 1 + RIG_CONSTANTS, RIG_CONSTANTS))
     spread[0, 0], spread[2 * ORDER + 1 + constant, 0] = 5e-5, off
     everything = np.ones(BINS, dtype=np.bool_)
-    return replace(outlook(touched=everything), rig=np.zeros(RIG_CONSTANTS), rig_spread=spread)
+    return replace(planning_belief(touched=everything), rig=np.zeros(RIG_CONSTANTS), rig_spread=spread)
 
 
 def test_with_all_touched_it_goes_on_for_what_touch_tells_of_the_rig():
@@ -317,17 +320,17 @@ def test_what_its_moves_will_tell_counts_until_a_smoother_has_answered():
 FORCE_LIMIT_N = 5.0
 
 
-def pressing(outlook, decision):
+def pressing(belief, decision):
     """The most that a pad is foreseen to feel on the way (N), of the object as it is believed to be."""
     move = decision.move
     moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))
-    predicted = RolloutPredictor(rig_inputs(RigDescription())).of(outlook.states[0], moves)
-    return outlook.mass * float(np.nanmax(predicted.path[..., MEAN_FORCES]))
+    predicted = RolloutPredictor(rig_inputs(RigDescription())).of(belief.states[0], moves)
+    return belief.mass * float(np.nanmax(predicted.path[..., MEAN_FORCES]))
 
 
 def test_no_pad_is_pressed_harder_than_it_may_be():
     """Closing palms press an object with more than its weight, which a heavy one may not be."""
-    heavy = replace(outlook(), mass=0.3, mass_sd=0.003)
+    heavy = replace(planning_belief(), mass=0.3, mass_sd=0.003)
     limited = replace(LIMITS, pad_forces=(FORCE_LIMIT_N,) * 2)
     closing = UnderWay(Move(POSE, (math.radians(60.0), math.radians(50.0)), 4.0), 0.02)
 
@@ -354,7 +357,7 @@ def hopping(mu):
     mine, under_way, states, found = explorer(), STANDING, lying(mu=mu), 0
     predictor = RolloutPredictor(rig_inputs(RigDescription()))
     for number in range(8):
-        decision = mine.decide(outlook(0.5 * number, states=states), under_way)
+        decision = mine.decide(planning_belief(0.5 * number, states=states), under_way)
         if decision.kind == "move":
             move = decision.move
             moves = Moves(np.array(move.start), np.array([[move.end]]), np.array([[move.duration]]))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.events import FloatArray, Outlook
+from palmd.events import FloatArray, PlanningBelief
 from palmd.model import shape_map
 from palmd.model.rollout import THETA, TOLD
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
@@ -21,7 +21,7 @@ EVERYWHERE = np.ones(BINS, dtype=np.bool_)
 OUTLINE = 2 * ORDER + 1
 
 
-def circle(*steps: dict[int, float], radius_m: float = 0.0) -> Outlook:
+def circle(*steps: dict[int, float], radius_m: float = 0.0) -> PlanningBelief:
     """A circle known but for independent `steps` of the rig's constants; the first also moves its radius."""
     states = np.zeros((1, shape_map.N))
     states[0, shape_map.Z.SHAPE] = RADIUS_M
@@ -31,7 +31,7 @@ def circle(*steps: dict[int, float], radius_m: float = 0.0) -> Outlook:
         for constant, value in step.items():
             spread[OUTLINE + constant, column] = value
     nothing = np.zeros(RIG_CONSTANTS)
-    return Outlook(0.0, states, EVERYWHERE, np.full(BINS, 1e-6), 1, nothing, spread)
+    return PlanningBelief(0.0, states, EVERYWHERE, np.full(BINS, 1e-6), 1, nothing, spread)
 
 
 def standing(opening: float, seconds: float) -> tuple[FloatArray, FloatArray]:
@@ -45,12 +45,12 @@ def standing(opening: float, seconds: float) -> tuple[FloatArray, FloatArray]:
 def test_an_opening_that_is_off_is_told_as_a_circle_tells_it(opening_deg: float) -> None:
     """Both palms read s = r cot(φ2/2), and r is believed larger by so much for each radian that φ2 is off."""
     off, opening = 2e-3, math.radians(opening_deg)
-    outlook = circle({R.TURN: off}, radius_m=off * RADIUS_M)
-    cost = rig_cost(outlook, EVERYWHERE)
+    belief = circle({R.TURN: off}, radius_m=off * RADIUS_M)
+    cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
     assert cost.sd == pytest.approx(off * RADIUS_M)
     rig = RigDescription()
-    told = RigInformation(rig).of(outlook, cost, *standing(opening, 0.4))
+    told = RigInformation(rig).of(belief, cost, *standing(opening, 0.4))
     moved = off * RADIUS_M * (1.0 / math.tan(opening / 2) - 0.5 / math.sin(opening / 2) ** 2)
     expected = 2 * 0.4 / READING_S * moved**2 / rig.pads[0].reading_variance
     assert np.trace(told[0, 0]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
@@ -74,29 +74,29 @@ def test_what_no_touch_tells_costs_nothing() -> None:
 
 def test_orientation_is_no_way_to_tell_it() -> None:
     """What a turn of the object explains as well is no information: φ1's error, which turns all normals."""
-    outlook = circle({R.TILT: 2e-3}, radius_m=1e-5)
-    outlook.states[0, shape_map.Z.SHAPE + 3] = 1e-3
-    outlook.rig_spread[0, 0] = 0.0
-    outlook.rig_spread[5, 0] = 1e-9
-    cost = rig_cost(outlook, EVERYWHERE)
+    belief = circle({R.TILT: 2e-3}, radius_m=1e-5)
+    belief.states[0, shape_map.Z.SHAPE + 3] = 1e-3
+    belief.rig_spread[0, 0] = 0.0
+    belief.rig_spread[5, 0] = 1e-9
+    cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
-    free = RigInformation(RigDescription()).of(outlook, cost, *standing(1.2, 0.4))
+    free = RigInformation(RigDescription()).of(belief, cost, *standing(1.2, 0.4))
     assert np.trace(free[0, 0]) < 1e-3  # 40 readings of each pad that it moves by some tenths of a sigma
 
 
 def test_each_move_adds_to_those_before() -> None:
-    outlook = circle({R.TURN: 2e-3}, {R.ZERO: 1e-4})
-    cost = rig_cost(outlook, EVERYWHERE)
+    belief = circle({R.TURN: 2e-3}, {R.ZERO: 1e-4})
+    cost = rig_cost(belief, EVERYWHERE)
     assert cost is not None
     information = RigInformation(RigDescription())
     path, _ = standing(1.2, 0.8)
-    split = information.of(outlook, cost, path, np.array([[0.4, 0.4]]))
+    split = information.of(belief, cost, path, np.array([[0.4, 0.4]]))
     assert np.allclose(split[0, 1], 2 * split[0, 0])
     path[:, 10:] = np.nan  # not looked at
-    cut = information.of(outlook, cost, path, np.array([[0.4, 0.4]]))
+    cut = information.of(belief, cost, path, np.array([[0.4, 0.4]]))
     assert np.allclose(cut[0, 0], cut[0, 1])
 
 
 def test_of_a_rig_that_nothing_is_known_of_there_is_no_cost() -> None:
-    outlook = circle()
-    assert rig_cost(Outlook(0.0, outlook.states, EVERYWHERE, outlook.h_sd, 1), EVERYWHERE) is None
+    belief = circle()
+    assert rig_cost(PlanningBelief(0.0, belief.states, EVERYWHERE, belief.h_sd, 1), EVERYWHERE) is None

@@ -8,7 +8,7 @@ import pytest
 
 from palmd.config.plans import ExploreGoal
 from palmd.config.two_palms import LimitsConfig
-from palmd.events import Outlook
+from palmd.events import PlanningBelief
 from palmd.model import shape, shape_map
 from palmd.model.outputs import rig_inputs
 from palmd.motion import candidates
@@ -229,8 +229,8 @@ def exploring(seed):
     while True:
         states = np.tile(now, (4, 1))
         states[1:, shape_map.Z.MU] += (0.01, -0.01, 0.02)
-        outlook = Outlook(t, states, touched, np.full(BINS, 1e-5), 1)
-        decision = explorer.decide(outlook, UnderWay(move, move.duration))
+        belief = PlanningBelief(t, states, touched, np.full(BINS, 1e-5), 1)
+        decision = explorer.decide(belief, UnderWay(move, move.duration))
         if decision.kind == "done":
             return t
         if decision.kind != "move":

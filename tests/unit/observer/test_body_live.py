@@ -16,17 +16,17 @@ from palmd.model.icosphere import icosphere
 from palmd.model.rotation import exp, quaternion
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
-from palmd.observer.three_palms import beliefs, growing, growth, live, reconstruct
+from palmd.observer.three_palms import beliefs, incremental, live, propagation, reconstruct
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import FINER_LIVE, ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.equations import BodyMotion
-from palmd.observer.three_palms.felt_outline import felt_outline, near
-from palmd.observer.three_palms.growing import GrowingBody
-from palmd.observer.three_palms.growth import Grown, advanced, raced
+from palmd.observer.three_palms.incremental import IncrementalBodySmoother
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
+from palmd.observer.three_palms.propagation import Grown, advanced, raced
 from palmd.observer.three_palms.smoother import BodySmoother
+from palmd.observer.three_palms.touched_outline import felt_outline, near
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
@@ -264,9 +264,9 @@ class Lived:
         read = readings_of(palms_at(*swung(self.t)), np.stack([points[0], *points]))
         self.events = self._said(read, np.stack([force[0], *force]), rng)
         with pytest.MonkeyPatch.context() as led:
-            led.setattr(growing, "anew", lambda task, record, _: self._right(task, record))
-            led.setattr(growing, "raced", self._followed)
-            smoother = self.smoother = GrowingBody(self.rig)
+            led.setattr(incremental, "anew", lambda task, record, _: self._right(task, record))
+            led.setattr(incremental, "raced", self._followed)
+            smoother = self.smoother = IncrementalBodySmoother(self.rig)
             smoother.add([event for event in self.events if event.t_sample < self.FIRST])
             self.first = smoother.answer()
             smoother.add([event for event in self.events if self.FIRST <= event.t_sample < self.END])
@@ -345,23 +345,23 @@ def test_the_smoother_goes_on_with_what_it_has(lived):
 
 def test_where_all_of_a_record_tells_nothing_it_is_tried_with_more_then_short_starts_then_anew(lived, monkeypatch):
     task, (first, *_) = lived.raced
-    smoother, sought, numbers = GrowingBody(lived.rig), [], 2 * len(first.record.readings.t)
+    smoother, sought, numbers = IncrementalBodySmoother(lived.rig), [], 2 * len(first.record.readings.t)
     dear, strange = (replace(first, cost=share * numbers) for share in (1.4, 1.1))
     told = []
-    monkeypatch.setattr(growing, "anew", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told)
-    monkeypatch.setattr(growing, "rivals", lambda _, seconds: sought.append(seconds) or [])
-    monkeypatch.setattr(growing, "begun_in_ways", lambda _, found, **__: found)
+    monkeypatch.setattr(incremental, "anew", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told)
+    monkeypatch.setattr(incremental, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(incremental, "begun_in_ways", lambda _, found, **__: found)
     monkeypatch.setattr(smoother, "_begin_anew", lambda _: sought.append("anew"))
     assert not smoother._try(task)  # all were given up
     told = [dear]
     assert not any(smoother._try(task) for _ in range(2))
     whole = pytest.approx(task.end - task.start, abs=0.03)
-    assert sought == [whole, whole, growing.START_S, "anew"]
+    assert sought == [whole, whole, incremental.START_S, "anew"]
     told = [strange]
     assert not smoother._try(task)  # some more may lead elsewhere
     assert smoother._try(task)
     assert smoother._running == [strange]
-    monkeypatch.setattr(growing, "rivals", lambda *_: [first, dear, replace(first, cost=math.inf)])
+    monkeypatch.setattr(incremental, "rivals", lambda *_: [first, dear, replace(first, cost=math.inf)])
     assert smoother._try(task)  # of so short a record more is followed
     assert smoother._running == [first, dear]
 
@@ -369,9 +369,9 @@ def test_where_all_of_a_record_tells_nothing_it_is_tried_with_more_then_short_st
 def test_what_two_starts_of_all_of_a_record_have_met_in_is_found_twice_at_once(lived, monkeypatch):
     task, (first, *_) = lived.raced
     met = replace(first, confirmed=first.intervals)
-    monkeypatch.setattr(growing, "anew", lambda *_: [replace(first, confirmed=0)])
-    monkeypatch.setattr(growing, "found_again", lambda *_: [met, replace(first, confirmed=0)])
-    smoother = GrowingBody(lived.rig)
+    monkeypatch.setattr(incremental, "anew", lambda *_: [replace(first, confirmed=0)])
+    monkeypatch.setattr(incremental, "found_again", lambda *_: [met, replace(first, confirmed=0)])
+    smoother = IncrementalBodySmoother(lived.rig)
     assert smoother._try(task)
     assert [each.found_twice for each in smoother._running] == [True, False]
 
@@ -478,10 +478,10 @@ def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
 def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
     assert not observer.foresees
-    assert observer.outlook(lived.END - 0.2) is None
+    assert observer.planning_belief(lived.END - 0.2) is None
     lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
     assert observer.foresees
-    told = observer.outlook(lived.END + 0.4)
+    told = observer.planning_belief(lived.END + 0.4)
     R = lived.truth(told.t)[6:15].reshape(3, 3)
     assert (told.claimed, told.begun) == (True, lived.answer.begun)
     assert np.abs(told.R - R @ lived.gauge).max() < 0.02
@@ -493,10 +493,10 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
     observer._filter._body[12] = 1.1 * live.NIS_MOST  # what was claimed is contradicted a little
     assert observer.foresees
-    assert not observer.outlook(lived.END + 0.4).claimed
+    assert not observer.planning_belief(lived.END + 0.4).claimed
     stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
     said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
-    assert (said.valid, observer.foresees, observer.outlook(lived.END + 0.45).claimed) == (False, True, False)
+    assert (said.valid, observer.foresees, observer.planning_belief(lived.END + 0.45).claimed) == (False, True, False)
     stub.next = replace(lived.answer, hypotheses=0, claimed=False)
     go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
     assert not observer.foresees
@@ -518,23 +518,23 @@ def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_t
     for foretells in (True, False):
         observer = BodyObserver(lived.rig, stub := Stub())
         lived.told(observer, stub, at, lived.END + 0.05)
-        first = observer.outlook(at)
+        first = observer.planning_belief(at)
         stub.next = lost
         said = go_on(lived, observer, at, at + 0.05)
-        assert (said.valid, said.reason, observer.outlook(at + 0.05)) == (False, lost.reason, None)
+        assert (said.valid, said.reason, observer.planning_belief(at + 0.05)) == (False, lost.reason, None)
         if not foretells:
             observer._before._body[12] = 1.1 * live.NIS_FORESEEN
         stub.next = turned(lived.answer, G, lived.answer.begun + 1.0)
         go_on(lived, observer, at + 0.05, at + 0.06)
-        assert observer.outlook(at + 0.06) is None  # not of one record by the filter of another
+        assert observer.planning_belief(at + 0.06) is None  # not of one record by the filter of another
         ticked(lived, observer, at + 0.06, at + 0.16)
-        told = observer.outlook(at + 0.16)
+        told = observer.planning_belief(at + 0.16)
         assert told.begun > first.begun
         assert told.frame - first.frame == (0 if foretells else 1)
         assert np.abs(told.turn - (G if foretells else np.eye(3))).max() < 5e-3
     stub.next = turned(lived.answer, np.eye(3), lived.answer.begun + 2.0)  # one follows the other at once
     ticked(lived, observer, at + 0.16, at + 0.3)
-    again = observer.outlook(at + 0.3)
+    again = observer.planning_belief(at + 0.3)
     assert (again.frame, again.begun) == (told.frame, lived.answer.begun + 2.0)
     assert np.abs(again.turn - G.T).max() < 5e-3
 
@@ -580,13 +580,13 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
     smoother = lived.smoother
     monkeypatch.setattr(smoother, "_believed", False)
-    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - growing.PROVEN_S + 0.1)
+    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - incremental.PROVEN_S + 0.1)
     assert not smoother._answer(task, costly).claimed
     assert not smoother._believed
     assert smoother._answer(task, ended).claimed  # from now on
     assert smoother._believed
     assert not smoother._answer(task, costly).claimed
-    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - growing.PROVEN_S - 0.1)
+    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
     assert smoother._answer(task, costly).claimed
     worse = [replace(ended[0], cost=1.1 * reconstruct.PROVEN * ended[0].record.numbers)]
     assert smoother._answer(task, worse).reason == "no motion by the equations explains the readings"
@@ -602,16 +602,16 @@ def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
 def test_a_start_of_a_whole_record_that_leads_nowhere_is_given_up(lived, monkeypatch):
     task, _ = lived.raced
     record, (way, *_) = task.record(1.5), beliefs.hypotheses()
-    assert growth.anew(task, record, [way])
-    monkeypatch.setattr(growth, "HOPELESS_WHOLE", 0.1)
-    assert growth.anew(task, record, [way]) == []
+    assert propagation.anew(task, record, [way])
+    monkeypatch.setattr(propagation, "HOPELESS_WHOLE", 0.1)
+    assert propagation.anew(task, record, [way]) == []
 
 
 def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
     def unsmoothed(task, running, **_):
         return [advanced(task, running[0], task.intervals(task.end - task.start))]
 
-    monkeypatch.setattr(growing, "raced", unsmoothed)
+    monkeypatch.setattr(incremental, "raced", unsmoothed)
     lived.smoother.add([event for event in lived.events if event.t_sample >= lived.END])
     answer = lived.smoother.answer()
     assert answer is not None
@@ -624,32 +624,32 @@ def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monk
         return [replace(each, confirmed=twice * each.intervals) for each in raced(task, running)]
 
     asked = []
-    monkeypatch.setattr(growing, "anew", lambda task, record, _: lived._right(task, record))
-    monkeypatch.setattr(growing, "finer", lambda _, now, orders: asked.append((now.found_twice, orders)) or now)
+    monkeypatch.setattr(incremental, "anew", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(incremental, "finer", lambda _, now, orders: asked.append((now.found_twice, orders)) or now)
     for twice in (False, True):
-        smoother = GrowingBody(lived.rig)
+        smoother = IncrementalBodySmoother(lived.rig)
         smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
-        monkeypatch.setattr(growing, "raced", partial(lived_again, twice))
+        monkeypatch.setattr(incremental, "raced", partial(lived_again, twice))
         smoother.answer()
     assert asked == [(True, FINER_LIVE)]
 
 
-@pytest.mark.parametrize("surprise", [2.9, 3.1])
-def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, surprise):
+@pytest.mark.parametrize("innovation_test", [2.9, 3.1])
+def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, innovation_test):
     """Ways on that differ may all be explained, the more so the further harmonics bend."""
     task, (first, *_) = lived.raced
-    smoother = GrowingBody(lived.rig)
-    on = replace(first, windows=(*first.windows, (5, surprise)), confirmed=first.intervals)
+    smoother = IncrementalBodySmoother(lived.rig)
+    on = replace(first, windows=(*first.windows, (5, innovation_test)), confirmed=first.intervals)
     monkeypatch.setattr(smoother, "_task", lambda: task)
     monkeypatch.setattr(smoother, "_running", [replace(first, record=task.whole.first(first.intervals - 5))])
     monkeypatch.setattr(smoother, "_found_again", lambda _, ended: ended)
     monkeypatch.setattr(smoother, "_met_since", -math.inf)
-    monkeypatch.setattr(growth, "TUMBLES_RAD_S", 0.0)
-    monkeypatch.setattr(growing, "raced", lambda *_, **__: [on])
+    monkeypatch.setattr(propagation, "TUMBLES_RAD_S", 0.0)
+    monkeypatch.setattr(incremental, "raced", lambda *_, **__: [on])
     said = smoother.answer()
-    assert smoother._running[0].found_twice is (surprise < 3.0)
-    assert (said.reason == reconstruct.ALONE) is (surprise > 3.0)
-    assert (smoother._met_since == math.inf) is (surprise > 3.0)
+    assert smoother._running[0].found_twice is (innovation_test < 3.0)
+    assert (said.reason == reconstruct.ALONE) is (innovation_test > 3.0)
+    assert (smoother._met_since == math.inf) is (innovation_test > 3.0)
 
 
 def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
@@ -662,14 +662,14 @@ def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is
         return [replace(each, cost=1.2 * each.record.numbers, confirmed=each.intervals) for each in running]
 
     def told(finer):
-        smoother = GrowingBody(lived.rig)
+        smoother = IncrementalBodySmoother(lived.rig)
         smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
-        monkeypatch.setattr(growing, "finer", finer)
+        monkeypatch.setattr(incremental, "finer", finer)
         smoother.answer()
         return smoother._bent / smoother._running[0].record.numbers
 
-    monkeypatch.setattr(growing, "anew", lambda task, record, _: lived._right(task, record))
-    monkeypatch.setattr(growing, "raced", dear)
+    monkeypatch.setattr(incremental, "anew", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(incremental, "raced", dear)
     assert told(lambda _, now, __: now) == 0.0
     assert told(bent) == pytest.approx(0.2)
 
@@ -689,13 +689,13 @@ def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(live
 def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, monkeypatch):
     task, (first, *_) = lived.raced
     asked = []
-    monkeypatch.setattr(growth, "anew", lambda *given: asked.append(given[-1]) or [first])
-    monkeypatch.setattr(growth, "finer", lambda _, now, orders: asked.append(orders) or now)
-    assert growth.found_again(task, [replace(first, confirmed=0)], [None])[0].found_twice
+    monkeypatch.setattr(propagation, "anew", lambda *given: asked.append(given[-1]) or [first])
+    monkeypatch.setattr(propagation, "finer", lambda _, now, orders: asked.append(orders) or now)
+    assert propagation.found_again(task, [replace(first, confirmed=0)], [None])[0].found_twice
     assert asked == [first.cost, ()]
     asked.clear()
     p = beliefs.raised(first.motion.p, 16)
-    growth.found_again(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
+    propagation.found_again(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
     assert asked == [math.inf, (16,)]  # it costs more until it has been bent
 
 
@@ -705,11 +705,11 @@ def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_fo
     for name in ("_owed", "_looked", "_folded", "_believed", "_met_since"):
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
-    monkeypatch.setattr(growing, "CHANCE", -math.inf)
-    monkeypatch.setattr(growing, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
-    monkeypatch.setattr(growing, "rivals", lambda *_: tried.append("short"))
-    monkeypatch.setattr(growing, "begun_in_ways", lambda *_, **__: [])
-    monkeypatch.setattr(growing, "raced", lambda *_: found)
+    monkeypatch.setattr(incremental, "CHANCE", -math.inf)
+    monkeypatch.setattr(incremental, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
+    monkeypatch.setattr(incremental, "rivals", lambda *_: tried.append("short"))
+    monkeypatch.setattr(incremental, "begun_in_ways", lambda *_, **__: [])
+    monkeypatch.setattr(incremental, "raced", lambda *_: found)
     smoother._looked = 0
     assert smoother._found_again(task, [first]) == [first]
     assert tried == ["whole"]
@@ -733,9 +733,9 @@ def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_
     def found(off, *, believed):
         omega = first.motion.omega + off
         beside = replace(first, motion=replace(first.motion, omega=omega), cost=first.cost - 80.0, confirmed=0)
-        monkeypatch.setattr(growth, "anew", lambda *_: [beside])
-        monkeypatch.setattr(growth, "_tightened", lambda *_: first)
-        return growth.found_again(task, [replace(first, confirmed=0)], [None], believed=believed)[0]
+        monkeypatch.setattr(propagation, "anew", lambda *_: [beside])
+        monkeypatch.setattr(propagation, "_tightened", lambda *_: first)
+        return propagation.found_again(task, [replace(first, confirmed=0)], [None], believed=believed)[0]
 
     assert found(0.03, believed=True).found_twice
     assert found(0.03, believed=True).cost == first.cost - 80.0
@@ -748,14 +748,14 @@ def test_what_goes_on_from_a_fold_is_found_again_by_who_moves_alike_and_goes_on_
     lived, monkeypatch, off, twice
 ):
     task, (first, *_) = lived.raced
-    smoother = GrowingBody(lived.rig)
+    smoother = IncrementalBodySmoother(lived.rig)
     smoother._folded = True
     alone, turn = replace(first, confirmed=0), exp(np.array([0.3, -0.4, 0.2]))
     motion = replace(first.motion, R=first.motion.R @ turn, omega=first.motion.omega + off)
-    monkeypatch.setattr(growth, "anew", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)])
+    monkeypatch.setattr(propagation, "anew", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)])
     (again,) = smoother._found_again(task, [alone])
     assert again == (replace(first, confirmed=first.intervals) if twice else alone)
-    monkeypatch.setattr(growth, "anew", None)
+    monkeypatch.setattr(propagation, "anew", None)
     assert smoother._found_again(task, [again]) == [again]  # not again until there is more
 
 
@@ -764,8 +764,10 @@ def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more
     (early,) = lived._right(task, task.record(2.0))
     assert raced(task, [early], early.cost - 1.0)[0].intervals == early.intervals
     forked = []
-    monkeypatch.setattr(growth, "_forked", lambda *it: forked.append(it) or growth._window(*it[:2], 0.4, it[2]))
-    monkeypatch.setattr(growth, "FORKED", 0.0)  # every window is foretold badly
+    monkeypatch.setattr(
+        propagation, "_forked", lambda *it: forked.append(it) or propagation._window(*it[:2], 0.4, it[2])
+    )
+    monkeypatch.setattr(propagation, "FORKED", 0.0)  # every window is foretold badly
     for forks in (0, 1):
         forked.clear()
         further = advanced(task, early, early.intervals + 45, forks=forks)

@@ -18,7 +18,7 @@ from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, pha
 from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction
 from palmd.observer.factor import given
 from palmd.observer.noise import with_scatter
-from palmd.observer.outline import felt_normals, outline_of
+from palmd.observer.outline import contact_normals, outline_of
 from palmd.observer.search import Search
 from palmd.observer.stuck_palms import (
     LN_MASS,
@@ -326,7 +326,7 @@ def test_what_a_calibrated_rig_leaves_open_is_its_standoffs(dry):
     outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
     fit = model.fit(model.begun(outline, truth["mass_kg"], DRY.mu, 0.0))
     covariance = np.linalg.inv(fit.matrix)
-    felt = [felt_normals(record, fit.psi, fit.z[SHAPE])]
+    felt = [contact_normals(record, fit.psi, fit.z[SHAPE])]
 
     def band(known):
         left = given(covariance, known, SHAPE) if known else covariance[SHAPE, SHAPE]

@@ -13,17 +13,17 @@ from simulated import Run, pads_changed, simulated
 from palmd.events import Event, FloatArray, Improvement, PadSample
 from palmd.model import shape, shape_map
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
-from palmd.observer import follower
+from palmd.observer import fixed_lag_smoother
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map, given_the_rig
+from palmd.observer.initialiser import TELLING_S
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.record import Record
 from palmd.observer.reidentification import reidentified
 from palmd.observer.search import Minima, Search
-from palmd.observer.seeker import TELLING_S
 from palmd.observer.smoother import Budget
 from palmd.observer.smoothing import Session
 from palmd.rig.smooth_error import drawn_error
@@ -346,7 +346,7 @@ def test_another_object_is_not_reidentified() -> None:
     one, other = (simulated("rig", seed, 8.0) for seed in (710, 711))
     beside = Beside(one)
     beside.until(8.0, Session(1, 0.0))
-    known = beside.smoother._follower
+    known = beside.smoother._fixed_lag
     assert known is not None
     segments = [longest_segment(run.events) for run in (one, other)]
     assert all(segments)
@@ -360,7 +360,7 @@ def test_a_backlog_of_readings_is_processed_in_parts_within_the_budget(monkeypat
     run, session = simulated("rig", 710, 20.0), Session(1, 0.0)
     beside = Beside(run)
     assert beside.until(9.0, session) is not None
-    monkeypatch.setattr(follower, "LIVE_BUDGET", 8000.0)
+    monkeypatch.setattr(fixed_lag_smoother, "LIVE_BUDGET", 8000.0)
     beside.smoother.add(session, [event for event in run.events if event.t_sample > 9.0])
     times = []
     while not times or times[-1] < 19.9:

@@ -88,22 +88,22 @@ def _along(mu: float, seed: int) -> tuple[float, float]:
     rig = RigDescription(
         hinge="fixed", vibration=AVERAGED
     )  # as the plant: on palms that shake so weakly it would stick
-    follower = Observability(rig_inputs(rig), np.full(2, 1.2e-8))
+    fixed_lag = Observability(rig_inputs(rig), np.full(2, 1.2e-8))
     one, two = plant.contacts()
     start = blind_start((one.s, two.s), _palms(0.0), 8, True, np.random.default_rng(0))
-    follower.begin(0.0, shape_map_sd(start))
+    fixed_lag.begin(0.0, shape_map_sd(start))
     values, slips = [], []
     for k in range(8000):
         t = k * STEP_S
         palms = _palms(t)
         if k % 20 == 0:
             x[Z.PSI], x[Z.OMEGA0] = plant.state.psi, plant.state.omega0
-            if follower.due(t):
+            if fixed_lag.due(t):
                 at = np.array([*palms.angles, *palms.rates, *palms.accelerations])
-                follower.sample(t, x, at, np.zeros(2))
-            follower.count(1)
-            follower.count(2)
-            values.append(follower.value())
+                fixed_lag.sample(t, x, at, np.zeros(2))
+            fixed_lag.count(1)
+            fixed_lag.count(2)
+            values.append(fixed_lag.value())
             slips.append(palms.rates[0] - plant.state.omega0)
         plant.advance(_palms(t + STEP_S / 2), _palms(t + STEP_S), STEP_S)
     assert all(plant.touching)
@@ -119,23 +119,23 @@ def test_it_falls_when_the_object_turns_along_with_the_palms(seed: int) -> None:
 
 
 def test_silent_pads_tell_nothing() -> None:
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+    fixed_lag = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
-    follower.begin(0.0, shape_map_sd(start))
+    fixed_lag.begin(0.0, shape_map_sd(start))
     assert shape_map_sd(start)[shape_map.Z.MU] == FRICTION_SD
     x = np.zeros(shape_map.N)
     x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02
     for k in range(60):
-        follower.sample(k * 0.02, x, np.array([0.8, 1.6, 0.3, 0.2, 0.0, 0.0]), np.zeros(2))
-    assert follower.value() == pytest.approx(0.0, abs=1e-6)
+        fixed_lag.sample(k * 0.02, x, np.array([0.8, 1.6, 0.3, 0.2, 0.0, 0.0]), np.zeros(2))
+    assert fixed_lag.value() == pytest.approx(0.0, abs=1e-6)
 
 
 def test_its_blocks_make_up_the_whole_window() -> None:
     """Ten short blocks chained, against one long one: the same second, the same number."""
     rig, variance = rig_inputs(RigDescription(hinge="fixed")), 1.2e-8
-    follower = Observability(rig, np.full(2, variance))
+    fixed_lag = Observability(rig, np.full(2, variance))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
-    follower.begin(0.0, shape_map_sd(start))
+    fixed_lag.begin(0.0, shape_map_sd(start))
     Z, kernels = shape_map.Z, {"aim": sensitivity.aim_function(), "gather": sensitivity.gather_function()}
     x = np.zeros(shape_map.N)
     x[Z.LN_RHO], x[Z.LN_DITHER], x[Z.SHAPE], x[Z.SHAPE + 3] = math.log(0.014), math.log(0.01), 0.02, 1e-3
@@ -145,22 +145,22 @@ def test_its_blocks_make_up_the_whole_window() -> None:
         t = k * dt
         x[Z.PSI], x[Z.OMEGA0] = 0.3 * math.sin(3 * t), 0.9 * math.cos(3 * t)
         palms = np.array([0.8 + 0.2 * math.sin(2 * t), 1.6, 0.4 * math.cos(2 * t), 0.0, -0.8 * math.sin(2 * t), 0.0])
-        follower.sample(t, x, palms, np.zeros(2))
-        follower.count(1)
-        follower.count(2)
+        fixed_lag.sample(t, x, palms, np.zeros(2))
+        fixed_lag.count(1)
+        fixed_lag.count(2)
         if k == 0:
             aim = np.array(kernels["aim"](x, [*palms[:2], 0.0, 0.0]))
         if k < 40:
             inputs = [dt, *palms, 0.0, 0.0, *rig, 1 / variance, 1 / variance]
             T, G = (np.array(value) for value in kernels["gather"](x, T, G, inputs))
-    assert follower.value() == pytest.approx(scaled_singular_value(G, aim, shape_map_sd(start)), rel=1e-6)
+    assert fixed_lag.value() == pytest.approx(scaled_singular_value(G, aim, shape_map_sd(start)), rel=1e-6)
 
 
 def test_a_gap_between_samples_ends_the_window() -> None:
     """Across a gap the trajectory is not known: only what came since counts, the last number standing meanwhile."""
-    follower = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
+    fixed_lag = Observability(rig_inputs(RigDescription(hinge="fixed")), np.full(2, 1.2e-8))
     start = blind_start((0.02, 0.02), PalmMotion.at_rest((0.8, 1.6)), 8, True, np.random.default_rng(0))
-    follower.begin(0.0, shape_map_sd(start))
+    fixed_lag.begin(0.0, shape_map_sd(start))
     x = np.zeros(shape_map.N)
     x[shape_map.Z.LN_RHO], x[shape_map.Z.LN_DITHER], x[shape_map.Z.SHAPE] = math.log(0.014), math.log(0.01), 0.02
     x[shape_map.Z.SHAPE + 3] = 1e-3
@@ -169,10 +169,10 @@ def test_a_gap_between_samples_ends_the_window() -> None:
         for k in range(round(seconds / 0.02)):
             t = t0 + k * 0.02
             x[shape_map.Z.PSI] = 0.4 * t
-            follower.count(1)
-            follower.count(2)
-            follower.sample(t, x, np.array([0.8 + 0.1 * t, 1.6, 0.1, 0.0, 0.0, 0.0]), np.zeros(2))
-        return follower.value()
+            fixed_lag.count(1)
+            fixed_lag.count(2)
+            fixed_lag.sample(t, x, np.array([0.8 + 0.1 * t, 1.6, 0.1, 0.0, 0.0, 0.0]), np.zeros(2))
+        return fixed_lag.value()
 
     full = run(0.0, 1.5)
     assert full > 0.0

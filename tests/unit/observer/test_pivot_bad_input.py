@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from palmd.events import PadSample
-from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
+from palmd.observer.pivot.incremental import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.live import PivotObserver
 from palmd.observer.pivot.reconstruct import reconstruct
 from palmd.record.systems.pivot import PivotForm

@@ -8,7 +8,7 @@ import pytest
 from palmd.observer.force_gain import BEHIND, DRIFT_S
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.fit import gain_modes
-from palmd.observer.pivot.growing import CLAIMED_M, answer_of
+from palmd.observer.pivot.incremental import CLAIMED_M, answer_of
 from palmd.observer.pivot.reconstruct import reconstruct, refused
 from palmd.observer.pivot.record import PivotRecord, Rows, TouchSpan
 from palmd.system.description import PadSensor

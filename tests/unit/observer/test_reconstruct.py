@@ -14,10 +14,10 @@ from palmd.model.smoothing import R
 from palmd.observer import criticism
 from palmd.observer import reconstruct as reconstructing
 from palmd.observer.data_segment import data_segments
+from palmd.observer.initialiser import attempts_for
 from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
-from palmd.observer.seeker import attempts_for
 from palmd.rig.imperfections import Imperfections, PadImperfection
 from palmd.rig.plant import PlantOptions
 from palmd.score import score_outline

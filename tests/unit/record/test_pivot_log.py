@@ -8,7 +8,7 @@ import pytest
 
 import palmd
 from palmd.cli import main
-from palmd.observer.pivot.growing import SimulatedSmoothing
+from palmd.observer.pivot.incremental import SimulatedSmoothing
 from palmd.record.systems import pivot, read_log_of_any
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotRig

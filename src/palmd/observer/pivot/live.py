@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from palmd.events import Event, PadLift, PadSample, PalmSample, ShapeEstimate
-from palmd.observer.pivot.claimed import (
+from palmd.observer.pivot.accepted import (
     GAP_S,
     GATE,
     LEAST_FELT,
     LEAST_LEVER_M,
-    ClaimedOutline,
+    AcceptedOutline,
     Gripper,
     OutlinePoint,
 )
@@ -65,7 +65,7 @@ class PivotObserver:
         self._answer: PivotAnswer | None = None
         self._reason = "nothing is known of the outline yet"
         self._invalid_because = self._reason
-        self._body: ClaimedOutline | None = None
+        self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._felt: deque[PadSample] = deque()
         self._levers: deque[float] = deque()  # of each that is in `_felt`
@@ -174,7 +174,7 @@ class PivotObserver:
         """Never said: it knows smooth objects only."""
         return False
 
-    def outlook(self, t: float) -> Touching | None:
+    def planning_belief(self, t: float) -> Touching | None:
         """What a gripper that drags must go by."""
         if self._gripper is None:
             return None
@@ -196,7 +196,7 @@ class PivotObserver:
 
     # ---- its parts ---------------------------------------------------------------------------------------
 
-    def _present(self, t: float, body: ClaimedOutline, psi: float, z_sd: float) -> Present | None:
+    def _present(self, t: float, body: AcceptedOutline, psi: float, z_sd: float) -> Present | None:
         """At `t` (s), from where it was; None near a dead centre, or where the height contradicts the outline."""
         if self._gripper is None:
             return None
@@ -286,7 +286,7 @@ class PivotObserver:
 
     def _begin(self, answer: PivotAnswer) -> None:
         """Go by an outline that is claimed."""
-        self._body, self._nis, self._psi = ClaimedOutline(answer, self._rig), NIS_BEGIN, None
+        self._body, self._nis, self._psi = AcceptedOutline(answer, self._rig), NIS_BEGIN, None
         if self._gripper is None or not self._felt:
             return
         (x, _, _), (z, _, _) = self._gripper.at(self._felt[-1].t_sample)

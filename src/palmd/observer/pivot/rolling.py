@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.claimed import GAP_S, GATE, ClaimedOutline, Gripper
+from palmd.observer.pivot.accepted import GAP_S, GATE, AcceptedOutline, Gripper
 from palmd.observer.pivot.live import NIS_BEGIN, PivotObserver, Present
 from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotRig
@@ -29,7 +29,7 @@ FORCE_SHARE = 0.01  # by what the force is off where the body turns unevenly
 class RollFilter:
     """ψ (rad) and what the rate of rolling is off by (rad/s): an extended Kalman filter. Safe in the loop."""
 
-    def __init__(self, body: ClaimedOutline, rig: PivotRig, psi: float, t: float) -> None:
+    def __init__(self, body: AcceptedOutline, rig: PivotRig, psi: float, t: float) -> None:
         """At an answer's orientation and time."""
         self._body, self._rig = body, rig
         self._t, self.psi, self._off = t, psi, 0.0
@@ -112,7 +112,7 @@ class RollFilter:
 class _Coming:
     """An outline that is claimed of a time gone by, and the events since then that its filter has still to see."""
 
-    body: ClaimedOutline
+    body: AcceptedOutline
     roll: RollFilter
     events: deque[Event]
 
@@ -167,14 +167,14 @@ class RollingObserver(PivotObserver):
             self._roll = self._coming = None
 
     def _begin(self, answer: PivotAnswer) -> None:
-        body = ClaimedOutline(answer, self._rig)
+        body = AcceptedOutline(answer, self._rig)
         if answer.t < self._t_touched or not self._felt or self._past[0].t_sample > answer.t - GAP_S:
             self._body, self._psi, self._roll, self._coming = body, None, None, None
             return
         events = deque(event for event in self._past if event.t_sample > answer.t - GAP_S)
         self._coming = _Coming(body, RollFilter(body, self._rig, answer.psi, answer.t), events)
 
-    def _present(self, t: float, body: ClaimedOutline, psi: float, z_sd: float) -> Present | None:
+    def _present(self, t: float, body: AcceptedOutline, psi: float, z_sd: float) -> Present | None:
         del body, psi, z_sd
         return None if self._roll is None else self._roll.now(t)
 

@@ -22,7 +22,7 @@ from palmd.observer.three_palms import body_filter, kernels
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.joint_track import STEADY, JointTrack
-from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyOutlook, ThreePalmsRig
+from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstimate, BodyPlanningBelief, ThreePalmsRig
 from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
 NAME = "space"
@@ -164,14 +164,14 @@ class BodyObserver:
         """Never said: it knows smooth objects only."""
         return False
 
-    def outlook(self, t: float) -> BodyOutlook | None:
+    def planning_belief(self, t: float) -> BodyPlanningBelief | None:
         """What is believed of the body at `t` (s); None unless it `foresees`."""
         answer, filtered = self._answer, self._filter
         if not self._foresees or answer is None or filtered is None:
             return None
         now = self._ahead(filtered, t)
         felt = [normals for at, normals in self._seen if at > answer.t]
-        return BodyOutlook(
+        return BodyPlanningBelief(
             t, self.object_count, answer.begun, not self._doubt(t), answer.mass, now.R, now.omega, now.p, now.P,
             answer.touched > 0, np.array(felt).reshape(-1, len(PALMS), 3), self._frame, self._turn,
         )  # fmt: skip

@@ -18,11 +18,11 @@ from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.body import FINER, centres_of, inertia
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.felt_outline import everywhere, near
-from palmd.observer.three_palms.growth import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, Grown, best
 from palmd.observer.three_palms.path import JointPath
+from palmd.observer.three_palms.propagation import HOLLOW_CHI2, MOST_COST, MOST_LAMBDA, Grown, best
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import Task
+from palmd.observer.three_palms.touched_outline import everywhere, near
 from palmd.system.three_palms import GAP_S, PALMS, ThreePalmsRig
 
 LEAST_S = 2.5

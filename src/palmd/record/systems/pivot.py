@@ -12,7 +12,7 @@ import numpy as np
 from palmd.devices.pad import MARGIN_MM
 from palmd.events import ObserverName, PadSample
 from palmd.jsonvalues import column, or_none
-from palmd.observer.pivot.growing import SimulatedSmoothing, as_fed
+from palmd.observer.pivot.incremental import SimulatedSmoothing, as_fed
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.observer.pivot.reconstruct import PivotReconstruction, reconstruct
 from palmd.outlinefile import Outline

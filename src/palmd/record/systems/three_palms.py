@@ -12,7 +12,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, ObserverName, PadSample, PalmSample
 from palmd.jsonvalues import column, or_none
 from palmd.model.rotation import quaternions
-from palmd.observer.three_palms.growing import SimulatedGrowing
+from palmd.observer.three_palms.incremental import SimulatedIncrementalSmoother
 from palmd.observer.three_palms.live import BodyObserver
 from palmd.observer.three_palms.path import JointPath, joint_path
 from palmd.observer.three_palms.reconstruct import BodyReconstruction, reconstruct
@@ -143,7 +143,7 @@ class ThreePalms:
         return self._ticks(_Fed(log))
 
     def _ticks(self, log: _Fed) -> Iterator[Said]:
-        live = BodyObserver(log.rig, SimulatedGrowing(log.rig))
+        live = BodyObserver(log.rig, SimulatedIncrementalSmoother(log.rig))
         for tick, t in fed(log, log.events, live):
             said = live.estimate(t)
             shape = live.shape(t) if tick % TICKS_PER_SHAPE == 0 else None

@@ -10,8 +10,8 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms.beliefs import beyond_sd, shape_variance
 from palmd.observer.three_palms.body import ORDER, inertia
-from palmd.observer.three_palms.felt_outline import felt_outline, foretelling, near
 from palmd.observer.three_palms.smoother import BodyPrior
+from palmd.observer.three_palms.touched_outline import felt_outline, foretelling, near
 
 RADIUS, TRUE_ORDER = 0.028, 20
 N = count(ORDER)

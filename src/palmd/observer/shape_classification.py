@@ -43,7 +43,7 @@ class Size:
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
+class ShapeClass:
     """What an outline looks like. `name` is empty where it is none of the forms, or cannot be told: `why` says which.
 
     sizes: of the form that is told. turn_rad: the smallest turn after which it looks the same, 0: any turn, so that
@@ -70,7 +70,7 @@ class Likeness:
 
 
 NONE = "none of these"
-UNTOLD = Likeness()
+UNTOLD = ShapeClass()
 
 
 def root_of(rows: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -85,13 +85,13 @@ def root_of_band(h_sd: FloatArray, theta: FloatArray) -> FloatArray:
     return h_sd[:, None] * _smooth(theta)
 
 
-def likeness(theta: FloatArray, h: FloatArray, root: FloatArray, touched: npt.NDArray[np.bool_]) -> Likeness:
+def shape_class(theta: FloatArray, h: FloatArray, root: FloatArray, touched: npt.NDArray[np.bool_]) -> ShapeClass:
     """What an outline of support function h (m) on normals theta (rad) looks like, by what was `touched` of it.
 
     Its covariance is root·rootᵀ (n, k).
     """
     if touched.mean() < LEAST_FELT:
-        return Likeness(why=f"{touched.mean():.0%} of the normals were felt, and a name takes {LEAST_FELT:.0%}")
+        return ShapeClass(why=f"{touched.mean():.0%} of the normals were felt, and a name takes {LEAST_FELT:.0%}")
     everywhere, at = theta, np.flatnonzero(touched)[::EVERY]
     theta, h = theta[at], h[at]
     spread = np.hstack([root[at], FORM_SD_M * _smooth(theta)])
@@ -116,8 +116,8 @@ def likeness(theta: FloatArray, h: FloatArray, root: FloatArray, touched: npt.ND
     elif not (likeliest and sharp):
         why = "its size is not known well enough" if likeliest else f"not told apart: {ranked[0][0]}, {ranked[1][0]}"
     else:
-        return Likeness(best.form.name, "", best.sizes, best.form.period_rad, best.chi2, free, ranked)
-    return Likeness(why=why, chi2=best.chi2, dof=free, probabilities=ranked)
+        return ShapeClass(best.form.name, "", best.sizes, best.form.period_rad, best.chi2, free, ranked)
+    return ShapeClass(why=why, chi2=best.chi2, dof=free, probabilities=ranked)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +222,7 @@ def _smooth(theta: FloatArray) -> FloatArray:
     return rows
 
 
-def as_json(told: Likeness) -> dict[str, object]:
+def as_json(told: ShapeClass) -> dict[str, object]:
     """For results: lengths in m."""
     return {
         "name": told.name or None,

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from palmd.events import PadSample, PalmSample
-from palmd.observer.pivot.growing import SimulatedSmoothing
+from palmd.observer.pivot.incremental import SimulatedSmoothing
 from palmd.observer.pivot.live import PivotObserver
 from palmd.system.pivot import PAD, PivotRig
 
@@ -20,6 +20,6 @@ def test_the_lever_is_that_of_each_reading_however_fast_the_gripper_goes():
         x = 0.03 + SPEED_M_S * t
         observer.feed(PalmSample(t, (x, HEIGHT_M), (SPEED_M_S, 0.0), (0.0, 0.0)))
         observer.feed(PadSample(t + 0.004, PAD, x + SPEED_M_S * 0.004 + LEVER_M, 0.5))
-    felt = observer.outlook(t + 0.02)
+    felt = observer.planning_belief(t + 0.02)
     assert felt.e == pytest.approx(LEVER_M, abs=1e-6)
     assert felt.force == 0.5

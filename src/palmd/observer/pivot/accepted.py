@@ -63,7 +63,7 @@ class OutlinePoint:
 
     __slots__ = ("e", "e_sd", "h", "h2", "h_sd")
 
-    def __init__(self, body: ClaimedOutline, psi: float) -> None:
+    def __init__(self, body: AcceptedOutline, psi: float) -> None:
         rows = _rows(float(normal_of(np.array(psi))))
         self.h, self.e, self.h2 = (float(row @ body.a) for row in rows)
         self.e_sd = math.sqrt(max(float(rows[1] @ body.a_covariance @ rows[1]), 0.0))
@@ -93,7 +93,7 @@ def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     return drag / math.sqrt(bend), math.sqrt(max(float(wanted @ covariance[np.ix_(at, at)] @ wanted), 0.0))
 
 
-class ClaimedOutline:
+class AcceptedOutline:
     """An answer, ready to be asked."""
 
     def __init__(self, answer: PivotAnswer, rig: PivotRig) -> None:

@@ -30,27 +30,27 @@ def fed(seconds=4.5, overconfidence=None):
 
 def test_the_likeliest_state_comes_first_and_is_the_estimates():
     mine, t = fed()
-    outlook, estimate, outline = mine.outlook(t), mine.estimate(t), mine.shape(t)
+    belief, estimate, outline = mine.planning_belief(t), mine.estimate(t), mine.shape(t)
     assert estimate.valid
-    state = outlook.states[0]
+    state = belief.states[0]
     assert np.exp(state[shape_map.Z.LN_RHO]) == pytest.approx(estimate.rho)
     np.testing.assert_allclose(basis(outline.theta, 7) @ state[shape_map.Z.SHAPE :], outline.h)
-    assert (outlook.t, outlook.object_count) == (t, estimate.object_count)
-    assert (outlook.touched.shape, outlook.h_sd.shape) == ((72,), (72,))
-    assert outlook.touched.mean() == pytest.approx(estimate.touched)
-    assert abs(outlook.mass - simulated("nominal", 2, 5.0).truth.mass) < 3.0 * outlook.mass_sd
+    assert (belief.t, belief.object_count) == (t, estimate.object_count)
+    assert (belief.touched.shape, belief.h_sd.shape) == ((72,), (72,))
+    assert belief.touched.mean() == pytest.approx(estimate.touched)
+    assert abs(belief.mass - simulated("nominal", 2, 5.0).truth.mass) < 3.0 * belief.mass_sd
 
 
 def test_there_is_none_while_nothing_is_known():
-    assert observer.make("shape", simulated("nominal", 2, 5.0).rig).outlook(0.0) is None
+    assert observer.make("shape", simulated("nominal", 2, 5.0).rig).planning_belief(0.0) is None
     for name in ("extended", "quasistatic"):
-        assert observer.make(name, simulated("nominal", 2, 5.0).rig).outlook(0.0) is None
+        assert observer.make(name, simulated("nominal", 2, 5.0).rig).planning_belief(0.0) is None
 
 
 def test_looking_does_not_change_the_estimate():
     (one, t), (other, _) = fed(), fed()
     for _ in range(3):
-        one.outlook(t)
+        one.planning_belief(t)
     assert one.estimate(t) == other.estimate(t)
 
 
@@ -60,7 +60,7 @@ def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
         fed(overconfidence=Overconfidence(0.0, 1.0)),
         fed(overconfidence=Overconfidence(2.0, 1e9)),
     )
-    one, other = sure.outlook(t), doubtful.outlook(t)
+    one, other = sure.planning_belief(t), doubtful.planning_belief(t)
     np.testing.assert_array_equal(one.states[0], other.states[0])
     drawn = slice(-3, None)
     away, farther = one.states[drawn] - one.states[0], other.states[drawn] - other.states[0]
@@ -71,12 +71,12 @@ def test_what_may_be_besides_is_spread_as_widely_as_the_error_bars_say():
 
 def test_what_the_rig_leaves_open_goes_along_once_a_smoother_vouches_for_it():
     mine, t = fed()
-    assert mine.outlook(t).rig_spread is None
+    assert mine.planning_belief(t).rig_spread is None
     filters = mine._fusion.filters
     spread = np.random.default_rng(1).standard_normal((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
     _, before = filters.outline(0)
     filters.spread = spread
-    np.testing.assert_array_equal(mine.outlook(t).rig_spread, spread[shape_map.Z.SHAPE :])
+    np.testing.assert_array_equal(mine.planning_belief(t).rig_spread, spread[shape_map.Z.SHAPE :])
     of_outline = spread[shape_map.Z.SHAPE : filters.bank.n]
     np.testing.assert_allclose(filters.outline(0)[1], before + of_outline @ of_outline.T)
 
@@ -87,7 +87,7 @@ def test_until_then_it_is_in_the_band_alone_and_the_next_object_begins_without_i
     _, before = filters.outline(0)
     filters.left_open = np.zeros((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
     filters.left_open[shape_map.Z.SHAPE, 0] = 3e-4  # of the mean radius
-    assert mine.outlook(t).rig_spread is None
+    assert mine.planning_belief(t).rig_spread is None
     np.testing.assert_allclose(
         filters.outline(0)[1] - before, np.diag([3e-4**2, *[0.0] * (len(before) - 1)]), atol=1e-12
     )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from palmd.events import FloatArray
-from palmd.observer.likeness import NONE, Likeness, as_json, likeness, root_of_band
 from palmd.observer.outline import directions
+from palmd.observer.shape_classification import NONE, ShapeClass, as_json, root_of_band, shape_class
 from palmd.rig.shapes import Body, random_body
 from tools.studies.real_things import THINGS, thing
 
@@ -21,12 +21,12 @@ NAMES = {
 }  # fmt: skip
 
 
-def _named(body: Body, random: np.random.Generator, felt: int = 360, error_m: FloatArray | float = 0.0) -> Likeness:
+def _named(body: Body, random: np.random.Generator, felt: int = 360, error_m: FloatArray | float = 0.0) -> ShapeClass:
     root = root_of_band(np.full(len(THETA), BAND_M), THETA)
     touched = np.zeros(len(THETA), dtype=np.bool_)
     touched[np.arange(felt) + int(random.integers(360)) - 360] = True
     h = body.support.sample(THETA) + root @ random.standard_normal(root.shape[1]) + error_m
-    return likeness(THETA, h, root, touched)
+    return shape_class(THETA, h, root, touched)
 
 
 @pytest.mark.parametrize("kind", sorted(NAMES))

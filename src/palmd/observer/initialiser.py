@@ -9,7 +9,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.follower import LOST_S, OPEN_S, PATIENCE, Answer
+from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Answer
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import (
@@ -59,7 +59,7 @@ def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
     return _ATTEMPTS + _UNEQUAL * bool(rig.friction_sd) + _FREE
 
 
-class Seeker:
+class Initialiser:
     """Deterministic for a given seed and the same calls.
 
     Where constants of the rig are uncertain, a wrong outline often explains a short record as well. There a hypothesis
@@ -235,7 +235,7 @@ class Seeker:
 
     def _attempt(self, found: bool) -> Attempt:
         """The next blind search; what has been `found` is set against those that begin with unequal palms."""
-        if found and self._rig.lopsided:
+        if found and self._rig.unequal_friction:
             self._challenges += 1
             return _UNEQUAL[self._challenges % len(_UNEQUAL)]
         attempts = attempts_for(self._rig)
@@ -248,7 +248,7 @@ class Seeker:
 
         That one comes to nothing says little of a short record, and of a long one that it has no rival.
         """
-        if not self._rig.lopsided:
+        if not self._rig.unequal_friction:
             alone = blind is None and merged is not None and len(merged.fits) == 1 and seconds > ALONE_S
             return int(agree(finding, blind) or ((alone or self._survived > 0) and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
@@ -260,7 +260,7 @@ class Seeker:
         """Whether the last answer is one to vouch for."""
         if self._exact:
             return self._rolls or self._rig.curved
-        return self._survived >= (len(_BEGUN) if self._rig.lopsided else 1)
+        return self._survived >= (len(_BEGUN) if self._rig.unequal_friction else 1)
 
     @property
     def _tries(self) -> bool:
@@ -269,7 +269,7 @@ class Seeker:
         Not on an exactly known rig nor with unequal friction of the palms: searches decide there.
         """
         known = self.hypothesis
-        return known is not None and not self._exact and not self._rig.lopsided and known.lasts > OPEN_S
+        return known is not None and not self._exact and not self._rig.unequal_friction and known.lasts > OPEN_S
 
     def _criticised(self, answer: Answer) -> Answer:
         """What is found once the rig is taken for what the readings tell."""

@@ -14,7 +14,7 @@ SIGMAS_PER_NIS, LASTS_S = 8.0, 1.5
 
 
 @dataclass(slots=True)
-class Surprise:
+class InnovationTest:
     """By how much the mean NIS was above `SURPRISING_NIS`, the worst of late fading away: `excess`, as of `t` (s)."""
 
     excess: float = 0.0

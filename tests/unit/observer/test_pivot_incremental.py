@@ -7,8 +7,8 @@ import pytest
 
 from palmd.events import PadSample, PalmSample
 from palmd.observer.outline import directions
-from palmd.observer.pivot import growing
-from palmd.observer.pivot.growing import AGREE_S, GrowingSmoother, as_logged
+from palmd.observer.pivot import incremental
+from palmd.observer.pivot.incremental import AGREE_S, IncrementalPivotSmoother, as_logged
 from palmd.observer.pivot.reconstruct import refused
 from palmd.system.pivot import PivotRig
 
@@ -29,7 +29,7 @@ def felt(begin, end):
 @pytest.fixture
 def smoother(monkeypatch):
     """Finds what `smoother.finds` says; it notes what it was given."""
-    smoother = GrowingSmoother(SLIDE)
+    smoother = IncrementalPivotSmoother(SLIDE)
     smoother.finds, smoother.given = FOUND, []
 
     def found(events, rig):
@@ -37,7 +37,7 @@ def smoother(monkeypatch):
         smoother.given = list(events)
         return smoother.finds
 
-    monkeypatch.setattr(growing, "reconstruct", found)
+    monkeypatch.setattr(incremental, "reconstruct", found)
     return smoother
 
 

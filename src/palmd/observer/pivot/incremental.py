@@ -22,7 +22,7 @@ LATENCY_S = 0.5  # that a simulated one takes
 AGREE_S, AGREE_M = 4.0, 1e-4  # of more readings on a slide, from which the same outline must come again
 
 
-class GrowingSmoother:
+class IncrementalPivotSmoother:
     """Gathers events; `answer` reconstructs what there is, from the first reading of the window on."""
 
     def __init__(self, rig: PivotRig) -> None:
@@ -141,7 +141,7 @@ class SimulatedSmoothing:
 
     def __init__(self, rig: PivotRig, period_s: float = PERIOD_S) -> None:
         """Begun every `period_s`; an infinite one has none."""
-        self._smoother, self._period = GrowingSmoother(rig), period_s
+        self._smoother, self._period = IncrementalPivotSmoother(rig), period_s
         self._next = -math.inf if math.isfinite(period_s) else math.inf
         self._ready: tuple[float, PivotAnswer | None] | None = None
 

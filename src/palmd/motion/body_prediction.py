@@ -33,7 +33,7 @@ class Bearings:
 
 
 @dataclass(frozen=True, slots=True)
-class ForeseenMoves:
+class PredictedMoves:
     """What comes of N moves. after: when they have ended. least_force: (N,) of any palm on the way (m/s²).
 
     room: (N,) from any contact to its pad's edge, the least on the way (m). spin: (N,) the most (rad/s). normals:
@@ -48,7 +48,7 @@ class ForeseenMoves:
     normals: FloatArray
 
 
-class BodyForesight:
+class BodyPredictor:
     """Rolls the model forward, of a body with parameters p of `model.three_palms`; holds the kernel's memory."""
 
     def __init__(self, p: FloatArray, rig: ThreePalmsRig, *, rough: bool = False) -> None:
@@ -82,7 +82,7 @@ class BodyForesight:
     def of(
         self, begin: Bearings, ends: FloatArray, durations: FloatArray, elapsed: float = 0.0, stand: float = 0.0,
         p: FloatArray | None = None,
-    ) -> ForeseenMoves:  # fmt: skip
+    ) -> PredictedMoves:  # fmt: skip
         """Of N moves, `COLUMNS` at most, from rest at `begin.joints` to rest at `ends` (N, 3) (rad); durations in s.
 
         elapsed: for how long they have been under way when the body is so (s). stand: what the palms stand after (s).
@@ -112,7 +112,7 @@ class BodyForesight:
         force, contacts = path[..., _FORCES], path[..., _CONTACTS].reshape(last, n, 3, 2)
         room = room_on_pads(contacts, self.rig.pad.side)
         finite = np.isfinite(turn).all(axis=1) & np.isfinite(spin)
-        return ForeseenMoves(
+        return PredictedMoves(
             Bearings(np.swapaxes(turn.reshape(-1, 3, 3), 1, 2), omega, ends),
             np.where(finite, np.nanmin(force, axis=(0, 2)), -np.inf),
             np.nanmin(room, axis=(0, 2, 3)),

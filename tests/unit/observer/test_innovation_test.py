@@ -12,22 +12,22 @@ from palmd import observer
 from palmd.events import PadSample, PalmSample
 from palmd.observer.bank_observer import BankObserver
 from palmd.observer.forgetting import SURPRISING_NIS
-from palmd.observer.surprise import LASTS_S, Surprise
+from palmd.observer.innovation_test import LASTS_S, InnovationTest
 
 
 def test_the_worst_of_late_counts_and_fades() -> None:
-    surprise = Surprise()
-    surprise.take(SURPRISING_NIS - 0.1, 1.0)
-    assert surprise.factor == 1.0
-    surprise.take(SURPRISING_NIS + 0.5, 2.0)
-    worst = surprise.factor
+    innovation_test = InnovationTest()
+    innovation_test.take(SURPRISING_NIS - 0.1, 1.0)
+    assert innovation_test.factor == 1.0
+    innovation_test.take(SURPRISING_NIS + 0.5, 2.0)
+    worst = innovation_test.factor
     assert worst > 3.0
-    surprise.take(1.0, 2.0 + LASTS_S)
-    assert surprise.factor - 1.0 == pytest.approx((worst - 1.0) / math.e)
-    surprise.take(math.nan, 2.0 + 2.0 * LASTS_S)
-    assert 1.0 < surprise.factor < worst
-    surprise.take(1e9, 9.0)
-    assert surprise.factor < 20.0
+    innovation_test.take(1.0, 2.0 + LASTS_S)
+    assert innovation_test.factor - 1.0 == pytest.approx((worst - 1.0) / math.e)
+    innovation_test.take(math.nan, 2.0 + 2.0 * LASTS_S)
+    assert 1.0 < innovation_test.factor < worst
+    innovation_test.take(1e9, 9.0)
+    assert innovation_test.factor < 20.0
 
 
 def _watched(surprised_with: float) -> BankObserver:
@@ -55,7 +55,7 @@ def test_it_widens_what_is_told_and_nothing_that_is_acted_on() -> None:
     shapes = calm.shape(4.0), surprised.shape(4.0)
     assert None not in shapes
     assert np.allclose(shapes[1].h_sd, 5.0 * shapes[0].h_sd)
-    outlooks = calm.outlook(4.0), surprised.outlook(4.0)
+    outlooks = calm.planning_belief(4.0), surprised.planning_belief(4.0)
     assert None not in outlooks
     assert (outlooks[1].h_sd == outlooks[0].h_sd).all()
     assert (outlooks[1].states == outlooks[0].states).all()

@@ -13,19 +13,19 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms import beliefs, growth, smoother
+from palmd.observer.three_palms import beliefs, propagation, smoother
 from palmd.observer.three_palms.arrow import Arrow
 from palmd.observer.three_palms.beliefs import BEYOND_8, beyond_sd
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.compiled_equations import CompiledEquations
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.equations import BodyMotion
-from palmd.observer.three_palms.felt_outline import foretelling, near
 from palmd.observer.three_palms.needed import needed
 from palmd.observer.three_palms.reconstruct import answer, doubt, reconstruct, surface, within, without_turns
 from palmd.observer.three_palms.record import lay_out
 from palmd.observer.three_palms.search import SPACING_S, Task, eased
 from palmd.observer.three_palms.smoother import BodySmoother
+from palmd.observer.three_palms.touched_outline import foretelling, near
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from tools.studies.space import errors
 from tools.studies.space_logs import simulate
@@ -61,7 +61,7 @@ def task(run):
 
 def started(task):
     """A rival of the first 1.3 s."""
-    return growth.anew(task, task.record(1.3), beliefs.hypotheses())[0]
+    return propagation.anew(task, task.record(1.3), beliefs.hypotheses())[0]
 
 
 def test_a_body_is_found_blind_from_starts_that_meet(run):
@@ -78,7 +78,7 @@ def test_degrees_of_a_blind_start_are_among_what_is_built_before_a_run(task, mon
     asked = set()
     monkeypatch.setattr(smoother, "CompiledEquations", lambda *given: asked.add(given[-1]) or CompiledEquations(*given))
     live = replace(task, finer=())
-    assert growth.anew(live, live.record(1.3), beliefs.hypotheses())
+    assert propagation.anew(live, live.record(1.3), beliefs.hypotheses())
     built = {what for what, _ in needed(None)}
     assert len(asked) > 2
     assert {f"three palms in space, degree {order}" for order in asked} <= built
@@ -127,35 +127,35 @@ def test_the_beginning_of_a_record_is_what_is_laid_out_of_it(task):
 
 def test_short_starts_are_sought_only_where_the_first_seconds_as_a_whole_tell_nothing(task, monkeypatch):
     sought = []
-    monkeypatch.setattr(growth, "rivals", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(propagation, "rivals", lambda _, seconds: sought.append(seconds) or [])
     finer = []
-    monkeypatch.setattr(growth, "sharpened", lambda _, ended: finer.append(ended) or ended)
-    ended = growth.best(task)
-    assert ended[0].per_number < growth.SURE
+    monkeypatch.setattr(propagation, "sharpened", lambda _, ended: finer.append(ended) or ended)
+    ended = propagation.best(task)
+    assert ended[0].per_number < propagation.SURE
     assert finer == [ended]
     assert sought == []
-    monkeypatch.setattr(growth, "anew", lambda *_: [])
-    assert growth.best(task) == []
-    assert sought == list(growth.STARTS_S)
+    monkeypatch.setattr(propagation, "anew", lambda *_: [])
+    assert propagation.best(task) == []
+    assert sought == list(propagation.STARTS_S)
 
 
 def test_all_of_a_record_is_explained_as_a_whole_where_its_beginning_leads_astray(task, monkeypatch):
     asked = []
-    monkeypatch.setattr(growth, "rivals", lambda *_: [])
-    monkeypatch.setattr(growth, "anew", lambda _, record, ways: asked.append((record, len(list(ways)))) or [])
-    assert growth.best(task) == []
+    monkeypatch.setattr(propagation, "rivals", lambda *_: [])
+    monkeypatch.setattr(propagation, "anew", lambda _, record, ways: asked.append((record, len(list(ways)))) or [])
+    assert propagation.best(task) == []
     all_of_it = task.intervals(SECONDS)
     lengths = [len(record.middle_palms) for record, _ in asked]
     slippery = sum(way.mu == beliefs.FRICTIONLESS for way in beliefs.hypotheses())
-    spinning = [task.intervals(growth.SPINNING_S)] * slippery
-    assert lengths == [task.intervals(growth.WHOLE_STARTS_S[0]), all_of_it, all_of_it, all_of_it, *spinning]
-    ways = [len(list(beliefs.hypotheses())), *[growth.WAYS] * 3, *[1] * slippery]
+    spinning = [task.intervals(propagation.SPINNING_S)] * slippery
+    assert lengths == [task.intervals(propagation.WHOLE_STARTS_S[0]), all_of_it, all_of_it, all_of_it, *spinning]
+    ways = [len(list(beliefs.hypotheses())), *[propagation.WAYS] * 3, *[1] * slippery]
     assert [each for _, each in asked] == ways
 
 
 def met(task):
     """What two blind starts of all of it meet in."""
-    return growth.anew(task, task.record(SECONDS), beliefs.hypotheses())[0]
+    return propagation.anew(task, task.record(SECONDS), beliefs.hypotheses())[0]
 
 
 @pytest.fixture(scope="module")
@@ -171,23 +171,23 @@ def test_who_explains_all_of_a_record_too_dearly_does_not_end_the_search(task, r
             begun.append(each)
             yield [right], 1
 
-    monkeypatch.setattr(growth, "_starts", starts)
-    monkeypatch.setattr(growth, "raced", lambda _, running, **__: running)
-    assert growth.best(task) == [right]
+    monkeypatch.setattr(propagation, "_starts", starts)
+    monkeypatch.setattr(propagation, "raced", lambda _, running, **__: running)
+    assert propagation.best(task) == [right]
     assert begun == [0]
     begun.clear()
-    monkeypatch.setattr(growth, "MOST_COST", 0.1)
-    growth.best(task)
+    monkeypatch.setattr(propagation, "MOST_COST", 0.1)
+    propagation.best(task)
     assert begun == [0, 1]
 
 
 def test_what_is_no_body_neither_ends_the_search_nor_comes_before_one(task, right, monkeypatch):
     p = right.motion.p.copy()
-    p[-BODY] = 2 * growth.MOST_LAMBDA
+    p[-BODY] = 2 * propagation.MOST_LAMBDA
     impossible = replace(right, motion=replace(right.motion, p=p), cost=right.cost - 1.0)
-    monkeypatch.setattr(growth, "_starts", lambda _: iter([([impossible], 1), ([right], 1)]))
-    monkeypatch.setattr(growth, "raced", lambda _, running, **__: running)
-    assert growth.best(task) == [right, impossible]
+    monkeypatch.setattr(propagation, "_starts", lambda _: iter([([impossible], 1), ([right], 1)]))
+    monkeypatch.setattr(propagation, "raced", lambda _, running, **__: running)
+    assert propagation.best(task) == [right, impossible]
 
 
 def coarsened(task, right):
@@ -216,31 +216,31 @@ def nearly():
 
 def test_what_is_not_explained_to_its_noise_is_by_finer_harmonics(nearly):
     task, coarse = nearly
-    assert coarse.strange > growth.STRANGE
+    assert coarse.strange > propagation.STRANGE
     beside = replace(coarse, motion=replace(coarse.motion, omega=coarse.motion.omega + 1e-3), cost=coarse.cost + 20.0)
     lost = replace(coarse, cost=coarse.cost + 50.0)
-    finer, other, still = growth.sharpened(task, [coarse, beside, lost])
-    assert finer.cost < coarse.cost - growth.BEHIND
-    assert finer.strange < growth.STRANGE
+    finer, other, still = propagation.sharpened(task, [coarse, beside, lost])
+    assert finer.cost < coarse.cost - propagation.BEHIND
+    assert finer.strange < propagation.STRANGE
     assert len(finer.motion.p) == len(finer.ahead.mean) == count(ORDER) + BODY
-    assert other.strange < growth.STRANGE  # who costs about as little is compared by the same
+    assert other.strange < propagation.STRANGE  # who costs about as little is compared by the same
     assert still is lost
 
 
 def test_what_is_explained_stays_and_so_does_what_finer_harmonics_do_not_explain(task, coarse, right, monkeypatch):
-    assert growth.sharpened(task, [right]) == [right]
-    assert growth.sharpened(task, []) == []
-    cheap = replace(coarse, cost=right.cost + growth.BEHIND - 10.0)
-    monkeypatch.setattr(growth, "STRANGE", -math.inf)
-    (tried,) = growth.sharpened(task, [cheap])
+    assert propagation.sharpened(task, [right]) == [right]
+    assert propagation.sharpened(task, []) == []
+    cheap = replace(coarse, cost=right.cost + propagation.BEHIND - 10.0)
+    monkeypatch.setattr(propagation, "STRANGE", -math.inf)
+    (tried,) = propagation.sharpened(task, [cheap])
     assert tried == replace(cheap, refined=cheap.intervals)
     monkeypatch.setattr(BodySmoother, "fit", None)
-    assert growth.sharpened(task, [tried]) == [tried]  # once is enough
+    assert propagation.sharpened(task, [tried]) == [tried]  # once is enough
 
 
 def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, monkeypatch):
     asked, fit = [], BodySmoother.fit
-    gains = iter((growth.BEHIND + 1.0, growth.BEHIND + 2.0, growth.BEHIND - 1.0))
+    gains = iter((propagation.BEHIND + 1.0, propagation.BEHIND + 2.0, propagation.BEHIND - 1.0))
     left = [coarse.cost]
 
     def gained(self, motion, *most):
@@ -249,15 +249,15 @@ def test_degrees_are_tried_one_after_the_other_as_far_as_they_pay(task, coarse, 
         return replace(fit(self, motion, *most), cost=left[0])
 
     monkeypatch.setattr(BodySmoother, "fit", gained)
-    monkeypatch.setattr(growth, "STRANGE", -math.inf)
-    monkeypatch.setattr(growth, "FINE_TRIES", 1)
-    assert growth.finer(task, coarse, (3, 4, 5, 6, 7)).order == 5
+    monkeypatch.setattr(propagation, "STRANGE", -math.inf)
+    monkeypatch.setattr(propagation, "FINE_TRIES", 1)
+    assert propagation.finer(task, coarse, (3, 4, 5, 6, 7)).order == 5
     assert asked == [count(order) + BODY for order in (4, 5, 6)]
 
 
 def test_who_is_explained_by_finer_harmonics_is_asked_for_no_finer_ones(nearly):
     task, coarse = nearly
-    assert growth.finer(task, coarse, (ORDER, ORDER + 1)).order == ORDER
+    assert propagation.finer(task, coarse, (ORDER, ORDER + 1)).order == ORDER
 
 
 def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_what_is_believed_of_any_body(coarse):
@@ -274,28 +274,28 @@ def test_a_belief_of_more_degrees_says_the_same_of_those_it_had_and_of_others_wh
 
 
 def test_who_is_fitted_as_it_grows_is_explained_by_finer_harmonics_or_given_up(task, right, coarse, monkeypatch):
-    assert growth._sure(task, right) is right
-    monkeypatch.setattr(growth, "finer", lambda _, now, __: replace(now, cost=right.cost))
+    assert propagation._sure(task, right) is right
+    monkeypatch.setattr(propagation, "finer", lambda _, now, __: replace(now, cost=right.cost))
     slippery = replace(coarse, motion=replace(coarse.motion, p=np.append(coarse.motion.p[:-2], [0.0, -4.6])))
-    assert growth._sure(task, slippery) == replace(slippery, cost=right.cost)
-    assert growth._sure(task, coarse) == replace(coarse, astray=True)
-    assert growth._sure(task, coarse).lost
-    assert growth._sure(replace(task, finer=()), coarse) is coarse  # live it goes on
+    assert propagation._sure(task, slippery) == replace(slippery, cost=right.cost)
+    assert propagation._sure(task, coarse) == replace(coarse, astray=True)
+    assert propagation._sure(task, coarse).lost
+    assert propagation._sure(replace(task, finer=()), coarse) is coarse  # live it goes on
 
 
 def test_who_has_gone_astray_is_followed_no_further(task, monkeypatch):
     now = started(task)
-    monkeypatch.setattr(growth, "_sure", lambda _, each: replace(each, astray=True))
-    ended = growth.advanced(task, now, task.intervals(SECONDS))
+    monkeypatch.setattr(propagation, "_sure", lambda _, each: replace(each, astray=True))
+    ended = propagation.advanced(task, now, task.intervals(SECONDS))
     assert ended.lost
     assert now.intervals < ended.intervals < task.intervals(SECONDS)
-    (only,) = growth.raced(task, [now])
+    (only,) = propagation.raced(task, [now])
     assert only.lost
 
 
 def test_windows_lead_to_what_all_at_once_leads_to(task):
-    ahead = growth.advanced(task, started(task), task.intervals(SECONDS))
-    whole = growth.smoothed(task, ahead, 20)
+    ahead = propagation.advanced(task, started(task), task.intervals(SECONDS))
+    whole = propagation.smoothed(task, ahead, 20)
     assert ahead.since_whole > 1.0
     assert ahead.cost == pytest.approx(whole.cost, rel=0.02)
     spins = np.array([ahead.motion.omega[-1], whole.motion.omega[-1]])
@@ -310,55 +310,55 @@ def strange(now):
 
 
 def test_what_is_short_is_alone_until_another_start_comes_to_it(right):
-    assert right.intervals * SPACING_S < growth.FOUND_S
+    assert right.intervals * SPACING_S < propagation.FOUND_S
     assert not right.alone
     assert replace(right, confirmed=0).alone
 
 
 def test_what_costs_more_than_its_noise_is_alone_until_another_start_comes_to_it(right, monkeypatch):
-    monkeypatch.setattr(growth, "FOUND_S", 1.0)  # it is long enough
+    monkeypatch.setattr(propagation, "FOUND_S", 1.0)  # it is long enough
     assert strange(right).alone
     assert not replace(strange(right), confirmed=right.intervals).alone
     assert not replace(right, confirmed=0).alone  # nothing is strange in it
 
 
 def test_who_bends_as_far_as_the_finest_harmonics_do_is_alone_until_another_start_comes_to_it(right, monkeypatch):
-    monkeypatch.setattr(growth, "FOUND_S", 1.0)
+    monkeypatch.setattr(propagation, "FOUND_S", 1.0)
     assert not replace(right, confirmed=0).alone
-    monkeypatch.setattr(growth, "FINER", (ORDER - 1, ORDER))
+    monkeypatch.setattr(propagation, "FINER", (ORDER - 1, ORDER))
     assert replace(right, confirmed=0).alone
     assert not right.alone
 
 
 def test_who_is_alone_and_right_comes_back_when_begun_from_itself(task, right, monkeypatch):
-    monkeypatch.setattr(growth, "STRANGE", -math.inf)
-    again = growth._again(task, replace(right, confirmed=0))
+    monkeypatch.setattr(propagation, "STRANGE", -math.inf)
+    again = propagation._again(task, replace(right, confirmed=0))
     assert again.same_as(right)
     assert not again.alone
     beside = replace(right, motion=replace(right.motion, omega=right.motion.omega + 0.1), confirmed=0)
-    led = growth._again(task, replace(beside, cost=right.cost + 30.0))
+    led = propagation._again(task, replace(beside, cost=right.cost + 30.0))
     assert led.same_as(right)
     assert led.alone  # who leads elsewhere is not found again by that
 
 
 def test_who_is_alone_and_wrong_stays_so_and_is_begun_from_itself_once(task, right, monkeypatch):
     elsewhere = replace(right.whole.motion, omega=right.motion.omega + 0.5)
-    monkeypatch.setattr(growth, "roughened", lambda *_: replace(right.whole, motion=elsewhere))
+    monkeypatch.setattr(propagation, "roughened", lambda *_: replace(right.whole, motion=elsewhere))
     monkeypatch.setattr(BodySmoother, "fit", lambda *_, **__: replace(right.whole, motion=elsewhere, cost=math.inf))
-    alone = growth._again(task, strange(right))
+    alone = propagation._again(task, strange(right))
     assert alone == replace(strange(right), doubted=right.intervals)
-    monkeypatch.setattr(growth, "roughened", None)
-    assert growth._again(task, alone) is alone
+    monkeypatch.setattr(propagation, "roughened", None)
+    assert propagation._again(task, alone) is alone
     dear = replace(strange(right), cost=2.0 * right.record.numbers)
-    assert growth._again(task, dear) is dear  # and who explains nothing not at all
+    assert propagation._again(task, dear) is dear  # and who explains nothing not at all
 
 
 def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(task, right, monkeypatch):
     alone = replace(strange(right), doubted=right.intervals)
-    monkeypatch.setattr(growth, "raced", lambda _task, running, **_: running)
-    monkeypatch.setattr(growth, "sharpened", lambda _task, ended: ended)
-    monkeypatch.setattr(growth, "_starts", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
-    assert growth.best(task) == [right, alone]
+    monkeypatch.setattr(propagation, "raced", lambda _task, running, **_: running)
+    monkeypatch.setattr(propagation, "sharpened", lambda _task, ended: ended)
+    monkeypatch.setattr(propagation, "_starts", lambda _: iter([([alone], 1), ([right], 1), (None, 1)]))
+    assert propagation.best(task) == [right, alone]
     sd = np.full(3, 1e-5)
     assert "no second start" in doubt(task, [alone], sd, 0.0)
     assert not doubt(task, [alone], sd, 0.0, proven=True)
@@ -369,12 +369,12 @@ def test_the_search_goes_on_beyond_who_is_alone_and_nothing_alone_is_claimed(tas
 
 def test_ways_of_a_fork_are_compared_over_the_same_time_however_far_each_turns(task, monkeypatch):
     now = started(task)
-    monkeypatch.setattr(growth, "TURN_A_WINDOW", 0.02)  # none comes far in one window
-    short = growth._window(task, now, growth.FORK_S, task.intervals(SECONDS))
-    assert short.intervals < now.intervals + round(growth.FORK_S / SPACING_S)
-    ways = growth._ways(task, now, task.intervals(SECONDS))
-    assert {way.intervals for way in ways} == {now.intervals + round(growth.FORK_S / SPACING_S)}
-    assert growth._ways(task, now, now.intervals + 3)[0].intervals == now.intervals + 3
+    monkeypatch.setattr(propagation, "TURN_A_WINDOW", 0.02)  # none comes far in one window
+    short = propagation._window(task, now, propagation.FORK_S, task.intervals(SECONDS))
+    assert short.intervals < now.intervals + round(propagation.FORK_S / SPACING_S)
+    ways = propagation._ways(task, now, task.intervals(SECONDS))
+    assert {way.intervals for way in ways} == {now.intervals + round(propagation.FORK_S / SPACING_S)}
+    assert propagation._ways(task, now, now.intervals + 3)[0].intervals == now.intervals + 3
 
 
 def spinning(belief, about, more):
@@ -401,18 +401,21 @@ def spinning(belief, about, more):
 )
 def test_a_window_is_foretold_by_either_guess_where_the_other_is_misled(task, monkeypatch, misled):
     now = started(task)
-    foretold = growth._window(task, now, 0.5, task.intervals(SECONDS))
-    monkeypatch.setattr(growth, "eased", lambda _task, _record, _prior, fit: fit)
-    monkeypatch.setattr(growth, misled, lambda *_: spinning(now.ahead, 2, foretold.windows[-1][0]))
-    again = growth._window(task, now, 0.5, task.intervals(SECONDS))
-    assert again.surprise == pytest.approx(foretold.surprise, abs=0.05)
+    foretold = propagation._window(task, now, 0.5, task.intervals(SECONDS))
+    monkeypatch.setattr(propagation, "eased", lambda _task, _record, _prior, fit: fit)
+    monkeypatch.setattr(propagation, misled, lambda *_: spinning(now.ahead, 2, foretold.windows[-1][0]))
+    again = propagation._window(task, now, 0.5, task.intervals(SECONDS))
+    assert again.innovation_test == pytest.approx(foretold.innovation_test, abs=0.05)
 
 
 def test_live_a_window_is_begun_as_the_contacts_tell_and_in_no_other_way(task, monkeypatch):
     now = started(task)
-    monkeypatch.setattr(growth, "_kept", None)
+    monkeypatch.setattr(propagation, "_kept", None)
     monkeypatch.setattr(BodySmoother, "settled", None)
-    assert growth._window(replace(task, finer=()), now, 0.5, task.intervals(SECONDS)).surprise < growth.FORETOLD
+    assert (
+        propagation._window(replace(task, finer=()), now, 0.5, task.intervals(SECONDS)).innovation_test
+        < propagation.FORETOLD
+    )
 
 
 def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_as_it_is(task):
@@ -422,7 +425,7 @@ def test_a_fit_beside_the_right_one_is_eased_there_and_one_within_chance_stays_a
     beside = smoother.fit(spinning(now.ahead, 2, 25), 15)
     assert beside.cost > 1.5 * record.numbers
     right = eased(task, record, now.ahead, beside)
-    assert right.cost < growth.FORETOLD * record.numbers
+    assert right.cost < propagation.FORETOLD * record.numbers
     assert np.abs(right.motion.omega - beside.motion.omega).max() > 0.5
     within = replace(right, cost=float(record.numbers))
     assert eased(task, record, now.ahead, within) is within
@@ -442,11 +445,11 @@ def test_blind_starts_of_the_whole_record_lead_out_of_a_valley_beside_the_right_
         right, motion=replace(right.motion, omega=right.motion.omega + 0.1), cost=right.cost + 30.0, confirmed=0
     )
     assert not beside.found_twice
-    first, *others = growth.found_again(task, [beside], beliefs.hypotheses())
+    first, *others = propagation.found_again(task, [beside], beliefs.hypotheses())
     assert first.same_as(right)
     assert first.found_twice
     assert beside in others
-    (alone, *_) = growth.found_again(task, [beside], islice(beliefs.hypotheses(), 1))
+    (alone, *_) = propagation.found_again(task, [beside], islice(beliefs.hypotheses(), 1))
     assert alone.same_as(right)
     assert not alone.found_twice  # nobody else has come there, and another is near
 
@@ -459,18 +462,18 @@ def test_what_was_found_twice_in_a_long_record_needs_no_other_start_any_more(rig
 
 
 def test_where_no_blind_start_comes_near_one_from_itself_has_to_come_back(task, right):
-    (alone,) = growth.found_again(task, [replace(right, confirmed=0)], ())
+    (alone,) = propagation.found_again(task, [replace(right, confirmed=0)], ())
     assert alone.found_twice
     assert alone.same_as(right)
     beside = replace(right, motion=replace(right.motion, omega=right.motion.omega + 0.1), cost=right.cost + 90.0)
-    back, *others = growth.found_again(task, [replace(beside, confirmed=0)], ())
+    back, *others = propagation.found_again(task, [replace(beside, confirmed=0)], ())
     assert back.same_as(right)
     assert not back.found_twice
     assert others
 
 
 def test_nodes_alone_are_fitted_by_the_same_equations(task):
-    now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
+    now = propagation.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
     smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
     moved = replace(now.motion, omega=now.motion.omega + 0.01)
     whole, alone = smoother.evaluate(moved), smoother.evaluate(moved, nodes_alone=True)
@@ -479,7 +482,7 @@ def test_nodes_alone_are_fitted_by_the_same_equations(task):
 
 
 def test_nothing_is_left_of_what_was_evaluated_before(task):
-    now = growth.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
+    now = propagation.anew(task, task.record(1.5), islice(beliefs.hypotheses(), 1))[0]
     one, other = (BodySmoother(now.record, now.prior, task.noise, task.rig) for _ in range(2))
     moved = now.motion.moved(np.full((len(now.motion.R), 6), 0.01), np.full(len(now.motion.p), 1e-5))
     for alone in (True, False):
@@ -533,7 +536,7 @@ def at_spin(now, before, rad_s):
 
 
 def test_who_was_startled_lately_says_so(surprised):
-    tumbled = at_spin(surprised, 60, growth.TUMBLES_RAD_S + 0.1)
+    tumbled = at_spin(surprised, 60, propagation.TUMBLES_RAD_S + 0.1)
     assert [tumbled.startled(lately) for lately in (0, 25, 26)] == [False, False, True]
 
 
@@ -541,8 +544,8 @@ def test_who_was_startled_lately_says_so(surprised):
 def test_only_after_a_tumble_does_more_than_one_way_lead_on(surprised, before, startled):
     """What turns slowly and is foretold badly is sharp."""
     assert not surprised.startled(26)
-    assert at_spin(surprised, before, growth.TUMBLES_RAD_S + 0.1).startled(26) is startled
-    assert not at_spin(surprised, before, growth.TUMBLES_RAD_S - 0.1).startled(26)
+    assert at_spin(surprised, before, propagation.TUMBLES_RAD_S + 0.1).startled(26) is startled
+    assert not at_spin(surprised, before, propagation.TUMBLES_RAD_S - 0.1).startled(26)
 
 
 def test_a_turn_of_the_whole_body_is_no_error_of_its_form():
@@ -615,20 +618,20 @@ def test_what_was_not_explained_is_not_forgotten_when_it_is_folded(task):
     assert replace(now, cost=(1.0 + 0.9 * chance) * now.record.numbers).unexplained() == 0.0
     assert now.unexplained(costly.cost - now.cost) == pytest.approx(costly.unexplained())  # hidden by finer harmonics
     touched = near(now.felt)
-    kept = growth.folded(task, costly, now.intervals // 2, touched)
+    kept = propagation.folded(task, costly, now.intervals // 2, touched)
     assert kept.folded[0] + kept.record.numbers == now.record.numbers
     assert kept.unexplained() == pytest.approx(costly.unexplained())
     assert kept.per_number < 1.1  # of what is left
-    again = growth.folded(task, kept, kept.intervals // 2, touched)
+    again = propagation.folded(task, kept, kept.intervals // 2, touched)
     assert again.unexplained() == pytest.approx(costly.unexplained())
 
 
 def test_what_is_folded_is_believed_as_what_was_felt_tells_it(task, monkeypatch):
     """Else few harmonics hold on to all that was read, and tell surface that nobody has felt."""
     now, asked = started(task), []
-    monkeypatch.setattr(growth, "foretelling", lambda *given: asked.append(given) or foretelling(*given))
+    monkeypatch.setattr(propagation, "foretelling", lambda *given: asked.append(given) or foretelling(*given))
     touched = near(now.felt)
-    prior = growth.folded(task, now, now.intervals // 2, touched).prior
+    prior = propagation.folded(task, now, now.intervals // 2, touched).prior
     ((ahead, felt),) = asked
     assert felt is touched
     np.testing.assert_array_equal(prior.mean, foretelling(ahead, touched).mean)
@@ -662,9 +665,9 @@ def test_a_hollow_is_no_body_only_where_what_is_known_allows_of_no_convex_one(ta
     x = np.concatenate([np.zeros(6), now.motion.p])
     assert curvatures(x[6 : 6 + count(ORDER)], now.felt).min() < -1e-3
     told, chi2 = now.made_convex(x, covariance)
-    assert now.plausible == allowed == (chi2 < growth.HOLLOW_CHI2)
+    assert now.plausible == allowed == (chi2 < propagation.HOLLOW_CHI2)
     assert bool(doubt(task, [now], np.full(3, 1e-5), chi2))
-    assert not allowed or curvatures(told[6 : 6 + count(ORDER)], now.felt[:: growth.CURVATURE_EVERY]).min() > 0.0
+    assert not allowed or curvatures(told[6 : 6 + count(ORDER)], now.felt[:: propagation.CURVATURE_EVERY]).min() > 0.0
 
 
 def test_what_is_convex_where_it_was_touched_is_told_as_it_is(task):

@@ -25,7 +25,6 @@ from palmd.observer.three_palms.beliefs import Bools, Hypothesis
 from palmd.observer.three_palms.body import FINER, ORDER, centres_of, inertia, touching
 from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
 from palmd.observer.three_palms.equations import BodyMotion
-from palmd.observer.three_palms.felt_outline import foretelling
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
     EXPLAINED,
@@ -43,6 +42,7 @@ from palmd.observer.three_palms.search import (
     roughened,
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyPrior, BodySmoother
+from palmd.observer.three_palms.touched_outline import foretelling
 
 WHOLE_STARTS_S = (2.0, 5.0, 8.0, math.inf)
 """Of a record, that are explained as a whole at once; from the first second alone, in many ways, where that fails.
@@ -169,7 +169,7 @@ class Grown:
         return asks and not self.found_twice
 
     @property
-    def surprise(self) -> float:
+    def innovation_test(self) -> float:
         """What the last window cost per number read."""
         return self.windows[-1][1] if self.windows else 0.0
 
@@ -179,9 +179,9 @@ class Grown:
         What turns slowly and is foretold badly is sharper than its harmonics; contacts tell where that goes.
         """
         spin, until = np.linalg.norm(self.motion.omega, axis=1), self.intervals
-        for intervals, surprise in reversed(self._last_windows(lately)):
+        for intervals, innovation_test in reversed(self._last_windows(lately)):
             since = max(until - intervals - round(LATELY_S / SPACING_S), 0)
-            if surprise > STARTLED and spin[since : until + 1].max() > TUMBLES_RAD_S:
+            if innovation_test > STARTLED and spin[since : until + 1].max() > TUMBLES_RAD_S:
                 return True
             until -= intervals
         return False
@@ -194,7 +194,10 @@ class Grown:
         lately = LATELY_S / SPACING_S
         windows = self._last_windows(lately)
         length = sum(intervals for intervals, _ in windows)
-        return length >= lately and sum(intervals * surprise for intervals, surprise in windows) > LOST * length
+        return (
+            length >= lately
+            and sum(intervals * innovation_test for intervals, innovation_test in windows) > LOST * length
+        )
 
     def _last_windows(self, intervals: float) -> tuple[tuple[int, float], ...]:
         """The fewest that reach back so far; all, if they do not."""
@@ -538,16 +541,16 @@ def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: 
             now = _sure(task, smoothed(task, now))
         further = _window(task, now, WINDOWS_S[0], until)
         surprising = FORKED if early else FORETOLD
-        if further.surprise > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
+        if further.innovation_test > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
             now = _sure(task, smoothed(task, now))
             further = _window(task, now, WINDOWS_S[0], until)
-        if further.surprise > surprising:
+        if further.innovation_test > surprising:
             if early and forks > 0:
                 further, forks = _forked(task, now, until), forks - 1
             elif not early:
                 for seconds in WINDOWS_S[1:]:
                     further = _window(task, now, seconds, until)
-                    if further.surprise < FORETOLD:
+                    if further.innovation_test < FORETOLD:
                         break
         now = further
     return now

@@ -20,7 +20,7 @@ from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.matching import Felt, matched
 from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import felt_normals
+from palmd.observer.outline import contact_normals
 from palmd.observer.pad_map import with_shared_errors
 from palmd.observer.search import LED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
 from palmd.observer.smoother import Budget, Posterior
@@ -80,7 +80,7 @@ class _Open:
         return self.start + (len(self.guess.x) - 1) * SPACING_S
 
 
-class Follower:
+class FixedLagSmoother:
     """One object while it is on the palms; deterministic, and each call takes bounded time.
 
     `touched`: on which normals. `lost`: the readings contradict what is known. `psi`: ψ (rad) when it was last
@@ -211,7 +211,7 @@ class Follower:
         start = float(record.t[first])
         rested = answer.search.rested(start)
         self._open = _Open(start, Guess(guess.x[first:], guess.p), start - rested if rested else math.inf)
-        self.touched = self._closed | marks_of(felt_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
+        self.touched = self._closed | marks_of(contact_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
 
     def _close(self, answer: Answer, first: int, last: int) -> None:
         """The steps from node `first` to node `last` become a segment."""
@@ -219,7 +219,7 @@ class Follower:
         record = answer.finding.record.between(first, last)
         nodes = guess.x[first : last + 1]
         self._chain.append(record, Guess(nodes, guess.p))
-        self._closed = self._closed | marks_of(felt_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))
+        self._closed = self._closed | marks_of(contact_normals(record, nodes[:, 0], guess.p[C.SHAPE :]))
 
 
 def _weighed(answer: Answer) -> Answer:

@@ -10,13 +10,13 @@ from simulated import simulated
 from palmd.events import PadSample, PalmSample
 from palmd.model.shape_map import Z
 from palmd.model.smoothing import C
-from palmd.observer import seeker
+from palmd.observer import initialiser
 from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.incremental import IncrementalSmoother
+from palmd.observer.initialiser import Initialiser
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import MOTIONS, Attempt, Likeliest, Search, explained
-from palmd.observer.seeker import Seeker
 from palmd.observer.smoothing import Session
 from palmd.record.eventlog import read_log
 from palmd.rig.shapes import Body, Support
@@ -32,7 +32,7 @@ STARVED_S = 0.8
 def sought(rig, times=2):
     """Whether what is told of the same readings is sure, asked so many times."""
     (segment,) = data_segments(simulated(*RUN).events)
-    mine = Seeker(rig, 0)
+    mine = Initialiser(rig, 0)
     return [mine.sought(segment, None) is not None and mine.sure for _ in range(times)]
 
 
@@ -89,7 +89,7 @@ def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig
 
     monkeypatch.setattr(Search, "likeliest", likeliest)
     whole = longest_segment(simulated(*RUN).events)
-    seek = Seeker(rig, seed=0)
+    seek = Initialiser(rig, seed=0)
     for segment in (whole.until(whole.start + 2.0), whole, whole.since(whole.start + 1.0), whole):
         seek.sought(segment, None)
     assert tried == [MOTIONS, MOTIONS[1:], MOTIONS, MOTIONS]
@@ -103,7 +103,7 @@ def test_where_constants_are_open_a_second_search_must_come_to_the_same(rig, mon
     """Short records are explained as well by outlines that are a millimetre off."""
     calibrated = rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
     assert sought(calibrated) == [False, True]
-    monkeypatch.setattr(seeker, "agree", lambda *_: False)
+    monkeypatch.setattr(initialiser, "agree", lambda *_: False)
     assert sought(calibrated, 3) == [False] * 3
 
 
@@ -117,7 +117,7 @@ def test_what_has_no_rival_for_long_need_not_be_found_again(rig, monkeypatch, al
         return blind(self, attempt, seed) if len(begun) == 1 else None
 
     monkeypatch.setattr(Search, "blind", once)
-    monkeypatch.setattr(seeker, "ALONE_S", alone_s)
+    monkeypatch.setattr(initialiser, "ALONE_S", alone_s)
     assert sought(calibrated) == [False, sure]
 
 
@@ -143,7 +143,7 @@ def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_riva
         Search, "blind", lambda self, attempt, seed: None if attempt.asymmetry else blind(self, attempt, seed)
     )
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
-    monkeypatch.setattr(seeker, "TELLING_S", 2.0)
+    monkeypatch.setattr(initialiser, "TELLING_S", 2.0)
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
 
 
@@ -185,7 +185,7 @@ def asked(monkeypatch):
 def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, asked):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 6.5).events)
-    seek = Seeker(rig, 0)
+    seek = Initialiser(rig, 0)
     for seconds, searches in ((1.5, 1), (2.9, 1), (3.1, 2), (6.3, 2)):
         assert seek.sought(whole.until(whole.start + seconds), None) is not None
         assert seek.sure
@@ -193,7 +193,7 @@ def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, 
 
 
 def disagree(monkeypatch):
-    monkeypatch.setattr(seeker, "agree", lambda *_: False)
+    monkeypatch.setattr(initialiser, "agree", lambda *_: False)
 
 
 def find_a_rival(monkeypatch):
@@ -214,7 +214,7 @@ def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_ha
     order, _ = asked
     come_out(monkeypatch)
     whole = longest_segment(simulated("friction", 107, 6.5).events)
-    seek = Seeker(rig, 0)
+    seek = Initialiser(rig, 0)
     for seconds, searches in ((1.5, 1), (3.1, 2), (6.3, 3)):
         seek.sought(whole.until(whole.start + seconds), None)
         assert seek.sure
@@ -234,14 +234,14 @@ def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_op
     segment = longest_segment(simulated(*RUN).events)
     hint = Search(segment, rig).prior.mean
     rig = rig if exact else rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
-    Seeker(rig, 0).sought(segment, hint)
+    Initialiser(rig, 0).sought(segment, hint)
     assert order == expected
 
 
 def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig, asked):
     order, vain = asked
     whole = longest_segment(simulated("friction", 107, 3.2).events)
-    seek = Seeker(rig, 0)
+    seek = Initialiser(rig, 0)
     assert seek.sought(whole.until(whole.start + 1.5), None) is not None
     vain.add("blind")
     seek.sought(whole.until(whole.start + 3.1), Search(whole, rig).prior.mean)
@@ -252,12 +252,12 @@ def test_after_two_searches_in_vain_it_begins_anew_with_the_latest_readings(rig,
     """What no search passes would be at the beginning of every longer record."""
     monkeypatch.setattr(Search, "blind", lambda *_: None)
     whole = longest_segment(simulated("friction", 0, 8.0).events)
-    seek, useful = Seeker(rig, seed=0), []
+    seek, useful = Initialiser(rig, seed=0), []
     for seconds in (3.0, 3.7, 5.0):
         assert seek.sought(whole.until(whole.start + seconds), None) is None
         useful.append(seek.needs_from - whole.start)
     assert useful[:1] == [-math.inf]
-    assert useful[1] == useful[2] == pytest.approx(3.7 - seeker.RENEWED_S, abs=0.02)
+    assert useful[1] == useful[2] == pytest.approx(3.7 - initialiser.RENEWED_S, abs=0.02)
 
 
 def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
@@ -281,7 +281,7 @@ def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
 def test_one_step_that_is_not_explained_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 10.0).events)
-    seek, resumed = Seeker(rig, 0), Search.resumed
+    seek, resumed = Initialiser(rig, 0), Search.resumed
     assert seek.sought(whole.until(whole.start + 1.5), None) is not None
     assert seek.sure
     with monkeypatch.context() as hard:

@@ -23,8 +23,8 @@ from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
 from palmd.observer.three_palms.body import FINER_LIVE, ORDER
 from palmd.observer.three_palms.driven import ContactCurves
-from palmd.observer.three_palms.felt_outline import felt_outline, near
-from palmd.observer.three_palms.growth import (
+from palmd.observer.three_palms.path import joint_path
+from palmd.observer.three_palms.propagation import (
     BEHIND,
     SURE,
     Grown,
@@ -38,10 +38,10 @@ from palmd.observer.three_palms.growth import (
     raced,
     smoothed,
 )
-from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, surface
 from palmd.observer.three_palms.record import PadReadings
 from palmd.observer.three_palms.search import CHANCE, HOPELESS, SPACING_S, Task, rivals
+from palmd.observer.three_palms.touched_outline import felt_outline, near
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
 REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
@@ -75,7 +75,7 @@ class _Heard:
         self.joints = [row for row in self.joints if row[0] >= before]
 
 
-class GrowingBody:
+class IncrementalBodySmoother:
     """Gathers events; `answer` goes on with the rivals as far as the events reach."""
 
     def __init__(self, rig: ThreePalmsRig) -> None:
@@ -316,11 +316,11 @@ def _unknown(task: Task, begun: float, reason: str) -> BodyAnswer:
     )  # fmt: skip
 
 
-class SimulatedGrowing:
+class SimulatedIncrementalSmoother:
     """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
 
     def __init__(self, rig: ThreePalmsRig) -> None:
-        self._smoother = GrowingBody(rig)
+        self._smoother = IncrementalBodySmoother(rig)
         self._ready: tuple[float, BodyAnswer | None] | None = None
         self._known = False
 
