@@ -18,9 +18,9 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
-from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.dynamics import VIBRATION_ERROR_INPUTS
 from palmd.model.outputs import CURVATURE_INPUTS, FRICTION_INPUT
-from palmd.model.rollout import LEAST_FORCES, MEAN_FORCES, MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD
+from palmd.model.rollout import LEAST_FORCES, MEAN_FORCES, MOVE_INPUTS, OUTPUTS, STEP_S, SUBSTEPS, THETA
 from palmd.model.smoothing import R
 from palmd.motion.limits import PHI12_MAX, MotionLimits
 from palmd.system.description import PadSensor
@@ -58,7 +58,7 @@ class Prediction:
 
     touched: (N, k, BINS), where palms have been since the beginning. least_force: (N, k), m/s², within a vibration.
     nearest, farthest: (N, k), of both contacts from the hinge, m. psi, omega0: (N, k) at the end of each move. path:
-    (N, T, TOLD) what `model.rollout` tells after each `CALL_S`, NaN after the sequence's end and after what was looked
+    (N, T, OUTPUTS) what `model.rollout` tells after each `CALL_S`, NaN after the sequence's end and after what was looked
     at.
     """
 
@@ -150,7 +150,7 @@ class _Task(ctypes.Structure):
 def _routine(curved: bool) -> Callable[[_Task], None]:
     """`roll_sequences`. Raises RuntimeError where its sizes are not the model's."""
     library = rollout.library(curved).opened()
-    wanted = [LANES, shape_map.N, MOVE_INPUTS, SUBSTEPS, TOLD, BINS, MOST_MOVES]
+    wanted = [LANES, shape_map.N, MOVE_INPUTS, SUBSTEPS, OUTPUTS, BINS, MOST_MOVES]
     if list((ctypes.c_long * len(wanted)).in_dll(library, "rollout_sizes")) != wanted:
         raise RuntimeError("model/rollout.c has other sizes than model/rollout.py")
     roll, library.roll_sequences.restype = library.roll_sequences, None
@@ -168,7 +168,7 @@ class RolloutPredictor:
     def correct(self, off: FloatArray) -> None:
         """Foretell from now on for a rig whose constants are `off` by so much, in the order of `model.smoothing.R`."""
         self._rig[FRICTION_INPUT] = off[R.FRICTION]
-        self._rig[VIBRATION_OFF_INPUTS] = off[R.KAPPA : R.ARM + 1]
+        self._rig[VIBRATION_ERROR_INPUTS] = off[R.KAPPA : R.ARM + 1]
         self._angles = off[[R.TILT, R.TURN]]
 
     def of(self, states: FloatArray, moves: Moves, elapsed: float = 0.0, horizon_s: float = math.inf) -> Prediction:
@@ -190,7 +190,7 @@ class RolloutPredictor:
         foreseen = Prediction(
             touched=np.zeros((n, k, BINS), dtype=np.bool_),
             least_force=np.full(shape, np.inf), nearest=np.full(shape, np.inf), farthest=np.full(shape, -np.inf),
-            psi=np.zeros(shape), omega0=np.zeros(shape), path=np.full((n, calls, TOLD), np.nan),
+            psi=np.zeros(shape), omega0=np.zeros(shape), path=np.full((n, calls, OUTPUTS), np.nan),
         )  # fmt: skip
         inputs = (each.ctypes.data for each in (states, points, durations, self._rig))
         told = (getattr(foreseen, name).ctypes.data for name in Prediction.__slots__)

@@ -9,7 +9,7 @@ import pytest
 
 from palmd.events import FloatArray, PlanningBelief
 from palmd.model import shape_map
-from palmd.model.rollout import THETA, TOLD
+from palmd.model.rollout import OUTPUTS, THETA
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.rig_information import READING_S, RigInformation, rig_cost
 from palmd.motion.rollout_predictor import BINS, CALL_S
@@ -36,7 +36,7 @@ def circle(*steps: dict[int, float], radius_m: float = 0.0) -> PlanningBelief:
 
 def standing(opening: float, seconds: float) -> tuple[FloatArray, FloatArray]:
     """The path of a stand with the palms this far open (rad), and the duration of its only move."""
-    path = np.zeros((1, round(seconds / CALL_S), TOLD))
+    path = np.zeros((1, round(seconds / CALL_S), OUTPUTS))
     path[..., THETA] = normal_directions((0.7, opening), 0.0)
     return path, np.array([[seconds]])
 
