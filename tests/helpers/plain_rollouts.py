@@ -37,7 +37,7 @@ class PlainPredictor:
         states = np.broadcast_to(states, (n, shape_map.N))
         order = np.argsort(moves.durations.sum(axis=1), kind="stable")  # those side by side end at about the same time
         parts = [
-            self._batch(states[some], moves.some(some), elapsed, horizon_s)
+            self._batch(states[some], moves.select(some), elapsed, horizon_s)
             for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
         ]
         back = np.argsort(order, kind="stable")
