@@ -362,14 +362,14 @@ class _Compiler:
             self.problems.setdefault((loc, bound.what), text)
 
     def _check_explorations(self) -> None:
-        places = [index for index, spec in enumerate(self.spec.segments) if isinstance(spec, ExploreSpec)]
-        for index in places:
+        indices = [index for index, spec in enumerate(self.spec.segments) if isinstance(spec, ExploreSpec)]
+        for index in indices:
             if index != len(self.spec.segments) - 1:
                 text = "the end of an exploration is not known in advance: it must be the last segment"
                 self.problems[(("segments", index), "not last")] = text
-        if places and self.spec.repeat != 1:
+        if indices and self.spec.repeat != 1:
             self.problems[(("repeat",), "exploration")] = "a plan that explores runs once: leave repeat out"
-        if places and self.spec.dither is not None:
+        if indices and self.spec.dither is not None:
             text = "a plan that explores cannot have a dither: its moves leave no room for one"
             self.problems[(("dither",), "exploration")] = text
 
