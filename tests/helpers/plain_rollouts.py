@@ -10,7 +10,7 @@ from palmd.events import FloatArray
 from palmd.model import rollout, shape_map
 from palmd.model.compiled import LANES
 from palmd.model.outputs import CURVATURE_INPUTS
-from palmd.model.rollout import MOVE_INPUTS, STEP_S, SUBSTEPS, THETA, TOLD, S
+from palmd.model.rollout import MOVE_INPUTS, OUTPUTS, STEP_S, SUBSTEPS, THETA, S
 from palmd.motion.rollout_predictor import BINS, CALL_S, Moves, Prediction
 
 _BIN_RAD = 2 * np.pi / BINS
@@ -25,7 +25,7 @@ class PlainPredictor:
         self._x = np.zeros((COLUMNS, shape_map.N))
         self._move = np.zeros((COLUMNS, MOVE_INPUTS))
         self._moved = np.zeros((COLUMNS, 2))
-        self._told = np.zeros((COLUMNS, SUBSTEPS, TOLD))
+        self._told = np.zeros((COLUMNS, SUBSTEPS, OUTPUTS))
         self._s = np.zeros((COLUMNS, 2))
         bind = rollout.library(curved).bind
         self._begin = bind("begin_batch", [self._x, self._move, rig], [self._s])
@@ -37,7 +37,7 @@ class PlainPredictor:
         states = np.broadcast_to(states, (n, shape_map.N))
         order = np.argsort(moves.durations.sum(axis=1), kind="stable")  # those side by side end at about the same time
         parts = [
-            self._batch(states[some], moves.some(some), elapsed, horizon_s)
+            self._batch(states[some], moves.select(some), elapsed, horizon_s)
             for some in (order[i : i + COLUMNS] for i in range(0, n, COLUMNS))
         ]
         back = np.argsort(order, kind="stable")
@@ -55,7 +55,7 @@ class PlainPredictor:
         finished = np.cumsum(durations, axis=1) - elapsed
         points = np.concatenate([np.broadcast_to(moves.start, (COLUMNS, 1, 2)), ends], axis=1)
         calls = max(int(np.ceil((min(finished[:, -1].max(), horizon_s) - 1e-9) / CALL_S)), 1)
-        told = np.empty((COLUMNS, calls * SUBSTEPS, TOLD))
+        told = np.empty((COLUMNS, calls * SUBSTEPS, OUTPUTS))
         leg_of = np.empty((COLUMNS, calls), dtype=np.intp)
         self._x[:] = states[filled]
         for call in range(calls):

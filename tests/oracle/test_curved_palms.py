@@ -299,7 +299,7 @@ def test_a_roll_ends_where_steps_of_the_filters_end() -> None:
         jerk = [(b - a) / 0.0025 for a, b in zip(begin[4:], after[4:], strict=True)]
         x = np.asarray(predict(x, P, [0.0025, *begin, *jerk, *rig])[0]).ravel()
     assert moved.ravel() == pytest.approx(x[:2], abs=2e-5), "of steps four times as long"
-    assert told.shape == (rollout.TOLD, rollout.SUBSTEPS)
+    assert told.shape == (rollout.OUTPUTS, rollout.SUBSTEPS)
     assert rig.shape == (RIG_INPUTS,)
 
 

@@ -64,12 +64,12 @@ def _installed(name: str) -> bool:
 def compiler() -> Finding:
     """Without one the observers run only where the wheel carries compiled ones."""
     from palmd.model.compiled import shipped_fits
-    from palmd.model.compiler import CompilerError, command, tried
+    from palmd.model.compiler import CompilerError, check_compiler, command
 
     try:
         found = command()
         if found:
-            tried(found, _where_compiled())
+            check_compiler(found, _where_compiled())
             return Finding("compiler", "ok", shlex.join(found))
     except (CompilerError, OSError) as error:
         return Finding("compiler", "missing", str(error), "mend that, or name another compiler in CC")

@@ -1,1 +1,1 @@
-"""Symbols, equations and generated C: the only room where CasADi's symbols live."""
+"""Symbolic models and the C generated from them; the only package that uses CasADi's symbols."""

@@ -1,4 +1,4 @@
-"""The fourth-order Adams–Bashforth–Moulton predictor–corrector, with which CMU-CS-01-107 integrates (section 3.3)."""
+"""Fourth-order Adams–Bashforth–Moulton predictor–corrector, the integrator of CMU-CS-01-107 (section 3.3)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 
-# Weights, newest derivative first; the early steps, which have no past yet, use what there is.
+# Weights, newest derivative first; the first steps use lower orders until there are enough past derivatives.
 _BASHFORTH = (
     (1.0,),
     (3 / 2, -1 / 2),
@@ -25,20 +25,20 @@ Derivative = Callable[[FloatArray], FloatArray]
 
 
 class AdamsBashforthMoulton:
-    """Integrates any array on even steps `h` (s): predict, evaluate, correct, evaluate. Safe inside the loop."""
+    """Integrates an array with a fixed step (predict, evaluate, correct, evaluate). Safe inside the loop."""
 
     def __init__(self, h: float):
-        """`h` is the step (s)."""
+        """`h`: step (s)."""
         self._h = h
         self._past: list[FloatArray] = []  # derivatives, newest first
 
-    def step(self, y: FloatArray, here: Derivative, there: Derivative) -> FloatArray:
-        """y one step on; `here` and `there` give dy/dt at its beginning and its end."""
-        self._past = [here(y), *self._past[: len(_BASHFORTH) - 1]]
+    def step(self, y: FloatArray, start_derivative: Derivative, end_derivative: Derivative) -> FloatArray:
+        """Return y after one step; the callables give dy/dt at the start and at the end of the step."""
+        self._past = [start_derivative(y), *self._past[: len(_BASHFORTH) - 1]]
         order = len(self._past)
         predicted = y + self._h * _weighted(_BASHFORTH[order - 1], self._past)
         weights = _MOULTON[min(order, len(_MOULTON)) - 1]
-        return y + self._h * _weighted(weights, [there(predicted), *self._past])
+        return y + self._h * _weighted(weights, [end_derivative(predicted), *self._past])
 
 
 def _weighted(weights: tuple[float, ...], values: list[FloatArray]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Kernels compiled into the cache, checked against CasADi's virtual machine; or run by that. Needs CasADi."""
+"""Compile kernels into the cache and check them against CasADi's virtual machine, or run them on it. Needs CasADi."""
 
 from __future__ import annotations
 
@@ -27,32 +27,31 @@ from palmd.model.compiled import (
     key_of,
     note_of,
 )
-from palmd.model.compiler import COMPILE_S, CompilerError, command, remember_fault, run, tried
+from palmd.model.compiler import COMPILE_S, CompilerError, check_compiler, command, remember_fault, run
 from palmd.model.kernels import Kernel, source
 from palmd.model.symbolic import ca
 
-SCALES = 1.0, 0.1, 0.01  # of the random inputs
-WILD = 1e5  # of any output: beyond it angles may be no angles any more on the way to another
-TOLERANCE = 1e-9  # relative, beside what the last bits of the inputs make of the outputs
-LAST_BITS, AS_MUCH = 4e-16, 100.0
+INPUT_SCALES = 1.0, 0.1, 0.01  # of the random inputs
+LARGEST_OUTPUT = 1e5  # a larger output means that an intermediate angle may exceed the kernels' range and give NaN
+TOLERANCE = 1e-9  # relative error, beyond the effect of rounding the inputs
+INPUT_ROUNDING, ROUNDING_FACTOR = 4e-16, 100.0  # relative change of the inputs; how much of its effect is allowed
 
 
 def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: Path, sources: bytes) -> bool:
-    """Generate, compile and check the library `name`; then put it and its `note` into the note's folder.
+    """Generate, compile and check the library `name`; write it and its `note` into the note's folder.
 
-    `sources`: what all of it comes from, for the note.
+    `written`: handwritten C files. `sources`: hash input of all sources, for the note. A library that was already
+    compiled from the same C is kept.
 
-    What has been compiled from the same C already is left as it is.
-
-    False when there is no compiler. Raises OSError or CompilerError when it fails, RuntimeError when what it has made
-    computes something else.
+    Returns False when there is no compiler. Raises OSError or CompilerError when compiling fails, RuntimeError when the
+    compiled code disagrees with CasADi's virtual machine.
     """
     compiler = command()
     if not compiler:
         return False
     try:
         note.parent.mkdir(parents=True, exist_ok=True)
-        _tried(tuple(compiler), note.parent)
+        _check_compiler(tuple(compiler), note.parent)
     except (OSError, CompilerError):
         remember_fault(note.parent)
         raise
@@ -65,51 +64,51 @@ def build(name: str, kernels: Sequence[Kernel], written: Sequence[Path], note: P
                 generated.write_text(text, encoding="utf-8")
                 files[generated] = GENERATED
         library = note.with_name(f"{name}-{key_of(b''.join(each.read_bytes() for each in files))}.so")
-        if not (library.exists() and _sound(library, kernels)):
+        if not (library.exists() and _passes_check(library, kernels)):
             try:
                 _compile(compiler, files, kernels, library, Path(folder))
             except CompilerError as error:
                 note.with_suffix(FAILED).write_text(str(error), encoding="utf-8")
                 raise
-        told = Path(folder) / "note.json"
-        told.write_text(note_of(_signatures(kernels), library, sources), encoding="utf-8")
-        told.replace(note)
+        draft = Path(folder) / "note.json"
+        draft.write_text(note_of(_signatures(kernels), library, sources), encoding="utf-8")
+        draft.replace(note)
     return True
 
 
 @cache
-def _tried(compiler: tuple[str, ...], folder: Path) -> None:
-    tried(compiler, folder)
+def _check_compiler(compiler: tuple[str, ...], folder: Path) -> None:
+    check_compiler(compiler, folder)
 
 
 def _compile(
     compiler: Sequence[str], files: Mapping[Path, Sequence[str]], kernels: Sequence[Kernel], library: Path, folder: Path
 ) -> None:
-    """Each file by flags of its own."""
+    """Compile each file with its own flags, link and check them, then move the result to `library`."""
     built = folder / "built.so"
     processor = () if any(word.startswith("-march=") for word in compiler) else (NATIVE,)
-    begun = [*compiler, *processor, *FLAGS, "-I", str(Path(__file__).parent)]
+    base_command = [*compiler, *processor, *FLAGS, "-I", str(Path(__file__).parent)]
     objects = [str(folder / f"{each.stem}.o") for each in files]
 
-    def compiled(*arguments: str) -> None:
-        run([*begun, *arguments], COMPILE_S)
+    def run_compiler(*arguments: str) -> None:
+        run([*base_command, *arguments], COMPILE_S)
 
-    with ThreadPoolExecutor() as pool:  # most of the time goes into two files of about the same length
-        list(pool.map(lambda each, made: compiled(*files[each], "-c", str(each), "-o", made), files, objects))
-    compiled("-o", str(built), *objects, "-lm")
-    _checked(built, kernels)  # refused before anybody relies on it
+    with ThreadPoolExecutor() as pool:  # two files of about the same length take most of the time
+        list(pool.map(lambda each, made: run_compiler(*files[each], "-c", str(each), "-o", made), files, objects))
+    run_compiler("-o", str(built), *objects, "-lm")
+    _check_library(built, kernels)  # before it becomes visible to other processes
     built.replace(library)
 
 
-def _sound(library: Path, kernels: Sequence[Kernel]) -> bool:
+def _passes_check(library: Path, kernels: Sequence[Kernel]) -> bool:
     try:
-        _checked(library, kernels)
+        _check_library(library, kernels)
     except (OSError, AttributeError, RuntimeError):
         return False
     return True
 
 
-def _checked(library: Path, kernels: Sequence[Kernel]) -> None:
+def _check_library(library: Path, kernels: Sequence[Kernel]) -> None:
     compiled = ctypes.CDLL(str(library))
     for kernel in kernels:
         check(kernel, compiled)
@@ -118,18 +117,20 @@ def _checked(library: Path, kernels: Sequence[Kernel]) -> None:
 def check(kernel: Kernel, compiled: ctypes.CDLL) -> None:
     """Raise RuntimeError when the compiled code and the virtual machine disagree on random inputs."""
     random, vm = np.random.default_rng(0), kernel.on_the_vm
-    for scale in SCALES:
+    for scale in INPUT_SCALES:
         inputs = [scale * random.uniform(0.2, 0.9, vm.numel_in(i)) for i in range(vm.n_in())]
-        moved = [each * (1.0 + LAST_BITS * random.choice([-1.0, 1.0], each.shape)) for each in inputs]
+        rounded = [each * (1.0 + INPUT_ROUNDING * random.choice([-1.0, 1.0], each.shape)) for each in inputs]
         outputs = [np.zeros(vm.numel_out(i)) for i in range(vm.n_out())]
         into, out = ((ctypes.c_void_p * len(each))(*(a.ctypes.data for a in each)) for each in (inputs, outputs))
         compiled[EXPORTED + kernel.name](into, out, ctypes.c_long(LANES if kernel.columns else 1))
-        whole = _flat(vm, inputs)
-        calm = all(np.nanmax(np.abs(each), initial=0.0) < WILD for each in whole)
-        for index, (got, wanted, near) in enumerate(zip(outputs, whole, _flat(vm, moved), strict=True)):
+        expected = _flat(vm, inputs)
+        moderate = all(np.nanmax(np.abs(each), initial=0.0) < LARGEST_OUTPUT for each in expected)
+        for index, (got, wanted, near) in enumerate(zip(outputs, expected, _flat(vm, rounded), strict=True)):
             with np.errstate(invalid="ignore", over="ignore"):
-                allowed = TOLERANCE * (1.0 + np.abs(wanted)) + AS_MUCH * np.nanmax(np.abs(near - wanted), initial=0.0)
-                wrong = np.isfinite(wanted) & ~(np.abs(got - wanted) <= allowed) & (np.isfinite(got) | calm)
+                allowed = TOLERANCE * (1.0 + np.abs(wanted)) + ROUNDING_FACTOR * np.nanmax(
+                    np.abs(near - wanted), initial=0.0
+                )
+                wrong = np.isfinite(wanted) & ~(np.abs(got - wanted) <= allowed) & (np.isfinite(got) | moderate)
             if wrong.any():
                 raise RuntimeError(
                     f"compiled {kernel.name} differs from CasADi's virtual machine in output {vm.name_out(index)} by "
@@ -143,7 +144,7 @@ def _flat(vm: ca.Function, inputs: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _signatures(kernels: Sequence[Kernel]) -> dict[str, Signature]:
-    def of(kernel: Kernel) -> Signature:
+    def signature_of(kernel: Kernel) -> Signature:
         f = kernel.function
         return Signature(
             tuple((f.name_in(i), f.numel_in(i)) for i in range(f.n_in())),
@@ -152,11 +153,11 @@ def _signatures(kernels: Sequence[Kernel]) -> dict[str, Signature]:
             kernel.shared,
         )
 
-    return {kernel.name: of(kernel) for kernel in kernels}
+    return {kernel.name: signature_of(kernel) for kernel in kernels}
 
 
 def on_the_vm(kernels: Sequence[Kernel]) -> Library:
-    """The same on CasADi's virtual machine."""
+    """Return the kernels as a `Library` that runs on CasADi's virtual machine."""
     by_name = {kernel.name: kernel for kernel in kernels}
 
     def runner(name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Run:
@@ -164,8 +165,8 @@ def on_the_vm(kernels: Sequence[Kernel]) -> Library:
         if not kernel.columns:
             run = _buffered(vm, inputs, outputs)
             return lambda _columns: run()
-        some = [i for i in range(len(inputs)) if i not in kernel.shared]
-        columns = inputs[some[0]].size // kernel.function.numel_in(some[0])
+        per_column = [i for i in range(len(inputs)) if i not in kernel.shared]
+        columns = inputs[per_column[0]].size // kernel.function.numel_in(per_column[0])
 
         def part(array: FloatArray, at: int) -> FloatArray:
             size = array.size // columns
@@ -174,7 +175,7 @@ def on_the_vm(kernels: Sequence[Kernel]) -> Library:
         calls = [
             _buffered(
                 vm,
-                [part(each, at) if i in some else each for i, each in enumerate(inputs)],
+                [part(each, at) if i in per_column else each for i, each in enumerate(inputs)],
                 [part(each, at) for each in outputs],
             )
             for at in range(0, columns, LANES)
@@ -192,7 +193,7 @@ def on_the_vm(kernels: Sequence[Kernel]) -> Library:
 def _buffered(vm: ca.Function, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Callable[[], None]:
     buffer, trigger = vm.buffer()
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the stub knows of no default
+        buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # the stub lacks the default argument
     for i, array in enumerate(outputs):
         buffer.set_res(i, array.data)  # type: ignore[call-arg]
 

@@ -1,10 +1,10 @@
-"""Compiled kernels, bound to fixed arrays and called without copies.
+"""Load compiled kernels and bind them to fixed arrays, so that calls copy nothing.
 
-Kernels are generated, compiled and checked once (`model.building`) into a cache. What is found there is loaded in a
-millisecond, without CasADi: its name tells the sources, the compiler's flags and the processor that it was made from
-and for, a note beside it its functions and its hash. Where nothing can be compiled, libraries that the wheel of a
-release carries are loaded. Without these, C by hand is refused (decision 32); what is generated alone runs on CasADi's
-virtual machine: slower, the same numbers to rounding.
+Kernels are generated, compiled and checked once (`model.building`) and kept in a cache. Loading from it takes a
+millisecond and does not need CasADi: the file name identifies sources, compiler flags and processor; a note (JSON)
+beside the library holds its function signatures and its hash. Without a working compiler, libraries shipped in the
+release's wheel are loaded. Without these too, libraries with handwritten C raise NotCompiledError (decision 32); purely
+generated ones run on CasADi's virtual machine: slower, same results up to rounding.
 """
 
 from __future__ import annotations
@@ -33,34 +33,35 @@ if TYPE_CHECKING:
 
 Backend = Literal["c", "vm"]
 LANES = 8
-"""Columns that stand side by side in a kernel of columns, which serves any multiple of so many."""
+"""Columns that a column kernel processes side by side; it takes any multiple of this number."""
 
 NEEDS = "needs.txt"
-"""Beside libraries that a wheel carries: the features of a processor, by NumPy's names, that they need."""
+"""File beside shipped libraries: the processor features that they need, in NumPy's names."""
 
 FAILED = ".failed"
-"""Ends the name of a file that says why a library could not be compiled, beside where it would be."""
+"""Suffix of the file with the reason why a library could not be compiled, in place of the library."""
 
-EXPORTED = "kernel_"  # before a kernel's name: what a library exports
-# no contraction: the same bits on every processor
+EXPORTED = "kernel_"  # prefix of the exported symbols
+# no contraction (FMA), so that every processor gives the same bits
 FLAGS = ("-fPIC", "-shared", "-fno-math-errno", "-ffp-contract=off", "-Wno-psabi")
 NATIVE = "-march=native"
-"""For this processor, unless CC names another: `CC="cc -march=x86-64-v3"`."""
+"""Compile for this processor, unless CC names another: `CC="cc -march=x86-64-v3"`."""
 
 WRITTEN, GENERATED = ("-O2",), ("-O1", "-fexpensive-optimizations", "-ftree-slp-vectorize")
-"""How far C by hand and generated C are optimised: straight lines gain nothing by the slower half of -O2.
+"""Optimisation flags of handwritten and of generated C, which is straight-line code and gains nothing from full -O2.
 
-Only with `-fexpensive-optimizations` does GCC clear the vector registers' upper halves before libm, which is slow else.
+GCC clears the upper halves of the vector registers before libm calls only with `-fexpensive-optimizations`; without it
+these calls are slow.
 """
 
 log = logging.getLogger(__name__)
-_SAID: set[str] = set()
+_WARNED: set[str] = set()  # reasons already logged
 
 Run = Callable[[int], None]
 
 
 class NotCompiledError(CliError):
-    """What has C by hand could not be compiled, and no wheel carries it; the text says why, and what to do."""
+    """A library with handwritten C could not be compiled and is not shipped; the message says why and what to do."""
 
     def __init__(self, name: str, why: str) -> None:
         self.why = why
@@ -69,9 +70,9 @@ class NotCompiledError(CliError):
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """A kernel's inputs and outputs: name and size of each, of one column where it is of columns.
+    """Name and size of each input and output of a kernel; for a column kernel, the size of one column.
 
-    All columns have the `shared` inputs in common.
+    `shared`: indices of the inputs that all columns have in common.
     """
 
     inputs: tuple[tuple[str, int], ...]
@@ -82,9 +83,9 @@ class Signature:
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """A set of kernels ready to be bound, and what runs them: compiled C or CasADi's virtual machine.
+    """A set of kernels ready to be bound, run as compiled C or on CasADi's virtual machine.
 
-    `path` is that of the compiled library, which there is wherever C by hand is part of it.
+    path: of the compiled library, None on the virtual machine. Libraries with handwritten C always have one.
     """
 
     signatures: dict[str, Signature]
@@ -93,49 +94,49 @@ class Library:
     path: Path | None = None
 
     def opened(self) -> ctypes.CDLL:
-        """The compiled library itself; raises RuntimeError where its kernels run on CasADi's virtual machine."""
+        """Open the compiled library itself; raises RuntimeError when its kernels run on CasADi's virtual machine."""
         if self.path is None:
             raise RuntimeError("kernels are not compiled; see `palmd doctor`")
         return ctypes.CDLL(str(self.path))
 
     def bind(self, name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> BoundCall:
-        """A call that reads `inputs` and writes `outputs` in place, in microseconds.
+        """Return a call that reads `inputs` and writes `outputs` in place, in microseconds.
 
-        Arrays are C-contiguous float64 of exactly the kernel's sizes, matrices column-major as CasADi stores them; of a
-        kernel of columns one column after the other, a multiple of `LANES` of them. No output may share memory with an
+        Arrays are C-contiguous float64 of exactly the kernel's sizes, matrices column-major as in CasADi; a column
+        kernel takes one column after the other, a multiple of `LANES` of them. No output may share memory with an
         input. Raises ValueError otherwise. The returned call is safe inside the loop.
         """
-        told = self.signatures[name]
-        if (len(inputs), len(outputs)) != (len(told.inputs), len(told.outputs)):
+        signature = self.signatures[name]
+        if (len(inputs), len(outputs)) != (len(signature.inputs), len(signature.outputs)):
             raise ValueError(
-                f"{name} takes {len(told.inputs)} inputs and {len(told.outputs)} outputs, "
+                f"{name} takes {len(signature.inputs)} inputs and {len(signature.outputs)} outputs, "
                 f"got {len(inputs)} and {len(outputs)}"
             )
         columns = 1
-        if told.columns:
-            first = next(i for i in range(len(inputs)) if i not in told.shared)
-            columns = inputs[first].size // told.inputs[first][1]
+        if signature.columns:
+            first = next(i for i in range(len(inputs)) if i not in signature.shared)
+            columns = inputs[first].size // signature.inputs[first][1]
             if columns < 1 or columns % LANES:
                 raise ValueError(f"{name} takes a multiple of {LANES} columns, got {columns}")
-        for i, (array, (called, size)) in enumerate(zip(inputs, told.inputs, strict=True)):
-            _check_array(f"{name} input {called}", array, size if i in told.shared else columns * size)
-        for array, (called, size) in zip(outputs, told.outputs, strict=True):
-            _check_array(f"{name} output {called}", array, columns * size)
+        for i, (array, (argument, size)) in enumerate(zip(inputs, signature.inputs, strict=True)):
+            _check_array(f"{name} input {argument}", array, size if i in signature.shared else columns * size)
+        for array, (argument, size) in zip(outputs, signature.outputs, strict=True):
+            _check_array(f"{name} output {argument}", array, columns * size)
             if any(np.shares_memory(array, other) for other in inputs):
-                raise ValueError(f"{name} output {called} shares memory with an input")
+                raise ValueError(f"{name} output {argument} shares memory with an input")
         return BoundCall(self.runner(name, inputs, outputs), columns, (*inputs, *outputs))
 
 
 @dataclass(frozen=True, slots=True)
 class BoundCall:
-    """One kernel tied to its arrays; holds on to all the memory that the generated code will touch."""
+    """A kernel bound to its arrays; keeps all memory alive that the compiled code accesses."""
 
     run: Run
     columns: int
     owned: tuple[object, ...]
 
     def __call__(self, columns: int | None = None) -> None:
-        """Evaluate in place; only the first `columns`, a multiple of `LANES`, where that is given."""
+        """Evaluate in place: all columns, or the first `columns` (a multiple of `LANES`)."""
         self.run(self.columns if columns is None else columns)
 
 
@@ -145,11 +146,14 @@ def _check_array(what: str, array: FloatArray, size: int) -> None:
 
 
 def load_written(name: str, source: Path) -> ctypes.CDLL | None:
-    """A file of C alone as a library called `name`; None, with a warning, where it cannot be had and Python serves."""
+    """Load a library of handwritten C alone; None, with a warning, if unavailable and the caller falls back to Python.
+
+    `name`: of the library in the cache. `source`: the C file.
+    """
     try:
         return load(name, list, written=[str(source)]).opened()
     except NotCompiledError as error:
-        say(f"{name} runs slower, in Python: {error.why}")
+        warn_once(f"{name} runs slower, in Python: {error.why}")
         return None
 
 
@@ -159,11 +163,11 @@ def load(
     folder: Path | None = None,
     written: Sequence[str] = (),
 ) -> Library:
-    """The library called `name` from the cache (or `folder`); what is not there yet is built, from `kernels()`.
+    """Load the library `name` from the cache (or `folder`); if it is missing, build it from `kernels()`.
 
-    `written`: files of C by hand that are compiled with it, in this package or by their absolute paths. Takes seconds
-    the first time and a millisecond afterwards; not for use inside the loop. For want of a compiler or of a writable
-    cache it falls back to the virtual machine with a warning, or raises NotCompiledError where there is C by hand.
+    `written`: handwritten C files compiled into it, relative to this package or absolute. Takes seconds the first time
+    and a millisecond afterwards; not for the loop. Without a compiler or a writable cache it falls back to the virtual
+    machine with a warning, or raises NotCompiledError if there is handwritten C.
     """
     files = [_PACKAGE / each for each in written]
     sources = _sources() + b"".join(each.read_bytes() for each in files)
@@ -179,7 +183,7 @@ def load(
     failed = note.with_suffix(FAILED)
     try:
         if compiler.known_fault(note.parent):
-            pass  # whoever found it has said so
+            pass  # already reported by the process that found it
         elif failed.exists():
             raise compiler.CompilerError(f"{failed.read_text(encoding='utf-8')} (`palmd doctor build` tries again)")
         elif building.build(name, made, files, note, sources):
@@ -194,26 +198,26 @@ def load(
     if written and found is None:
         raise NotCompiledError(name, why)
     if warning:
-        say(warning)
+        warn_once(warning)
     return found or building.on_the_vm(made)
 
 
-def say(text: str) -> None:
-    """Warn once for each reason, whichever library it was found with."""
+def warn_once(text: str) -> None:
+    """Log a warning once per reason (the text after the first colon), whichever library it concerns."""
     reason = text.partition(": ")[2] or text
-    if reason not in _SAID:
-        _SAID.add(reason)
+    if reason not in _WARNED:
+        _WARNED.add(reason)
         log.warning("%s", text)
 
 
 def forget_failures() -> None:
-    """Have what could not be compiled tried again."""
+    """Delete the records of failed builds, so that they are tried again."""
     for failed in cache_directory().glob(f"*{FAILED}"):
         failed.unlink(missing_ok=True)
 
 
 def cache_directory() -> Path:
-    """Where compiled observers live: $CACHE_DIRECTORY (systemd), else the user's cache."""
+    """Return the folder of compiled libraries: $CACHE_DIRECTORY (systemd), else the user's cache."""
     if service := os.environ.get("CACHE_DIRECTORY"):
         return Path(service)
     home = os.environ.get("XDG_CACHE_HOME")
@@ -222,37 +226,37 @@ def cache_directory() -> Path:
 
 _PACKAGE = Path(__file__).parent
 SHIPPED = _PACKAGE.with_name("data") / "kernels"
-"""Where a wheel for one platform carries libraries (`tools/wheel.py`)."""
+"""Libraries shipped in a wheel for one platform (`tools/wheel.py`)."""
 
 _SOURCES = (_PACKAGE, _PACKAGE.with_name("system"))
 
 
 def key_of(source: bytes) -> str:
-    """What tells one build of a source from another."""
-    told = hashlib.sha256(source)
+    """Return a hash that distinguishes builds: source, $CC, compiler flags, processor."""
+    digest = hashlib.sha256(source)
     for part in (
         os.environ.get("CC", ""),
         " ".join((NATIVE, *FLAGS, *WRITTEN, *GENERATED)),
         platform.machine(),
         _processor(),
     ):
-        told.update(part.encode() + b"\0")
-    return told.hexdigest()[:24]
+        digest.update(part.encode() + b"\0")
+    return digest.hexdigest()[:24]
 
 
 def shipped_note(name: str, sources: str) -> str:
-    """The name of the note on a library that a wheel carries, made from sources of that hash."""
+    """Return the file name of a shipped library's note; `sources`: hash of the sources it was made from."""
     return f"{name}-{sources[:24]}.json"
 
 
 def shipped_library(name: str, sources: bytes) -> Library | None:
-    """A library that the wheel carries, if it was made from these sources and this processor can run it."""
+    """Load the shipped library if it was made from these sources and this processor can run it, else None."""
     note = SHIPPED / shipped_note(name, hash_of(sources))
     return _opened(note) if note.exists() and shipped_fits() else None
 
 
 def shipped_fits() -> bool:
-    """Whether the wheel carries libraries and this processor has all that they were compiled for."""
+    """True if the wheel ships libraries and this processor has all features that they need."""
     try:
         needed = (SHIPPED / NEEDS).read_text(encoding="utf-8").split()
     except FileNotFoundError:
@@ -261,24 +265,24 @@ def shipped_fits() -> bool:
 
 
 def hash_of(sources: bytes) -> str:
-    """Of what a library is made from, wherever and for whichever processor."""
+    """Return the hash of a library's sources, independent of compiler and processor."""
     return hashlib.sha256(sources).hexdigest()
 
 
 @cache
 def _sources() -> bytes:
-    """The hash of all that kernels are generated from."""
-    told = hashlib.sha256()
+    """Return the hash of all files that kernels are generated from."""
+    digest = hashlib.sha256()
     for folder in _SOURCES:
         for path in sorted(folder.iterdir()):
             if path.suffix in (".py", ".h", ".c"):
-                told.update(path.name.encode() + b"\0" + path.read_bytes())
-    return told.digest()
+                digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.digest()
 
 
 @cache
 def _processor() -> str:
-    """What the processor can do: libraries are made for it. Asked of NumPy, as a service may not see /proc/cpuinfo."""
+    """Return the processor's features, from NumPy, since a service may not see /proc/cpuinfo."""
     found: Mapping[str, bool] = getattr(
         importlib.import_module("numpy._core._multiarray_umath"), "__cpu_features__", {}
     )
@@ -286,24 +290,24 @@ def _processor() -> str:
 
 
 def _opened(note: Path) -> Library | None:
-    """The library that a note tells of; None when there is none, or it is not what was built."""
+    """Open the library that a note describes; None if either is missing or the library's hash is not the note's."""
     try:
-        told = json.loads(note.read_bytes())
-        path = note.with_name(told["library"])
-        if hashlib.sha256(path.read_bytes()).hexdigest() != told["sha256"]:
-            log.warning("%s is not what was built, and is built anew", path)
+        fields = json.loads(note.read_bytes())
+        path = note.with_name(fields["library"])
+        if hashlib.sha256(path.read_bytes()).hexdigest() != fields["sha256"]:
+            log.warning("%s differs from what was built (wrong hash): building it again", path)
             path.unlink()
             return None
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError) as error:
-        log.warning("%s cannot be used, and is built anew: %s", note, error)
+        log.warning("%s cannot be used, building it again: %s", note, error)
         return None
     try:
         compiled = ctypes.CDLL(str(path))
-    except OSError:  # what is built instead can be loaded, or says why not
+    except OSError:  # the caller rebuilds it, and reports why if that fails
         return None
-    signatures = {name: _signature(fields) for name, fields in told["kernels"].items()}
+    signatures = {name: _signature(kernel) for name, kernel in fields["kernels"].items()}
 
     def runner(name: str, inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]) -> Run:
         function = compiled[EXPORTED + name]
@@ -329,7 +333,7 @@ def _signature(fields: dict[str, Any]) -> Signature:
 
 
 def note_of(signatures: dict[str, Signature], library: Path, sources: bytes) -> str:
-    """What is written beside a library made from `sources`."""
+    """Return the note (JSON) of a library made from `sources`."""
     kernels = {name: asdict(signature) for name, signature in signatures.items()}
     sha256 = hashlib.sha256(library.read_bytes()).hexdigest()
     note = {"library": library.name, "sha256": sha256, "sources": hash_of(sources), "kernels": kernels}

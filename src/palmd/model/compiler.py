@@ -1,7 +1,7 @@
-"""The C compiler: which command it is, whether it works here, and runs of it that end.
+"""The C compiler: find the command, check that it works, run it with a time limit.
 
-It is tried on a small library before it is given long work. What is wrong with it is kept in the environment, so that
-it is found out and said once: by the process that finds it, and by none of those that it starts.
+It is checked with a tiny library before long compilations. A fault is remembered in the environment, so that it is
+reported once, by the process that found it and not by its child processes.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-TRIAL_S = 10.0  # for a library of one line
-COMPILE_S = 900.0  # for one file, on a slow machine that does other things too
+TRIAL_S = 10.0  # time limit for the trial library of one line
+COMPILE_S = 900.0  # time limit for one file, on a slow and busy machine
 ROOM_BYTES = 64_000_000
-"""What a folder must have left (study of 2026-11-29: all libraries take 22.3 MB, the largest meanwhile 14.7 MB more;
-two at a time are 52 MB)."""
+"""Free space that a folder must have (study of 2026-11-29: all libraries take 22.3 MB, the largest needs 14.7 MB more
+while it is built; two at a time need 52 MB)."""
 
 ANSWER = 42
 FAULT = "PALMD_COMPILER_FAULT"
-"""In the environment: the compiler and folder that do not go together."""
+"""Environment variable: the compiler and folder for which compiling was found not to work."""
 
 _TRIAL = f"int palmd_trial(void) {{ return {ANSWER}; }}\n"
 _LINE_MOST = 300
 
 
 class CompilerError(Exception):
-    """The compiler does not work; its text is the reason in one line."""
+    """The compiler does not work; the message gives the reason in one line."""
 
 
 def command() -> list[str]:
-    """$CC as a shell splits it, else the first compiler that is installed, empty for none. Raises CompilerError."""
+    """Return $CC split as by a shell, else the first installed compiler, else []; CompilerError for a malformed $CC."""
     try:
         words = shlex.split(os.environ.get("CC", ""))
     except ValueError as error:
@@ -45,7 +45,7 @@ def command() -> list[str]:
 
 
 def installed() -> bool:
-    """Whether there is anything to compile with; whether it works is found out by trying it."""
+    """True if a compiler is installed; `check_compiler` finds out whether it works."""
     try:
         words = command()
     except CompilerError:
@@ -54,12 +54,12 @@ def installed() -> bool:
 
 
 def known_fault(folder: Path) -> bool:
-    """Whether this compiler has been found not to work for `folder`, by this process or by one that started it."""
+    """True if this process or a parent has found that the compiler does not work for `folder`."""
     return os.environ.get(FAULT) == _key(folder)
 
 
-def tried(compiler: Sequence[str], folder: Path) -> None:
-    """Have the compiler make a small library in `folder`, which must have room for more, and call it.
+def check_compiler(compiler: Sequence[str], folder: Path) -> None:
+    """Compile a tiny library in `folder`, load and call it; check that the folder has `ROOM_BYTES` free.
 
     Raises CompilerError, OSError.
     """
@@ -69,35 +69,35 @@ def tried(compiler: Sequence[str], folder: Path) -> None:
         source.write_text(_TRIAL, encoding="utf-8")
         run([*compiler, "-shared", "-fPIC", "-o", str(library), str(source)], TRIAL_S)
         if not library.exists():
-            raise CompilerError(f"{shlex.join(compiler)} ended well and made nothing")
+            raise CompilerError(f"{shlex.join(compiler)} reported success but wrote no library")
         try:
             answer = ctypes.CDLL(str(library)).palmd_trial()
         except (OSError, AttributeError) as error:
-            advice = "if its file system forbids programs (noexec), set XDG_CACHE_HOME to a folder where they may run"
+            advice = "if its file system is mounted noexec, set XDG_CACHE_HOME to a folder that allows programs"
             reason = str(error).removeprefix(f"{library}: ")
             raise CompilerError(f"a library in {folder} cannot be loaded: {reason}; {advice}") from None
         if answer != ANSWER:
-            raise CompilerError(f"{shlex.join(compiler)} makes wrong code")
+            raise CompilerError(f"{shlex.join(compiler)} produces wrong code: the trial library returned a wrong value")
 
 
 def _check_room(file: Path, folder: Path) -> None:
-    """Raise CompilerError where the folder is full; found out here, not by each start's minutes of compiling."""
+    """Raise CompilerError if the folder is full, before each start spends minutes compiling in vain."""
     with file.open("wb") as room:
         try:
             os.posix_fallocate(room.fileno(), 0, ROOM_BYTES)
         except OSError as error:
-            advice = f"free {ROOM_BYTES / 1e6:g} MB there, or set XDG_CACHE_HOME to a folder that has them"
+            advice = f"free {ROOM_BYTES / 1e6:g} MB there, or set XDG_CACHE_HOME to a folder with more space"
             raise CompilerError(f"{folder}: {error.strerror}; {advice}") from None
     file.unlink()
 
 
 def remember_fault(folder: Path) -> None:
-    """That the compiler does not work for `folder`."""
+    """Record in the environment that the compiler does not work for `folder`."""
     os.environ[FAULT] = _key(folder)
 
 
 def run(arguments: Sequence[str], limit_s: float) -> None:
-    """Run it to its end; raises CompilerError with its own last line, or when it takes longer than `limit_s`."""
+    """Run a command; raises CompilerError with its last error line if it fails or takes longer than `limit_s`."""
     try:
         process = subprocess.Popen(
             arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -107,16 +107,16 @@ def run(arguments: Sequence[str], limit_s: float) -> None:
         raise CompilerError(f"{arguments[0]}: {error.strerror or error}") from None
     with process:
         try:
-            said, _ = process.communicate(timeout=limit_s)
+            output, _ = process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
             raise CompilerError(f"{arguments[0]} has not ended within {limit_s:g} s") from None
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
     if process.returncode:
-        lines = [line.strip() for line in said.splitlines() if line.strip()]
-        blamed = [line for line in lines if "error" in line.lower()] or lines or ["it says nothing"]
-        raise CompilerError(f"{arguments[0]} ended with status {process.returncode}: {blamed[-1][:_LINE_MOST]}")
+        lines = [line.strip() for line in output.splitlines() if line.strip()]
+        reasons = [line for line in lines if "error" in line.lower()] or lines or ["no output"]
+        raise CompilerError(f"{arguments[0]} ended with status {process.returncode}: {reasons[-1][:_LINE_MOST]}")
 
 
 def _key(folder: Path) -> str:

@@ -1,8 +1,8 @@
 """Contact geometry of two palms and a convex object, as CasADi expressions (CMU-CS-01-107, chapter 3).
 
 All lengths in m, angles in rad. `phi2` is the angle from palm 1 to palm 2 and must lie in (0, π): at its ends
-the palms are parallel and every formula here divides by sin φ2 = 0. A curved palm is its tangent at the contact
-(`model.touch` finds it): turned against its direction at the hinge, and set off from there.
+the palms are parallel and every formula here divides by sin φ2 = 0. A curved palm is replaced by its tangent at the
+contact (found by `model.touch`): a flat palm turned by `Contact.turn` and displaced by `Contact.above`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from palmd.model.symbolic import SX, ca
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What one palm feels: r = h, d = −h′, v = h + h″ at the contact's normal (m); how the palm lies there.
+    """Outline at one contact, r = h, d = −h′, v = h + h″ at its normal (m), and the palm's tangent there.
 
-    v_rate: h′ + h‴, by which v changes with the normal (m/rad); None where nobody has worked it out.
-    curvature: of the palm (1/m, > 0 concave). turn: of its tangent at the contact against its direction at the hinge
-    (rad). above: how far over the hinge that tangent passes (m), on the object's side. A flat palm's are no symbols but
-    zeros, which CasADi leaves out of every expression.
+    v_rate: h′ + h‴, the derivative of v by the normal (m/rad); None if not computed. curvature: of the palm (1/m,
+    > 0 concave). turn: angle of its tangent at the contact against its direction at the hinge (rad). above: height at
+    which that tangent passes the hinge (m), on the object's side. For a flat palm these three are constant zeros, which
+    CasADi drops from every expression.
     """
 
     r: SX
@@ -54,26 +54,26 @@ def normal(angle: SX, palm: int) -> SX:
 
 
 def solve_from_normals(phi1: SX, phi2: SX, along1: SX, along2: SX) -> SX:
-    """The plane vector w with n1·w = along1 and n2·w = along2; w is the COM when given r1, r2."""
+    """Return the plane vector w with n1·w = along1 and n2·w = along2; for r1, r2 it is the centre of mass."""
     n1, n2 = normal(phi1, 1), normal(phi1 + phi2, 2)
     return ca.vertcat(n2[1] * along1 - n1[1] * along2, n1[0] * along2 - n2[0] * along1) / -ca.sin(phi2)
 
 
 def tangent_joints(joints: Sequence[SX], turns: Sequence[SX]) -> tuple[SX, ...]:
-    """The joint angles of flat palms that lie as tangents turned so against the palms: (φ1 + τ1, φ2 + τ2 − τ1)."""
+    """Return the joint angles of the tangents, turned by τ_i against the palms: (φ1 + τ1, φ2 + τ2 − τ1)."""
     rest = (angle + turn - before for angle, (before, turn) in zip(joints[1:], pairwise(turns), strict=True))
     return (joints[0] + turns[0], *rest)
 
 
 def offsets(phi2: SX, r1: SX, r2: SX, s1: SX, s2: SX) -> tuple[SX, SX]:
-    """(d1, d2) from the readings and the radii: (3.13) and (3.14) read backwards."""
+    """Return (d1, d2) from readings and radii: (3.13) and (3.14) solved for d."""
     d1 = (r1 * ca.cos(phi2) + r2) / ca.sin(phi2) - s1
     d2 = s2 - (r2 * ca.cos(phi2) + r1) / ca.sin(phi2)
     return d1, d2
 
 
 def alongs(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
-    """How far along both tangents the contacts are from the hinge's feet on them: (3.13) and (3.14)."""
+    """Return the contacts' positions along both tangents, counted from the hinge's foot on each: (3.13), (3.14)."""
     phi2, r1, r2 = phi2 + two.turn - one.turn, one.r + one.above, two.r + two.above
     along1 = (r1 * ca.cos(phi2) + r2) / ca.sin(phi2) - one.d
     along2 = (r2 * ca.cos(phi2) + r1) / ca.sin(phi2) + two.d
@@ -81,12 +81,12 @@ def alongs(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
 
 
 def readings(phi2: SX, one: Contact, two: Contact) -> tuple[SX, SX]:
-    """(s1, s2), the distances hinge → contact along the palms: (3.13) and (3.14); on an arc along = s sinc κs."""
+    """Return (s1, s2), the distances hinge → contact along the palms: (3.13), (3.14); on an arc along = s sinc κs."""
     along1, along2 = alongs(phi2, one, two)
     return along1 / sinc(one.turn), along2 / sinc(two.turn)
 
 
 def centre_of_mass(phi1: SX, phi2: SX, one: Contact, two: Contact) -> SX:
-    """The COM as seen from the hinge (m)."""
+    """Return the centre of mass relative to the hinge (m)."""
     beta1, opening = phi1 + one.turn, phi2 + two.turn - one.turn
     return solve_from_normals(beta1, opening, one.r + one.above, two.r + two.above)

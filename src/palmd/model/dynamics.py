@@ -1,8 +1,8 @@
-"""Rigid-body dynamics of the object between the palms, in a form that is nowhere singular.
+"""Rigid-body dynamics of the object between the palms, without singularities.
 
 CMU-CS-01-107 eliminates the radii of curvature v1, v2 and gets (4.16), (4.17), which divide by the contacts'
 sliding rates. Keeping v1, v2 leaves three linear equations in f1, f2, α0 (docs/theory/theory.md), solvable whenever
-the palms are not parallel; neither a force nor a torque sensor is needed.
+the palms are not parallel; no force or torque sensor is needed.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from palmd.model.contact import Contact, centre_of_mass, normal, solve_from_norm
 from palmd.model.friction import FRICTION_NOISE_S, HOP_NOISE_S, SlipResponse, Vibrated, averaged, normal_forces
 from palmd.model.symbolic import SX, ca
 
-VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_OFF_INPUTS = slice(7, 10), 10, slice(11, 15)
-"""Indices among the kernels' rig inputs: κ, λ, a flag of the averaged law; 1/(2f) (s); the errors of κ, of λ and, as
-shares, of 1/(2f) and of friction's arm."""
+VIBRATION_INPUTS, HALF_PERIOD_INPUT, VIBRATION_ERROR_INPUTS = slice(7, 10), 10, slice(11, 15)
+"""Indices of the kernels' rig inputs: κ, λ, flag of the averaged law; 1/(2f) (s); the errors of κ and λ, and the
+relative errors of 1/(2f) and of friction's lever arm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,9 @@ class Palms:
 
 @dataclass(frozen=True, slots=True)
 class BodyConstants:
-    """Radius of gyration ρ (m), friction coefficient μ (the palms' mean), damping c (m²/s).
+    """Radius of gyration ρ (m), friction coefficient μ (mean of both palms), damping c (m²/s).
 
-    dither: u_d = πV/2 (m/s), V the amplitude of the speed of the palms' vibration along themselves.
+    dither: u_d = πV/2 (m/s), V the speed amplitude of the palms' vibration along themselves.
     """
 
     rho: SX
@@ -73,10 +73,10 @@ class BodyConstants:
 class Motion:
     """Result of Newton–Euler: α0 (rad/s²) and the normal forces per unit mass f1, f2 (m/s²), means over a vibration.
 
-    least: the least force on each contact within a vibration (m/s²). discrepancy: spectral density ((rad/s²)²/Hz) of
-    the error of α0 that the law of friction leaves, 0 of the old law; hopping: the part of it where contacts hop.
-    softened_alpha0: α0 with the directions `Averaged.softened`; its derivative in ω0 is the rate for
-    `exponential_step`. α0's own jumps where the ripple begins to stick, and the step would, too.
+    least: smallest force on each contact within a vibration (m/s²). discrepancy: spectral density ((rad/s²)²/Hz) of
+    α0's error due to the friction law, 0 for the averaged law; hopping: the part of it due to hopping contacts.
+    softened_alpha0: α0 with the directions `Averaged.softened`; its derivative by ω0 is the rate for
+    `exponential_step`, since that of α0 jumps where the ripple begins to stick.
     """
 
     alpha0: SX
@@ -94,26 +94,26 @@ class Motion:
 
 
 def effective_gravity(palms: Palms, rig: SX) -> SX:
-    """Gravity as felt in the hinge's frame: (0, −g) − a_O, with O = B − L1 t1(φ1) (m/s²).
+    """Return the apparent gravity in the hinge's frame: (0, −g) − a_O, with O = B − L1 t1(φ1) (m/s²).
 
-    `rig` starts with (g, L1); L1 = 0 stands for a hinge that does not move.
+    `rig` starts with (g, L1); L1 = 0 means a fixed hinge.
     """
     t1, n1 = tangent(palms.phi1, 1), normal(palms.phi1, 1)
     return ca.vertcat(0, -rig[0]) + rig[1] * (palms.alpha1 * n1 - palms.omega1**2 * t1)
 
 
 def vibrated_of(dither: SX, rig: SX) -> Vibrated:
-    """The palms' vibration by what the kernels are told of the rig; |κ| is 1 at most."""
+    """Return the palms' vibration according to the kernels' rig inputs; κ is clipped to ±1."""
     kappa, transmission, averaged = ca.vertsplit(rig[VIBRATION_INPUTS])
-    kappa_off, transmission_off, _, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
-    kappa = ca.fmin(ca.fmax(kappa + kappa_off, -1), 1)
-    return Vibrated(dither, kappa, transmission + transmission_off, averaged)
+    kappa_error, transmission_error, _, _ = ca.vertsplit(rig[VIBRATION_ERROR_INPUTS])
+    kappa = ca.fmin(ca.fmax(kappa + kappa_error, -1), 1)
+    return Vibrated(dither, kappa, transmission + transmission_error, averaged)
 
 
 def half_period_of(rig: SX) -> SX:
-    """1/(2f) (s) of the palms' vibration, by the kernels' rig inputs; 0 at least."""
-    _, _, period_off, _ = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
-    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + period_off, 0)
+    """Return 1/(2f) (s) of the palms' vibration according to the kernels' rig inputs; at least 0."""
+    _, _, period_error, _ = ca.vertsplit(rig[VIBRATION_ERROR_INPUTS])
+    return rig[HALF_PERIOD_INPUT] * ca.fmax(1 + period_error, 0)
 
 
 def newton_euler(
@@ -121,15 +121,15 @@ def newton_euler(
 ) -> Motion:
     """Solve the three linear equations of docs/theory/theory.md for α0, f1, f2.
 
-    Two of them say that the object keeps touching (n_i·a prescribed by the contact's motion), the third is
-    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. The directions σ_i of friction are those with which
-    one solve gives the mean over the palms' vibration (`model.friction`): f1, f2, α0 are such means.
+    Two of them keep both contacts closed (n_i·a is prescribed by the contact's motion), the third is
+    ρ²α0 = Σ f_i (x_i × F_i) − c ω0 with F_i = n_i − μ_i σ_i t_i. With the friction directions σ_i of `model.friction`
+    one solve gives the means of f1, f2, α0 over the palms' vibration.
     `rig` is (g, L1, x, y, a, …, κ, λ, averaged, 1/(2f), Δκ, Δλ, 2f Δ(1/(2f)), b): μ1 = (1 + a) μ, μ2 = (1 − a) μ.
-    Friction acts as on a body that is larger by b r on palms that lie lower by b r (docs/theory/vibration.md).
-    Where a palm is curved its tangent at the contact
-    turns at γ = ω ± κ ṡ, and n_i·a has ω(2γ − ω) p·n − κ ṡ² besides (docs/theory/curved.md), p the contact's place.
-    Valid while f1, f2 > 0. steps: to the ripple that agrees with the shares of time that it makes. One is enough for
-    independent vibrations; in antiphase one is no better than none, and two leave a third of the error.
+    Friction acts as on a body that is larger by b r on palms that are lower by b r (docs/theory/vibration.md).
+    The tangent of a curved palm at the contact turns at γ = ω ± κ ṡ, which adds ω(2γ − ω) p·n − κ ṡ² to n_i·a, p the
+    contact's position (docs/theory/curved.md).
+    Valid while f1, f2 > 0. steps: iterations for a ripple that is consistent with the time shares that it causes. One
+    is enough for independent vibrations; in antiphase one is no better than none, and two leave a third of the error.
     """
     c = centre_of_mass(palms.phi1, palms.phi2, one, two)
     friction = (body.mu * (1 + rig[4]), body.mu * (1 - rig[4]))
@@ -144,15 +144,15 @@ def newton_euler(
     c_dot = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, *along)
 
     g_eff = effective_gravity(palms, rig)
-    _, _, _, longer = ca.vertsplit(rig[VIBRATION_OFF_INPUTS])
-    arms = [k.r * (1 + longer) for k in contacts]
+    _, _, _, arm_error = ca.vertsplit(rig[VIBRATION_ERROR_INPUTS])
+    arms = [k.r * (1 + arm_error) for k in contacts]
     slips, needed = [], []
     for k, w, a, t, n in zip(contacts, rates, accelerations, tangents, normals, strict=True):
         slip = ca.dot(t, c_dot) + omega0 * k.r + w * k.above
         bending = k.curvature * (slip + k.v * (w - omega0)) / (1 - k.curvature * k.v)  # ± κ ṡ
         turning = w + bending
-        slips.append(slip + longer * k.r * (omega0 - w))
-        # n_i·a without its α0 term, less what gravity already gives
+        slips.append(slip + arm_error * k.r * (omega0 - w))
+        # n_i·a without its α0 term, minus the contribution of gravity
         needed.append(
             (k.v - k.r) * (turning - omega0) ** 2
             - k.d * a
@@ -169,22 +169,22 @@ def newton_euler(
     A = [[ca.dot(normals[i], normals[j]) + contacts[i].d * contacts[j].d / rho2 for j in range(2)] for i in range(2)]
     B = [[ca.dot(normals[i], tangents[j]) - contacts[i].d * arms[j] / rho2 for j in range(2)] for i in range(2)]
     b = [needed[i] - contacts[i].d * body.damping * omega0 / rho2 for i in range(2)]
-    kept = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)  # ∂ċ/∂ω0
-    by_turning = [ca.dot(t, kept) + arm for t, arm in zip(tangents, arms, strict=True)]
-    response = SlipResponse(by_turning, [k.d for k in contacts], arms, rho2, half_period_of(rig))
+    c_dot_by_omega0 = solve_from_normals(palms.phi1 + one.turn, palms.phi2 + two.turn - one.turn, one.d, two.d)
+    slip_by_omega0 = [ca.dot(t, c_dot_by_omega0) + arm for t, arm in zip(tangents, arms, strict=True)]
+    response = SlipResponse(slip_by_omega0, [k.d for k in contacts], arms, rho2, half_period_of(rig))
     mean = averaged(A, B, b, friction, slips, vibrated_of(body.dither, rig), response, steps)
 
-    def moving(directions: Sequence[SX]) -> tuple[SX, tuple[SX, SX], list[SX], list[SX]]:
+    def solve(directions: Sequence[SX]) -> tuple[SX, tuple[SX, SX], list[SX], list[SX]]:
         along = [mu * each for mu, each in zip(friction, directions, strict=True)]
         forces = normal_forces(A, B, b, along)
-        torques = [-(k.d + rubs * arm) for k, arm, rubs in zip(contacts, arms, along, strict=True)]
+        torques = [-(k.d + mu_sigma * arm) for k, arm, mu_sigma in zip(contacts, arms, along, strict=True)]
         spin = (forces[0] * torques[0] + forces[1] * torques[1] - body.damping * omega0) / rho2
         return spin, forces, along, torques
 
-    alpha0, (f1, f2), along, torques = moving(mean.directions)
+    alpha0, (f1, f2), along, torques = solve(mean.directions)
 
     def by_friction(i: int, f: SX) -> SX:
-        """∂α0/∂ln μ_i: of the force's own torque, and of both normal forces, which change with it."""
+        """∂α0/∂ln μ_i: through the friction force's own torque and through both normal forces."""
         rubbing = along[i] * f
         f1_change, f2_change = normal_forces(A, B, [row[i] * rubbing for row in B], along)
         change: SX = (f1_change * torques[0] + f2_change * torques[1] - rubbing * arms[i]) / rho2
@@ -192,5 +192,5 @@ def newton_euler(
 
     hopping = HOP_NOISE_S * mean.pulled**2
     uncertain = (1 - rig[VIBRATION_INPUTS][2]) * FRICTION_NOISE_S * (by_friction(0, f1) ** 2 + by_friction(1, f2) ** 2)
-    discrepancy, softened_alpha0 = uncertain + hopping, moving(mean.softened)[0]
+    discrepancy, softened_alpha0 = uncertain + hopping, solve(mean.softened)[0]
     return Motion(alpha0, f1, f2, mean.least_forces((f1, f2)), discrepancy, hopping, softened_alpha0)

@@ -1,9 +1,9 @@
-"""The extended observer's kernels: one filter's prediction and updates, mapped over a whole bank.
+"""Kernels of the extended observer: one filter's prediction and updates, mapped over a whole bank.
 
-State: the project's named state (r1, r2, ω0, s1, s2, φ1, ω1, φ2, ω2, ρ) with the friction coefficient μ, the dither
-speed u_d, the damping c, the orientation ψ, and what gives the radii of curvature v1, v2 at the contacts: the Fourier
-coefficients of v(θ) = h + h″, one function read by both palms. Were v1, v2 free to wander instead, every return to a
-normal already felt would start from ignorance, and the filter is lost whenever the palms excite the object little.
+State: (r1, r2, ω0, s1, s2, φ1, ω1, φ2, ω2, ρ), the friction coefficient μ, the dither speed u_d, the damping c, the
+orientation ψ, and the Fourier coefficients of v(θ) = h + h″, one function that gives the radii of curvature v1, v2 at
+both contacts. If v1, v2 were random walks instead, nothing would be known at a return to a normal already touched, and
+the filter would diverge whenever the palms excite the object little.
 Readings are states, so every update is exactly linear; only the motion between them is not.
 """
 
@@ -24,7 +24,7 @@ from palmd.system.mechanism import normal_directions
 
 
 class X(IntEnum):
-    """Index of each state; SI units. From CURVATURE on: coefficients of v, harmonics 0, 2, 3, …"""
+    """Index of each state (SI units). From CURVATURE on: coefficients of v, harmonics 0, 2, 3, …"""
 
     R1 = 0
     R2 = 1
@@ -43,16 +43,16 @@ class X(IntEnum):
     CURVATURE = 14
 
 
-MOVING = X.RHO  # states before this one move; the rest are constants of the object
+MOVING = X.RHO  # states before this one vary in time; the rest are constants of the object
 N = X.CURVATURE + 2 * HARMONICS - 1
 PREDICTION_INPUTS = 5 + RIG_INPUTS
 UPDATE_INPUTS = 4
 MEASURED = (X.S1, X.S2, X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2)
 
-# What the model leaves out, as white noise on the rates; small, so that it matters over seconds only.
+# Model discrepancy as white noise on the rates; small, so that it matters over seconds only.
 Q_LENGTH = 5e-6**2  # m²/s on r1, r2, s1, s2
 Q_OMEGA0 = 0.02**2  # (rad/s)²/s
-Q_PALM_RATE = 0.02**2  # (rad/s)²/s, palms against their plan
+Q_PALM_RATE = 0.02**2  # (rad/s)²/s, deviation of the palms from their plan
 
 
 def _curvature_at(theta: SX, coefficients: SX) -> SX:
@@ -103,7 +103,7 @@ def drift(x: SX, alpha1: SX, alpha2: SX, rig: SX) -> SX:
 
 
 def predict_function() -> ca.Function:
-    """(x, P, [dt, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt, with the step's own Jacobian."""
+    """(x, P, [dt, α1, α2, jerk1, jerk2, rig]) → (x, P) after dt, by the Jacobian of the integration step."""
     x, P, u = SX.sym("x", N), SX.sym("P", N, N), SX.sym("u", PREDICTION_INPUTS)
     alpha, jerk, rig = u[1:3], u[3:5], u[5:]
 
@@ -111,12 +111,12 @@ def predict_function() -> ca.Function:
         now = alpha + jerk * t
         return drift(ca.vertcat(moving, x[MOVING:]), now[0], now[1], rig)
 
-    beginning = _motion(x, alpha[0], alpha[1], rig)
-    braking = ca.jacobian(beginning.softened_alpha0, x[X.OMEGA0])
+    at_start = _motion(x, alpha[0], alpha[1], rig)
+    braking = ca.jacobian(at_start.softened_alpha0, x[X.OMEGA0])
     moved, J = exponential_step(rates, x, u[0], list(X)[:MOVING], X.OMEGA0, braking)
     Q = SX.zeros(MOVING)
     Q[X.R1] = Q[X.R2] = Q[X.S1] = Q[X.S2] = Q_LENGTH
-    Q[X.OMEGA0] = Q_OMEGA0 + beginning.discrepancy * variance_share(braking, u[0])
+    Q[X.OMEGA0] = Q_OMEGA0 + at_start.discrepancy * variance_share(braking, u[0])
     Q[X.OMEGA1] = Q[X.OMEGA2] = Q_PALM_RATE
     # only the moving rows of the transition differ from the identity
     top = J @ P
@@ -130,10 +130,9 @@ def predict_function() -> ca.Function:
 def update_function(name: str, state: int) -> ca.Function:
     """(x, P, [value, variance, gate, repeated]) → (x, P, [log-likelihood, NIS]) for one scalar reading of one state.
 
-    Joseph form, so P stays symmetric positive definite. A reading beyond `gate` (in innovation²) has its variance
-    inflated until it sits on the gate: an outlier moves the state little, and a filter that has lost the object
-    is not locked out. The likelihood is the honest one, bounded far outside the gate. A reading that is one of
-    `repeated` weighs as in `model.shape_map`.
+    Joseph form, so P stays symmetric positive definite. If a reading's NIS exceeds `gate`, its variance is inflated
+    until the NIS equals the gate: an outlier moves the state little, and a diverged filter can still recover. The
+    likelihood uses the variance that is not inflated and is bounded at 4 gates. `repeated` as in `model.shape_map`.
     """
     x, P, z = SX.sym("x", N), SX.sym("P", N, N), SX.sym("z", UPDATE_INPUTS)
     value, variance, gate, repeated = ca.vertsplit(z)
@@ -151,7 +150,7 @@ def update_function(name: str, state: int) -> ca.Function:
 
 
 def named_function() -> ca.Function:
-    """(x, [α1, α2, rig]) → values of `NAMED` and their Jacobian in x."""
+    """(x, [α1, α2, rig]) → values of `NAMED` and their Jacobian by x."""
     x, u = SX.sym("x", N), SX.sym("u", 2 + RIG_INPUTS)
     one, two = _contacts(x)
     y = named_outputs(_palms(x, u[0], u[1]), x[X.OMEGA0], x[X.PSI], one, two, _body(x), u[2:])
@@ -159,17 +158,17 @@ def named_function() -> ca.Function:
 
 
 def values_function() -> ca.Function:
-    """(x, [α1, α2, rig]) → values of `NAMED` alone."""
+    """(x, [α1, α2, rig]) → values of `NAMED` without the Jacobian."""
     named = named_function()
     x, u = SX.sym("x", N), SX.sym("u", 2 + RIG_INPUTS)
     return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
 
 
 def outline_function() -> ca.Function:
-    """x → Fourier coefficients of h and their Jacobian in x.
+    """x → Fourier coefficients of h and their Jacobian by x.
 
-    All harmonics but the first come from those of v, h_k = v_k / (1 − k²). The first is what r and d at both
-    contacts have beyond the others, by least squares of four equations for two unknowns.
+    All harmonics but the first follow from those of v, h_k = v_k / (1 − k²). The first is fitted to the rest of r and d
+    at both contacts by least squares, four equations for two unknowns.
     """
     x = SX.sym("x", N)
     h = SX.zeros(COEFFICIENTS)
@@ -191,7 +190,7 @@ def outline_function() -> ca.Function:
 
 @cache
 def library() -> Library:
-    """Kernels for blocks of filters (predict, update_*, values), and for one of them: predict, named, outline."""
+    """Load the kernels for blocks of filters (predict, update_*, values) and for one (predict, named, outline)."""
 
     def kernels() -> list[Kernel]:
         updates = (update_function(f"update_{s.name.lower()}", s) for s in MEASURED)

@@ -1,30 +1,30 @@
-/* What a bank of shape maps computes between two decisions: the palms' motion, readings as they would be on a rig
-   without errors, prediction, correction, gates and scores, and late events fused in their own place.
+/* The computations of a bank of shape maps between two decisions: the palms' motion, readings corrected for the rig's
+   errors, prediction, update, gates and scores, and late events fused in the order of their times.
 
    The twin of `observer.palms`, `observer.rig_error`, `observer.bank`, `observer.history` and
-   `observer.filters.shape_map`, which say what is computed, and why; sizes are those here. Arrays are the caller's, and nothing is kept.
-   The kernels are given by their addresses, so that one file serves banks of any size and order. */
+   `observer.filters.shape_map`, which document what is computed, and why; they must use the sizes below. Arrays belong to
+   the caller; nothing is kept here. Kernels are passed by address, so that one file serves banks of any size and order. */
 
 #include <math.h>
 #include <string.h>
 
 #if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC optimize("O3") /* loops in vector registers; no sum is taken in another order */
+#pragma GCC optimize("O3") /* vectorised loops; the order of sums does not change */
 #endif
 
 #define JOINTS 2
 #define MOTION (3 * JOINTS) /* angles, rates, accelerations */
 #define RIG_INPUTS 15
 #define FRICTION_INPUT 4
-#define VIBRATION_OFF_INPUTS 11 /* of kappa, of the transmission, of the period, of friction's arm */
-#define VIBRATION_OFF 4
+#define VIBRATION_ERROR_INPUTS 11 /* errors of kappa, of the transmission, of the period, of friction's lever arm */
+#define VIBRATION_ERRORS 4
 #define NAMED 18
 #define MOST_STATES 64
-#define EVENTS 24 /* that can be undone */
-#define RADIUS 6  /* of the states: the mean radius, and the outline from there on */
+#define EVENTS 24 /* most events that can be undone */
+#define RADIUS 6  /* index of the mean radius in the states; the other coefficients of the outline follow */
 enum { ZERO = 0, SCALE = 2, SAGITTA = 4, LAG = 6, STANDOFF = 8, TILT = 10, TURN = 11, FRICTION = 12, FORCE = 13, KAPPA = 15, CONSTANTS = 19 };
 
-const long fusion_sizes[] = {JOINTS,  RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS, NAMED, MOST_STATES, EVENTS,
+const long fusion_sizes[] = {JOINTS,  RIG_INPUTS, FRICTION_INPUT, VIBRATION_ERROR_INPUTS, NAMED, MOST_STATES, EVENTS,
                              RADIUS,  ZERO,       SCALE,          SAGITTA,              LAG,   STANDOFF,    TILT,
                              TURN,    FRICTION,   FORCE,          KAPPA,                CONSTANTS};
 
@@ -33,17 +33,17 @@ typedef void Kernel(const double *const *in, double *const *out, long columns);
 /* ---- the palms' motion: `observer.palms` */
 
 typedef struct {
-  double state[JOINTS][3], P[3][3], jerk[JOINTS]; /* of each joint (φ, ω, α); one covariance for all */
-  double t, moved, liveliest;                     /* of the last report, -inf before the first; when they turned last */
-  double plan_t, plan[JOINTS];                    /* the accelerations told last, NaN where none were */
+  double state[JOINTS][3], P[3][3], jerk[JOINTS]; /* (φ, ω, α) of each joint; one covariance for all joints */
+  double t, moved, liveliest;                     /* last report, -inf before the first; last motion; decaying max. jerk */
+  double plan_t, plan[JOINTS];                    /* accelerations of the last report, NaN if it had none */
   double variance;                                /* of a reported angle */
 } Palms;
 
-typedef struct { /* with what is not told NaN */
+typedef struct { /* values that are not reported are NaN */
   double t, angles[JOINTS], rates[JOINTS], accelerations[JOINTS];
 } Report;
 
-static const double JERK = 200.0, TOLD_JERK = 1.0, PLAN_RATE_SD = 2e-3, PLAN_ACCELERATION_SD = 2e-2;
+static const double JERK = 200.0, PLANNED_JERK = 1.0, PLAN_RATE_SD = 2e-3, PLAN_ACCELERATION_SD = 2e-2;
 static const double ROUNDING_S2 = 6e-5, CHANGED = 0.2, JERK_MEMORY_S = 1.0, FORGOTTEN_S = 0.5;
 static const double FIRST_RATE_SD = 0.5, FIRST_ACCELERATION_SD = 5.0, RESTING_RAD_S = 2e-3, SHARED_AFTER_S = 1.0;
 
@@ -57,7 +57,7 @@ void palms_at(const Palms *palms, double t, double *motion) {
   }
 }
 
-/* variances of the angles and of the rates */
+/* variances of angles and rates at time t */
 void palms_variance(const Palms *palms, double t, double *angles, double *rates) {
   const double age = t - palms->t, turned = CHANGED * palms->liveliest;
   const double phi = turned * (age * age * age) / 6, omega = turned * (age * age) / 2;
@@ -68,7 +68,7 @@ void palms_variance(const Palms *palms, double t, double *angles, double *rates)
   }
 }
 
-/* of how many readings of one place one is */
+/* how many readings share the error of one place on the pad */
 static double repetitions(const Palms *palms) {
   return palms->t == -INFINITY ? 1.0 : 1.0 + (palms->t - palms->moved) / SHARED_AFTER_S;
 }
@@ -110,13 +110,13 @@ static void palms_fuse(Palms *palms, int which, const double *values, double var
 
 void palms_feed(Palms *palms, const Report *report) {
   const double dt = report->t - palms->t;
-  if (!(dt <= FORGOTTEN_S)) { /* the first as well: its time was minus infinity */
+  if (!(dt <= FORGOTTEN_S)) { /* true for the first report as well: t is -inf before it */
     palms_begin(palms, report);
     return;
   }
   if (dt < 0) return;
   const int accelerations = !isnan(report->accelerations[0]);
-  double now[MOTION], fastest = 0.0, jerk = accelerations ? TOLD_JERK : JERK, F[3][3] = {{1, dt, dt * dt / 2}, {0, 1, dt}, {0, 0, 1}};
+  double now[MOTION], fastest = 0.0, jerk = accelerations ? PLANNED_JERK : JERK, F[3][3] = {{1, dt, dt * dt / 2}, {0, 1, dt}, {0, 0, 1}};
   palms_at(palms, report->t, now);
   for (int j = 0; j < JOINTS; j++)
     for (int i = 0; i < 3; i++) palms->state[j][i] = now[i * JOINTS + j];
@@ -151,11 +151,11 @@ void palms_feed(Palms *palms, const Report *report) {
   palms->plan_t = accelerations ? report->t : NAN;
 }
 
-/* ---- what the rig's constants are off by: `observer.rig_error` */
+/* ---- errors of the rig's constants: `observer.rig_error` */
 
 typedef struct {
   const double *values, *lengths, *curvatures; /* CONSTANTS, JOINTS, JOINTS */
-  double *s, *most;                            /* of each pad: the last contact, corrected (m), the most told (N) */
+  double *s, *most;                            /* of each pad: last contact, corrected (m); largest force measured (N) */
 } RigError;
 
 typedef struct {
@@ -163,9 +163,9 @@ typedef struct {
   long pad;
 } Reading;
 
-static const double LEAST_SLACK = 0.05;
+static const double LEAST_CURVATURE_MARGIN = 0.05;
 
-/* by how much bowed surfaces make φ1 and φ2 larger at the last contacts, of constants of which `every`th counts */
+/* slopes that bowed surfaces add to φ1 and φ2 at the last contacts; `every`: stride of `values` */
 static void bows(const RigError *rig, const double *values, long every, double *more) {
   double slopes[JOINTS];
   for (int i = 0; i < JOINTS; i++)
@@ -182,7 +182,7 @@ static void surfaces_at(const Palms *palms, const RigError *rig, double t, doubl
   motion[1] += rig->values[TURN] + more[1];
 }
 
-/* the force that a reading was taken under, of what it tells: NaN beyond the pad's scale */
+/* the force (N) that a reading was taken under; a NaN means that the pad is saturated: the largest force so far */
 static double pressing(const RigError *rig, long pad, double force) {
   double *most = &rig->most[pad - 1];
   if (isnan(force)) return *most;
@@ -190,18 +190,18 @@ static double pressing(const RigError *rig, long pad, double force) {
   return force;
 }
 
-/* by how much a contact on palm `i` is farther from the hinge for each metre that a surface is higher there */
+/* derivatives of the contact's distance from the hinge on palm `i` by the heights of both surfaces */
 static void lifts(const RigError *rig, int i, double opening, double radius, double *by) {
-  double slack = 1.0;
+  double margin = 1.0;
   if (rig->curvatures[0] != 0.0 || rig->curvatures[1] != 0.0) {
     opening -= rig->curvatures[0] * rig->s[0] + rig->curvatures[1] * rig->s[1];
-    slack = fmax(1.0 - rig->curvatures[i] * radius, LEAST_SLACK);
+    margin = fmax(1.0 - rig->curvatures[i] * radius, LEAST_CURVATURE_MARGIN);
   }
-  by[i] = cos(opening) / sin(opening) / slack;
-  by[1 - i] = 1.0 / sin(opening) / slack;
+  by[i] = cos(opening) / sin(opening) / margin;
+  by[1 - i] = 1.0 / sin(opening) / margin;
 }
 
-/* of palm `k`'s surface at its last contact: its height above the hinge line, of constants of which `every`th counts */
+/* height of palm `k`'s surface above the hinge line at its last contact; `every`: stride of `values` */
 static double height(const RigError *rig, int k, const double *values, long every) {
   const double u = rig->s[k] / rig->lengths[k];
   return values[(STANDOFF + k) * every] + 4.0 * values[(SAGITTA + k) * every] * (u * u);
@@ -220,15 +220,15 @@ static double corrected(const RigError *rig, const Reading *reading, double open
 
 typedef struct {
   Kernel *predict, *update[JOINTS], *values, *predict_one, *named;
-  double *x[2], *P[2], *score, *nis, *outcome; /* kernels write into the other side's, which then become the current */
-  double *y;                                   /* NAMED of each filter, as `disagreement` has found them last */
+  double *x[2], *P[2], *score, *nis, *outcome; /* double buffers: kernels write to the other side, which becomes current */
+  double *y;                                   /* NAMED of each filter, from the last `disagreement` */
   double *rig;                                 /* RIG_INPUTS */
-  long *now;                                   /* which side is current, how many blocks are active */
+  long *now;                                   /* current side, number of active blocks */
   long n, block;
   double memory_s;
 } Bank;
 
-static const double GATE = 16.0, NIS_READINGS = 50.0, SURPRISING_NIS = 1.4, LONGEST_STEP_S = 0.0061;
+static const double GATE = 16.0, NIS_READINGS = 50.0, UNEXPECTED_NIS = 1.4, LONGEST_STEP_S = 0.0061;
 
 static long size_of(const Bank *bank) { return bank->now[1] * bank->block; }
 
@@ -241,7 +241,7 @@ static long best_of(const Bank *bank) {
 
 static void friction_of(const Bank *bank, const RigError *rig) {
   bank->rig[FRICTION_INPUT] = rig->values[FRICTION];
-  for (int i = 0; i < VIBRATION_OFF; i++) bank->rig[VIBRATION_OFF_INPUTS + i] = rig->values[KAPPA + i];
+  for (int i = 0; i < VIBRATION_ERRORS; i++) bank->rig[VIBRATION_ERROR_INPUTS + i] = rig->values[KAPPA + i];
 }
 
 static void prediction_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double dt, double *u) {
@@ -252,7 +252,7 @@ static void prediction_inputs(const Bank *bank, const Palms *palms, const RigErr
   memcpy(u + 1 + MOTION + JOINTS, bank->rig, RIG_INPUTS * sizeof *u);
 }
 
-/* the bank from `t` to `until`, in equal steps; its scores lose weight */
+/* propagate the bank from `t` to `until`, in equal steps; its scores decay */
 void carry(Bank *bank, const Palms *palms, const RigError *rig, double t, double until, double repeated) {
   const double gap = until - t, steps = fmax(1.0, ceil(gap / LONGEST_STEP_S));
   double u[1 + MOTION + JOINTS + RIG_INPUTS];
@@ -269,7 +269,7 @@ void carry(Bank *bank, const Palms *palms, const RigError *rig, double t, double
   for (long i = 0; i < size_of(bank); i++) bank->score[i] *= kept;
 }
 
-/* filters that are no numbers any more become inactive, with a state that is some */
+/* deactivate filters whose state is not finite, and give them a finite state */
 static void park(Bank *bank) {
   const long n = bank->n, size = size_of(bank);
   double *x = bank->x[bank->now[0]], *P = bank->P[bank->now[0]], *outcome = bank->outcome, all = 0.0;
@@ -277,15 +277,15 @@ static void park(Bank *bank) {
   for (long i = 0; i < n * size; i++) all += x[i];
   for (long i = 0; i < 2 * size; i++) all += outcome[i];
   if (isfinite(all)) return;
-  char sound[size];
+  char finite[size];
   for (long f = 0; f < size; f++) {
     double sum = outcome[2 * f] + outcome[2 * f + 1];
     for (long i = 0; i < n; i++) sum += x[f * n + i];
-    sound[f] = isfinite(sum);
-    if (sound[f] && (successor < 0 || bank->score[f] > bank->score[successor])) successor = f;
+    finite[f] = isfinite(sum);
+    if (finite[f] && (successor < 0 || bank->score[f] > bank->score[successor])) successor = f;
   }
   for (long f = 0; f < size; f++) {
-    if (sound[f]) continue;
+    if (finite[f]) continue;
     if (successor >= 0) {
       memcpy(x + f * n, x + successor * n, n * sizeof *x);
       memcpy(P + f * n * n, P + successor * n * n, n * n * sizeof *P);
@@ -299,7 +299,7 @@ static void park(Bank *bank) {
   }
 }
 
-/* one reading of a pad into every filter, one of `repeated` that share one error */
+/* fuse one reading of a pad into every filter; it is one of `repeated` readings that share one error */
 void read_pad(Bank *bank, const Palms *palms, const RigError *rig, const Reading *reading, double variance, double repeated) {
   const long side = bank->now[0];
   double motion[MOTION];
@@ -314,11 +314,11 @@ void read_pad(Bank *bank, const Palms *palms, const RigError *rig, const Reading
   for (long f = 0; f < size_of(bank); f++) {
     const double nis = bank->outcome[2 * f + 1];
     bank->score[f] += bank->outcome[2 * f];
-    bank->nis[f] += ((nis < GATE ? nis : GATE) - bank->nis[f]) / NIS_READINGS; /* one outlier is no wrong model */
+    bank->nis[f] += ((nis < GATE ? nis : GATE) - bank->nis[f]) / NIS_READINGS; /* bounded: one outlier does not mean a wrong model */
   }
 }
 
-typedef struct { /* a reading of `pad`: its distance and force, NaN where none is told; a report of the palms where it is 0 */
+typedef struct { /* a reading of `pad`: distance and force, NaN if not measured; a report of the palms if `pad` is 0 */
   double pad, t;
   union {
     struct {
@@ -330,8 +330,8 @@ typedef struct { /* a reading of `pad`: its distance and force, NaN where none i
   };
 } Event;
 
-/* What comes one after the other, from `t` on, into a bank that a smoother has begun: `observer.filter_catchup`. How many
-   readings there were that are not too late; `t` is then of the last of them. */
+/* Fuse events in order of time, from `t` on, into a bank that was initialised by a smoother: `observer.filter_catchup`.
+   Returns the number of readings not earlier than `t`, which is set to the time of the last of them. */
 long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, long count, const double *variances, double *t) {
   long read = 0;
   for (const Event *event = events; event < events + count; event++) {
@@ -353,8 +353,8 @@ long follow(Bank *bank, Palms *palms, const RigError *rig, const Event *events, 
   return read;
 }
 
-/* forget `fraction` of what the filters of one block have been taught, but not what was believed of the states from
-   `first` up to `last`: `mean` and `variance` (filters, n) */
+/* inflate the covariances of one block's filters by `fraction`, but keep the priors, `mean` and `variance` (filters, n),
+   of the states from `first` up to `last` */
 void fade(Bank *bank, long block, double fraction, long first, long last, const double *mean, const double *variance) {
   const long n = bank->n;
   for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
@@ -372,13 +372,13 @@ void fade(Bank *bank, long block, double fraction, long first, long last, const 
   }
 }
 
-/* the mean of a standard normal above `a`, which is not below 0 */
+/* the mean of a standard normal variable given that it exceeds `a` ≥ 0 */
 static double mills(double a) {
   if (a > 20.0) return a + 1.0 / a - 2.0 / (a * a * a);
   return exp(-a * a / 2) / (sqrt(M_PI / 2) * erfc(a / sqrt(2.0)));
 }
 
-/* the row along which x is the lowest, and how low; NULL where nothing is below 0 */
+/* the row with the smallest row·x, and that value; NULL if none is negative */
 static const double *hollow(const double *x, long n, const double *rows, long count, double *lowest) {
   const double *row = NULL;
   *lowest = 0.0;
@@ -390,22 +390,22 @@ static const double *hollow(const double *x, long n, const double *rows, long co
   return row;
 }
 
-/* whether rows·x of one filter is negative anywhere */
+/* true if any component of rows·x of one filter is negative */
 long falls_below(const Bank *bank, long member, const double *rows, long count) {
   double lowest;
   return hollow(bank->x[bank->now[0]] + member * bank->n, bank->n, rows, count, &lowest) != NULL;
 }
 
-/* tell the filters of one block that rows·x is not negative, where the lowest is; how many had to be told */
+/* condition the filters of one block on rows·x ≥ 0 at the smallest component; returns how many violated it */
 long lift(Bank *bank, long block, const double *rows, long count) {
   const long n = bank->n;
-  long told = 0;
+  long conditioned = 0;
   for (long f = block * bank->block; f < (block + 1) * bank->block; f++) {
     double *x = bank->x[bank->now[0]] + f * n, *P = bank->P[bank->now[0]] + f * n * n, Ph[MOST_STATES];
     double lowest, variance = 0.0;
     const double *row = hollow(x, n, rows, count, &lowest);
     if (!row) continue;
-    told++;
+    conditioned++;
     for (long i = 0; i < n; i++) {
       Ph[i] = 0.0;
       for (long j = 0; j < n; j++) Ph[i] += P[i * n + j] * row[j];
@@ -417,21 +417,22 @@ long lift(Bank *bank, long block, const double *rows, long count) {
     for (long i = 0; i < n; i++)
       for (long j = 0; j < n; j++) P[i * n + j] -= Ph[i] * Ph[j] * (rise * (rise - depth) / variance);
   }
-  return told;
+  return conditioned;
 }
 
-/* last input of the kernels that tell NAMED at `t`: MOTION + RIG_INPUTS */
+/* last input of the kernels that compute NAMED at `t`: MOTION + RIG_INPUTS */
 static void named_inputs(const Bank *bank, const Palms *palms, const RigError *rig, double t, double *v) {
   surfaces_at(palms, rig, t, v);
   friction_of(bank, rig);
   memcpy(v + MOTION, bank->rig, RIG_INPUTS * sizeof *v);
 }
 
-/* NAMED of one filter, from `t` to `t + dt`, and the variance of each. `spread` (rows, steps) is what the rig's constants
-   leave open besides: of the n states, then of these constants themselves; `besides` is what nobody tells. */
+/* Predict NAMED of one filter from `t` to `t + dt`, with variances. `spread` (rows, steps): a square root of the covariance
+   due to uncertain rig constants, rows of the n states, then of the constants themselves. `unmodelled`: variances that
+   are added. */
 void named(const Bank *bank, const Palms *palms, const RigError *rig, long member, double t, double dt,
-           const double *spread, long rows, long steps, const double *besides, double *y, double *variance) {
-  enum { S = 3, PHI = 5, OMEGA = 6 }; /* S of palm 1, of palm 2 next; the others of joint 1, of joint 2 two further on */
+           const double *spread, long rows, long steps, const double *unmodelled, double *y, double *variance) {
+  enum { S = 3, PHI = 5, OMEGA = 6 }; /* S of palm 1, palm 2 next; PHI, OMEGA of joint 1, joint 2 two entries later */
   const long n = bank->n;
   const double *x = bank->x[bank->now[0]] + member * n, *P = bank->P[bank->now[0]] + member * n * n;
   double P_next[MOST_STATES * MOST_STATES], x_next[MOST_STATES], J[(MOST_STATES + JOINTS) * NAMED];
@@ -443,8 +444,8 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
   double v[MOTION + RIG_INPUTS];
   named_inputs(bank, palms, rig, t + dt, v);
   const double *at[] = {x_next, v};
-  double *told[] = {y, J};
-  bank->named(at, told, 1);
+  double *outputs[] = {y, J};
+  bank->named(at, outputs, 1);
   for (int i = 0; i < NAMED; i++) variance[i] = 0.0;
   for (long a = 0; a < n; a++) {
     double row[NAMED] = {0.0};
@@ -457,7 +458,7 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
     variance[PHI + 2 * j] += angles[j];
     variance[OMEGA + 2 * j] += rates[j];
   }
-  for (int i = 0; i < NAMED; i++) variance[i] += besides[i];
+  for (int i = 0; i < NAMED; i++) variance[i] += unmodelled[i];
   bows(rig, rig->values, 1, more);
   for (int i = 0; i < JOINTS; i++) {
     lifts(rig, i, y[PHI + 2], x_next[RADIUS], by[i]);
@@ -481,9 +482,9 @@ void named(const Bank *bank, const Palms *palms, const RigError *rig, long membe
   }
 }
 
-/* One-sigma of the answers of rivals, whose score is within `margin` of the best's, about the best one's, weighted by
-   likelihood; how many they are, the best among them: of one alone nothing is told. ψ of filters that do not have
-   `one_gauge` in common means nothing beside another's; of others the short way round counts. */
+/* Standard deviation of NAMED over the filters whose score is within `margin` of the best, about the best one's, weighted
+   by likelihood. Returns their number, the best included; `sd` is not set if it is alone. Differences of ψ are wrapped,
+   and ignored (0) unless the filters share `one_gauge`. */
 long disagreement(Bank *bank, const Palms *palms, const RigError *rig, double t, double margin, long one_gauge, double *sd) {
   enum { PSI = 10 };
   const long size = size_of(bank), best = best_of(bank);
@@ -511,20 +512,20 @@ long disagreement(Bank *bank, const Palms *palms, const RigError *rig, double t,
   return rivals;
 }
 
-/* ---- events in the order of their own times: `observer.fusion`, `observer.history` */
+/* ---- events in the order of their times: `observer.fusion`, `observer.history` */
 
 typedef struct {
   Reading reading;
-  double t_before, *faded, *x, *P, *score, *nis; /* the bank before it */
+  double t_before, *faded, *x, *P, *score, *nis; /* the bank before the reading */
 } Fused;
 
 typedef struct {
-  double t, t_start, repeated; /* up to when the bank has been moved; when the track was begun */
+  double t, t_start, repeated; /* time of the bank; start of the track */
   double variances[JOINTS];
-  double *faded; /* when each block has forgotten last, infinity for those that never do */
-  long early;    /* whether the first readings are fused about a blind guess */
+  double *faded; /* when each block was faded last, infinity for those that never are */
+  long early;    /* whether the first readings are linearised about an initial guess, with inflated noise */
   long count, waiting, moved;
-  Fused fused[EVENTS]; /* the first `count` in order of time, and then memory for more */
+  Fused fused[EVENTS]; /* the first `count` in order of time, the rest unused memory */
   Reading queue[EVENTS + 1];
 } Fusion;
 
@@ -534,7 +535,7 @@ static void copy(double *to, const double *from, long count) { memcpy(to, from, 
 
 static void remember(Fusion *fusion, const Bank *bank, long blocks) {
   const long n = bank->n, size = size_of(bank), side = bank->now[0];
-  if (fusion->count == EVENTS) { /* the oldest can no longer be undone */
+  if (fusion->count == EVENTS) { /* full: the oldest can no longer be undone */
     const Fused oldest = fusion->fused[0];
     memmove(fusion->fused, fusion->fused + 1, (EVENTS - 1) * sizeof oldest);
     fusion->fused[--fusion->count] = oldest;
@@ -576,14 +577,14 @@ static long due(const Fusion *fusion, const Bank *bank) {
   return wait ? -1 : block;
 }
 
-/* Fuse what waits. -1 when nothing does any more; else the block that is to forget now, before this is called again. */
+/* Fuse the waiting readings. Returns -1 when none is left, else the block that the caller must fade before it calls again. */
 long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
   while (fusion->waiting) {
     const Reading *reading = &fusion->queue[0];
     if (!fusion->moved) {
       remember(fusion, bank, bank->now[1]);
-      const int surprised = bank->nis[best_of(bank)] > SURPRISING_NIS; /* then it is of another place */
-      fusion->repeated = surprised ? 1.0 : repetitions(palms);
+      const int unexpected = bank->nis[best_of(bank)] > UNEXPECTED_NIS; /* then the contact is at another place */
+      fusion->repeated = unexpected ? 1.0 : repetitions(palms);
       carry(bank, palms, rig, fusion->t, reading->t, fusion->repeated);
       fusion->t = reading->t;
       fusion->moved = 1;
@@ -599,7 +600,7 @@ long fuse(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig) {
   return -1;
 }
 
-/* One more event, which is fused as it comes or, when it is late, in its own place: as `fuse`, or -2 if it is too late. */
+/* Add one reading and fuse it; a late one in the order of its time. Returns as `fuse`, or -2 if it is too late. */
 long add(Fusion *fusion, Bank *bank, const Palms *palms, const RigError *rig, const Reading *reading) {
   fusion->queue[0] = *reading;
   fusion->waiting = 1;

@@ -1,8 +1,8 @@
-"""One fourth-order step that stays stable where dry friction is stiff.
+"""Fourth-order exponential integration step, stable where dry friction is stiff.
 
-Friction hidden by dither acts on slow slip like a strong viscous brake: ω0 relaxes at rates up to about 1000 /s,
-and an explicit Runge–Kutta step of 4 ms would be unstable. The exponential method of Cox and Matthews (2002, ETDRK4)
-takes that one rate exactly and the rest as Runge–Kutta does; for a rate of zero it is Runge–Kutta.
+Friction under dither acts on slow slip like a strong viscous brake: ω0 relaxes at rates up to about 1000 /s, and an
+explicit Runge–Kutta step of 4 ms would be unstable. ETDRK4 (Cox and Matthews 2002) integrates this one rate exactly
+and the rest as Runge–Kutta does; for a rate of zero it is the classical Runge–Kutta method.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 
 Rates = Callable[[SX, SX], SX]
-SMALL = 0.2  # |rate · step| below which the coefficients' series, its derivative too, beats their closed form
+SMALL = 0.2  # |rate · step| below which the coefficients' series and its derivative are more accurate than the formula
 
 
 def exponential_step(
     rates: Rates, x: SX, dt: SX, moving: Sequence[int], stiff: int, rate: SX, touch: Touch | None = None
 ) -> tuple[SX, SX]:
-    """(the moving states after dt, their Jacobian in the whole state x).
+    """Return the moving states after dt, and their Jacobian by the whole state x.
 
-    `rates(y, t)` gives ẏ of the moving states, t seconds into the step; `stiff` is the position in them of the one
-    whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start. The step is of fourth order for any value of it; where it
-    is stiff the step still depends on it, and so does its Jacobian. `touch` is what `rates` and `rate` find contacts
-    by, if they do.
+    `moving`: indices of the moving states y in x. `rates(y, t)`: ẏ at t seconds into the step. `stiff`: position in y
+    of the state whose own rate ∂ẏ/∂y is about `rate` (1/s) at the start; the step is of fourth order for any `rate`,
+    but in the stiff case depends on it, and so does the Jacobian. `touch`: the contact search in `rates` and `rate`,
+    if any.
     """
     frozen = SX.sym("rate")
     linear = SX(len(moving), 1)
@@ -47,16 +47,16 @@ def exponential_step(
     w0, w1, w2 = (dt * _elementwise(weight, z) for weight in (_weight_first, _weight_middle, _weight_last))
     moved = full * y + w0 * n0 + 2 * w1 * (n1 + n2) + w2 * n3
     touch = touch or Touch()
-    found = touch.thawed(moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen))
-    result, directly, by_rate = ca.substitute(found, [frozen], [rate])
-    moved, J = touch.thawed(result, directly + by_rate @ ca.jacobian(rate, x))
+    expressions = touch.thawed(moved, ca.jacobian(moved, x), ca.jacobian(moved, frozen))
+    result, by_x, by_rate = ca.substitute(expressions, [frozen], [rate])
+    moved, J = touch.thawed(result, by_x + by_rate @ ca.jacobian(rate, x))
     return moved, J
 
 
 def variance_share(rate: SX, dt: SX) -> SX:
-    """(e²ᶻ − 1)/2z, z = rate · dt: what is left after dt of the variance that a white acceleration adds to a speed.
+    """(e²ᶻ − 1)/2z, z = rate · dt: variance of a speed driven by a white acceleration for dt, relative to rate 0.
 
-    The speed relaxes at the `rate` (1/s), negative of one that decays.
+    The speed relaxes at `rate` (1/s), negative for decay.
     """
     return _exprel(2 * rate * dt)
 

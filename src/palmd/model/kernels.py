@@ -1,8 +1,8 @@
-"""CasADi functions as C of palmd's own: straight lines of arithmetic, for one column or for many side by side.
+"""Generate C from CasADi functions: straight-line arithmetic for one column, or for many columns side by side (SIMD).
 
-Each instruction of a function becomes one line on a `lane` (`lanes.h`): a double, or a register full of them.
-What a kernel gives for a column does not depend on which others stand beside it, nor on the processor. Needs CasADi, so
-it is for building alone; `model.compiled` loads what is built.
+Each instruction of a function becomes one line on a `lane` (`lanes.h`): a double, or a vector register of them.
+The result for a column depends neither on the columns beside it nor on the processor. Needs CasADi, so it is used for
+building only; `model.compiled` loads the built libraries.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from palmd.model.compiled import EXPORTED, LANES
 from palmd.model.symbolic import ca
 
 PART = 200
-"""Instructions in one piece: compilers take time by the square of what they must hold in registers at once."""
+"""Instructions per C function: compile time grows with the square of a function's live values."""
 
-ABREAST, NEAR = 2, 2000
-"""Registers full of columns that go through a piece before the next one, in kernels of so many registers at most.
+ABREAST, MOST_REGISTERS_ABREAST = 2, 2000
+"""Vector registers of columns that run through one piece before the next, in kernels with at most that many registers.
 
-A kernel's code is longer than the nearest memory for it, so that else it is fetched anew for each; what is kept of more
-columns, or by larger kernels, is longer than that for numbers.
+A kernel's code exceeds the L1 instruction cache and would be fetched again for each vector register. With more columns
+abreast, or in larger kernels, the work array exceeds the L1 data cache.
 """
 
 _HEADER = Path(__file__).with_name("lanes.h")
@@ -32,7 +32,7 @@ _HEADER = Path(__file__).with_name("lanes.h")
 class Kernel:
     """A function of dense inputs and outputs, to be compiled as `name`.
 
-    Of columns: every input but the `shared` ones, and every output, holds one column after the other.
+    columns: True if every input except the `shared` ones, and every output, holds one column after the other.
     """
 
     name: str
@@ -42,31 +42,31 @@ class Kernel:
 
     @property
     def on_the_vm(self) -> ca.Function:
-        """The same on CasADi's virtual machine; of columns for `LANES` of them."""
+        """The same function on CasADi's virtual machine; for a column kernel it takes `LANES` columns."""
         if not self.columns:
             return self.function
         return self.function.map(self.name, "serial", LANES, list(self.shared), [])
 
 
 def densified(function: ca.Function) -> ca.Function:
-    """The same function with dense inputs and outputs, so that plain arrays can hold them; shared terms once."""
+    """Return the function with dense inputs and outputs, for plain arrays, and common subexpressions eliminated."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
     outputs = ca.cse([ca.densify(out) for out in function.call(inputs)])
     return ca.Function(function.name(), inputs, outputs, function.name_in(), function.name_out())
 
 
 def single(function: ca.Function) -> Kernel:
-    """The function as a kernel of one column."""
+    """Return the function as a kernel of one column."""
     return Kernel(function.name(), densified(function))
 
 
 def of_columns(function: ca.Function, name: str, shared: Iterable[str]) -> Kernel:
-    """The function as a kernel `name` of columns, which have the inputs called `shared` in common."""
+    """Return the function as a column kernel `name`; all columns share the inputs named in `shared`."""
     return Kernel(name, densified(function), True, tuple(function.index_in(each) for each in shared))
 
 
 def source(kernels: Sequence[Kernel], *, columns: bool) -> str:
-    """C of those of the kernels that are of columns, or of those that are not; empty when there are none.
+    """Return the C of the column kernels, or of the others if not `columns`; empty if there are none.
 
     Each becomes `void kernel_NAME(const double *const *in, double *const *out, long columns)`.
     """
@@ -78,7 +78,7 @@ def source(kernels: Sequence[Kernel], *, columns: bool) -> str:
 
 @cache
 def _operations() -> dict[int, str]:
-    """C of each of CasADi's operations, as far as palmd's models need them."""
+    """Return the C expression of each CasADi operation that palmd's models use."""
     return {
         ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
         ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0 * {0}",
@@ -96,7 +96,7 @@ def _operations() -> dict[int, str]:
 
 
 def _functions(kernel: Kernel) -> str:
-    """C of one kernel: pieces that compilers can take, and what calls them one after the other."""
+    """Return the C of one kernel: pieces of at most `PART` instructions, and the function that calls them in order."""
     f, parts = kernel.function, _parts(kernel.function)
     names = [f"part_{kernel.name}_{number}" for number in range(len(parts))]
     head = "const double *const *in, double *const *out, long at, lane *w"
@@ -108,7 +108,7 @@ def _functions(kernel: Kernel) -> str:
     ]
     size = max(f.sz_w(), 1)
     abreast, call = 1, "{}(in, out, at, w);"
-    if kernel.columns and size <= NEAR:
+    if kernel.columns and size <= MOST_REGISTERS_ABREAST:
         abreast, loop = ABREAST, f"for (long i = 0; i < {ABREAST} && at + i * WIDE < columns; i++)"
         call = f"{loop} {{}}(in, out, at + i * WIDE, w + i * {size});"
     step = "WIDE" if abreast == 1 else f"{abreast} * WIDE"
@@ -122,7 +122,7 @@ def _functions(kernel: Kernel) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _CodePart:
-    """Some instructions: `kept` are those whose value a later part needs, in its register of the work array."""
+    """A range of instructions; `kept`: those whose value a later part reads from the work array."""
 
     instructions: range
     kept: frozenset[int]
@@ -130,7 +130,7 @@ class _CodePart:
 
 def _parts(f: ca.Function) -> list[_CodePart]:
     n = f.n_instructions()
-    written: dict[int, int] = {}  # by which instruction each register was
+    written: dict[int, int] = {}  # register → instruction that wrote it last
     kept: set[int] = set()
     for k in range(n):
         operation = f.instruction_id(k)
@@ -145,14 +145,14 @@ def _parts(f: ca.Function) -> list[_CodePart]:
 def _lines(kernel: Kernel, part: _CodePart) -> list[str]:
     f = kernel.function
     lines: list[str] = []
-    held: dict[int, str] = {}  # by the virtual machine's registers: the names of their values in this part
-    waves: dict[str, str] = {}  # of which angles sine and cosine are known
+    variables: dict[int, str] = {}  # virtual machine's register → C variable in this part
+    sines: dict[str, str] = {}  # angle → suffix of the variables with its sine and cosine
 
     def value_of(register: int) -> str:
-        if register not in held:
-            held[register] = f"w{register}"
+        if register not in variables:
+            variables[register] = f"w{register}"
             lines.append(f"const lane w{register} = w[{register}];")
-        return held[register]
+        return variables[register]
 
     for k in part.instructions:
         operation, into, of = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
@@ -172,15 +172,15 @@ def _lines(kernel: Kernel, part: _CodePart) -> list[str]:
                 lines.append(f"const lane {value} = EVERY(in[{which}][{index}]);")
         elif operation in (ca.OP_SIN, ca.OP_COS):
             angle = value_of(of[0])
-            if angle not in waves:
-                waves[angle] = value
+            if angle not in sines:
+                sines[angle] = value
                 lines.append(f"lane s{value}, c{value}; sin_cos({angle}, &s{value}, &c{value});")
-            value = ("s" if operation == ca.OP_SIN else "c") + waves[angle]
+            value = ("s" if operation == ca.OP_SIN else "c") + sines[angle]
         else:
             if operation not in _operations():
                 raise NotImplementedError(f"{kernel.name}: no C for CasADi's operation {operation}")
             lines.append(f"const lane {value} = {_operations()[operation].format(*map(value_of, of))};")
-        held[into[0]] = value
+        variables[into[0]] = value
         if k in part.kept:
             lines.append(f"w[{into[0]}] = {value};")
     return lines

@@ -1,11 +1,11 @@
-/* Arithmetic of the kernels: `lane` is one double (LANES 1), or as many of LANES columns as fill a register (WIDE), in GNU
-   C's vectors: of wider ones compilers keep what they compute in memory, many times as slow.
+/* Arithmetic of the kernels: a `lane` is one double (LANES 1) or a vector register of WIDE columns, in GNU C vectors.
+   Compilers keep intermediate results of wider vectors in memory, which is many times slower.
 
-   Only additions, multiplications, divisions, roots and bits, none of them contracted: one column gives the same bits
-   as eight, on any processor. sin, cos, exp and log are fdlibm's (Sun Microsystems 1993), to an ulp or two of libm's;
-   the angle's last bits are dropped, and beyond MOST_ANGLE there is no number.
+   Only additions, multiplications, divisions, roots and bit operations, none of them contracted: one column gives the
+   same bits as eight, on any processor. sin, cos, exp and log are fdlibm's (Sun Microsystems 1993), within an ulp or two
+   of libm's; the angle's last bits are dropped, and beyond MOST_ANGLE the result is NaN.
 
-   Include with LANES defined; several times in one file is for separate files. */
+   Define LANES before including it, and include it once per translation unit. */
 
 #include <math.h>
 #include <stdint.h>
@@ -46,7 +46,7 @@ INLINE void scatter(double *to, long stride, lane a) { (void)stride; *to = a; }
 #define EACH(f, a) f(a)
 #define EACH2(f, a, b) f(a, b)
 #else
-/* Written out, as loops are unrolled only by optimisation that takes a compiler twice as long. */
+/* Written out, since unrolling loops needs an optimisation level that doubles the compile time. */
 #define FOUR(of, l, ...) of(l, __VA_ARGS__), of(l + 1, __VA_ARGS__), of(l + 2, __VA_ARGS__), of(l + 3, __VA_ARGS__)
 #if WIDE == 8
 #define ALL(of, ...) FOUR(of, 0, __VA_ARGS__), FOUR(of, 4, __VA_ARGS__)
@@ -74,9 +74,9 @@ INLINE lane min_(lane a, lane b) { return either(TEST(a < b) | TEST(b != b), a, 
 INLINE lane max_(lane a, lane b) { return either(TEST(a > b) | TEST(b != b), a, b); }
 INLINE lane root(lane a) { return EACH(sqrt, a); }
 
-#define MAGIC 6755399441055744.0 /* 1.5 2^52: what is added to it is rounded to a whole number, in the lowest bits */
+#define MAGIC 6755399441055744.0 /* 1.5 2^52: a number added to it is rounded to an integer, in the lowest bits */
 
-INLINE lane floor_(lane a) { /* below 2^51 */
+INLINE lane floor_(lane a) { /* |a| < 2^51 */
   lane nearest = (a + MAGIC) - MAGIC;
   return nearest - truth(TEST(nearest > a));
 }
@@ -101,7 +101,7 @@ INLINE void sin_cos(lane x, lane *sine, lane *cosine) {
 INLINE lane power_of_two(mask k) { return real((k + 1023) << 52); }
 
 INLINE lane exp_(lane x) {
-  lane inside = min_(max_(x, EVERY(-746.0)), EVERY(710.0)); /* beyond: 0 and infinity, by rounding */
+  lane inside = min_(max_(x, EVERY(-746.0)), EVERY(710.0)); /* beyond these bounds the result rounds to 0 or infinity */
   lane whole = inside * 1.44269504088896338700e+00 + MAGIC, k = whole - MAGIC;
   mask n = bits(whole) - bits(EVERY(MAGIC));
   lane high = inside - k * 6.93147180369123816490e-01, low = k * 1.90821492927058770002e-10, r = high - low, t = r * r;
@@ -114,7 +114,7 @@ INLINE lane exp_(lane x) {
 
 INLINE lane log_(lane x) {
   lane tiny = truth(TEST(x < 2.2250738585072014e-308)), scaled = x * (1.0 + tiny * 18014398509481983.0); /* 2^54 */
-  mask m = bits(scaled), n = ((m - 0x3fe6a09e667f3bcd) >> 52) ; /* so that what is left is within sqrt(1/2), sqrt(2) */
+  mask m = bits(scaled), n = ((m - 0x3fe6a09e667f3bcd) >> 52) ; /* so that the mantissa is in [sqrt(1/2), sqrt(2)) */
   lane f = real(m - (n << 52)) - 1.0;
   lane k = (real(bits(EVERY(MAGIC)) + n) - MAGIC) - 54.0 * tiny;
   lane s = f / (2.0 + f), z = s * s, w = z * z;

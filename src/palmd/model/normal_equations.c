@@ -1,8 +1,8 @@
-/* The smoother's normal equations: residuals weighed, assembled once linearised, and reduced to the constants.
+/* The smoother's normal equations: weigh residuals, assemble the linearised equations, reduce them to the constants.
 
-   The twin of `observer.normal_equations`, which says what they are. All rows are `width` wide, a multiple of
-   LANES: what they are in the constants, then the right-hand side, then zeros. Matrices in the nodes are banded, `band[d * n + i]` being the entry
-   (i + d, i). */
+   The twin of `observer.normal_equations`, which documents them. All rows are `width` wide, a multiple of LANES:
+   derivatives by the constants, then the right-hand side, then zeros. Matrices in the nodes are banded, with
+   `band[d * n + i]` the entry (i + d, i). */
 
 #pragma GCC optimize("unroll-loops")
 
@@ -13,20 +13,20 @@
 #define BAND 4
 #define MOST_WIDE 128
 #define NEAR 32
-#define ROWS 16 /* that are added to the corner at a time */
-#define HIGH 4  /* rows of a matrix that are kept in registers together, across two of which every load is shared */
+#define ROWS 16 /* rows added to the corner at a time */
+#define HIGH 4  /* rows of a tile held in registers, two registers wide, which share every load */
 
 const long normal_equations_sizes[] = {NODE, LANES, MOST_WIDE};
 
 typedef struct {
-  double *band, *rows, *corner; /* (BAND, n), (n, width), (width, width), all zero to begin with */
+  double *band, *rows, *corner; /* (BAND, n), (n, width), (width, width), initially zero */
   long n, width;
   double pending[ROWS][MOST_WIDE] __attribute__((aligned(64)));
   int waiting;
 } Sum;
 
-/* to (HIGH rows `across` apart, `columns` registers wide) += aᵀ b of `count` rows `stride` apart, one after the other;
-   `less`: −= the sum of all */
+/* to (HIGH rows at stride `across`, `columns` registers wide) += aᵀ b over `count` rows at stride `stride`; if `less`, the
+   sum is computed first and subtracted */
 INLINE void tile(double *to, long across, const double *a, const double *b, long stride, long count, const int columns,
                  const int less) {
   lane sums[HIGH][2];
@@ -44,7 +44,7 @@ INLINE void tile(double *to, long across, const double *a, const double *b, long
     }
 }
 
-/* to (width, width) += rowsᵀ rows, of its upper triangle by blocks; as in `tile` */
+/* to (width, width) += rowsᵀ rows, upper triangle by blocks; arguments as in `tile` */
 INLINE void square(double *to, const double *rows, long width, long stride, long count, const int less) {
   for (long i = 0; i < width; i += HIGH) {
     long j = i / WIDE * WIDE;
@@ -59,7 +59,7 @@ static void flush(Sum *sum) {
   sum->waiting = 0;
 }
 
-/* one residual: `nodes` are its derivatives in the nodes from `first` on, the row is in sum->pending[sum->waiting] */
+/* add one residual: `nodes` are its derivatives by the nodes from `first` on, its row is sum->pending[sum->waiting] */
 static void add(Sum *sum, long first, const double *nodes, int count) {
   const double *row = sum->pending[sum->waiting];
   for (int a = 0; a < count; a++) {
@@ -70,7 +70,7 @@ static void add(Sum *sum, long first, const double *nodes, int count) {
   if (++sum->waiting == ROWS) flush(sum);
 }
 
-/* The entry that would be at place `k` of `a` (n) were it in order; those before it are no larger. */
+/* The k-th smallest entry of `a` (n), by quickselect; reorders `a` so that earlier entries are no larger. */
 static double selected(double *a, long n, long k) {
   for (long first = 0, last = n - 1; first < last;) {
     const double pivot = a[(first + last) / 2];
@@ -99,17 +99,17 @@ static double median(double *a, long n) {
   return (below + above) / 2;
 }
 
-/* What readings are off by, value − prediction, and one over the one-sigma of each, less for outliers: those beyond
-   `gate`, of the square in sigmas, or what stands out as far from the others. `told`: the cost; its mean of what is no
-   outlier; how many are, and how many in a row at most. `room` is for n. */
+/* Residuals, value − prediction, and their weights 1/σ, reduced for outliers: readings with a NIS beyond `gate`, which is
+   widened by the median NIS if that is too large. `result`: cost; mean NIS without outliers; number of outliers; longest
+   run of them. `room`: work array of n. */
 void weigh(long n, const double *predicted, const double *value, const double *variance, const double *weight,
-           double gate, double *residual, double *root, double *room, double *told) {
+           double gate, double *residual, double *root, double *room, double *result) {
   for (long k = 0; k < n; k++) {
     residual[k] = value[k] - predicted[k];
     root[k] = room[k] = residual[k] * residual[k] / variance[k];
   }
-  const double usual = n ? median(room, n) / 0.455 : 1.0;
-  if (usual > 1.0) gate *= usual;
+  const double typical = n ? median(room, n) / 0.455 : 1.0;
+  if (typical > 1.0) gate *= typical;
   double cost = 0.0, square = 0.0;
   long outliers = 0, run = 0, longest = 0;
   for (long k = 0; k < n; k++) {
@@ -126,10 +126,10 @@ void weigh(long n, const double *predicted, const double *value, const double *v
       root[k] = sqrt(weight[k] / variance[k]);
     }
   }
-  told[0] = cost;
-  told[1] = square / (n - outliers);
-  told[2] = outliers;
-  told[3] = longest;
+  result[0] = cost;
+  result[1] = square / (n - outliers);
+  result[2] = outliers;
+  result[3] = longest;
 }
 
 typedef struct {
@@ -138,16 +138,16 @@ typedef struct {
 } Steps;
 
 typedef struct {
-  const double *gradient, *residual, *root; /* (count, 2 NODE + constants); value − prediction; one over the one-sigma */
+  const double *gradient, *residual, *root; /* (count, 2 NODE + constants); value − prediction; 1/σ */
   const long *step;
   long count;
 } Readings;
 
-/* What the steps' ends and the readings say; the sum of the steps' squares is returned. */
+/* Add the equations of all steps and readings; returns the process cost, the weighed sum of squares of the steps. */
 double assemble(const Steps *steps, const Readings *kinds, long number, double *band, double *rows, double *corner) {
   const long constants = steps->constants, width = steps->width, n = NODE * (steps->steps + 1);
   Sum sum = {.band = band, .rows = rows, .corner = corner, .n = n, .width = width};
-  double slack = 0.0;
+  double process_cost = 0.0;
   for (long k = 0; k < steps->steps; k++) {
     const double *J = steps->jacobian + k * (NODE + constants) * NODE;
     for (int i = 0; i < NODE; i++) {
@@ -158,7 +158,7 @@ double assemble(const Steps *steps, const Readings *kinds, long number, double *
       for (long c = 0; c < constants; c++) row[c] = J[(NODE + c) * NODE + i] * root;
       row[constants] = -miss;
       for (long c = constants + 1; c < width; c++) row[c] = 0.0;
-      slack += miss * miss;
+      process_cost += miss * miss;
       add(&sum, NODE * k, nodes, 2 * NODE);
     }
   }
@@ -175,12 +175,12 @@ double assemble(const Steps *steps, const Readings *kinds, long number, double *
   flush(&sum);
   for (long i = 0; i < width; i++)
     for (long j = 0; j < i; j++) corner[i * width + j] = corner[j * width + i];
-  return slack;
+  return process_cost;
 }
 
-/* Cholesky's factor L of the band plus `damping` (NODE) on its diagonal, n by n, into `factor` (BAND, n); rows become
-   L⁻¹ rows (n, width), and `left`, (width, width), loses rowsᵀ rows. `width` is a multiple of LANES. 0, or 1 where the
-   matrix is not positive definite. */
+/* Cholesky factor L of the band plus `damping` (NODE) on its diagonal, n by n, into `factor` (BAND, n); rows become
+   L⁻¹ rows (n, width), and rowsᵀ rows is subtracted from `left` (width, width). `width` is a multiple of LANES. Returns 0,
+   or 1 if the matrix is not positive definite. */
 int reduce(const double *band, long stride, long n, const double *damping, double *factor, double *rows, long width,
            double *left) {
   for (long i = 0; i < n; i++) {
@@ -208,7 +208,7 @@ int reduce(const double *band, long stride, long n, const double *damping, doubl
       store(row + c, a / l[0]);
     }
   }
-  for (long first = 0; first < n; first += NEAR) /* a few rows at a time stay in the fastest memory */
+  for (long first = 0; first < n; first += NEAR) /* a few rows at a time stay in the L1 cache */
     square(left, rows + first * width, width, width, n - first < NEAR ? n - first : NEAR, 1);
   for (long i = 0; i < width; i++)
     for (long j = 0; j < i; j++) left[i * width + j] = left[j * width + i];

@@ -1,4 +1,4 @@
-"""The named state and what follows from it: the one list of outputs that every observer's kernels share."""
+"""The named outputs that all observers' kernels share, and the layout of the rig inputs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.contact import Contact, centre_of_mass, readings, tangent
-from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_ERROR_INPUTS, BodyConstants, Palms, newton_euler
 from palmd.model.symbolic import SX, ca
 from palmd.model.touch import Touch
 from palmd.system.description import RigDescription
@@ -19,18 +19,19 @@ NAMED = (
     *RADII, "omega0", *CONTACTS, *chain(*zip(JOINTS, JOINT_RATES, strict=True)), "rho",
     "psi", *BENDS, "mu", *FORCES, "com_x", "com_y",
 )  # fmt: skip
-"""Names as in `events.Estimate`, SI; forces here are per unit mass (m/s²), COM in the world frame."""
+"""Names as in `events.Estimate`, SI; forces are per unit mass (m/s²), the centre of mass is in the world frame."""
 
 FRICTION_INPUT, CURVATURE_INPUTS = 4, slice(5, 7)
-"""Where the friction asymmetry and the palms' curvatures are among what the kernels are told of the rig."""
-RIG_INPUTS = VIBRATION_OFF_INPUTS.stop
+"""Indices of the friction asymmetry and of the palms' curvatures among the kernels' rig inputs."""
+RIG_INPUTS = VIBRATION_ERROR_INPUTS.stop
 
 
 def rig_inputs(rig: RigDescription) -> FloatArray:
-    """What the kernels are told of the rig: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures,
-    κ, λ, whether the old law of friction holds, 1/(2f) of the vibration, and by how much these are off (0).
+    """Return the kernels' rig inputs: g, hinge arm (0 if fixed), base x, y, friction asymmetry (0), curvatures, κ, λ,
+    flag of the averaged friction law, 1/(2f) of the vibration, and four errors of the vibration's constants (0).
 
-    Inputs rather than constants, so that one compiled library serves every rig, and a second one all with curved palms.
+    They are inputs rather than constants, so that one compiled library serves every rig with flat palms, and a second
+    one every rig with curved palms.
     """
     base, arm = rig.arc
     vibration = rig.vibration
@@ -39,12 +40,12 @@ def rig_inputs(rig: RigDescription) -> FloatArray:
 
 
 def touch_on(rig: SX, curved: bool, near: Sequence[SX] = ()) -> Touch:
-    """How contacts are found on a rig of these inputs: on its arcs where `curved` (from `near` on), else on flats."""
+    """Return the contact search for these rig inputs: on arcs if `curved`, starting from `near`; else on flat palms."""
     return Touch(ca.vertsplit(rig[CURVATURE_INPUTS]), near) if curved else Touch()
 
 
 def named_outputs(palms: Palms, omega0: SX, psi: SX, one: Contact, two: Contact, body: BodyConstants, rig: SX) -> SX:
-    """Values of `NAMED`, in that order."""
+    """Return the values of `NAMED`, in that order."""
     motion = newton_euler(palms, omega0, one, two, body, rig)
     hinge = rig[2:4] - rig[1] * tangent(palms.angles[0], 1)
     com = hinge + centre_of_mass(*palms.angles, one, two)

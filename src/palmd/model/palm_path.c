@@ -1,7 +1,7 @@
-/* The palms' motion over a whole record, smoothed: the twin of `observer.palm_path`, which says what is computed.
+/* Rauch–Tung–Striebel smoother for the palms' motion over a whole record: the twin of `observer.palm_path`.
 
-   Of each report φ, ω and α (3) of each joint (JOINTS), one beside the other; covariances are of one joint, the same for
-   all. */
+   States of a report: φ, ω, α (3) of each joint (JOINTS), joints side by side. Covariances are those of one joint, the
+   same for all. */
 
 #include <math.h>
 #include <string.h>
@@ -36,10 +36,10 @@ static void gain_of(const Matrix P_pred, const Matrix FP, Matrix gain) {
   }
 }
 
-/* what is told of one report, (STATES, JOINTS) with what is not told NaN; `sd` of each */
-static void fuse(double (*x)[JOINTS], Matrix P, const double *told, const double *sd) {
+/* fuse one report, (STATES, JOINTS), NaN where not reported; `sd` of each row */
+static void fuse(double (*x)[JOINTS], Matrix P, const double *report, const double *sd) {
   for (int row = 0; row < STATES; row++) {
-    const double *values = told + row * JOINTS;
+    const double *values = report + row * JOINTS;
     if (isnan(values[0])) continue;
     double gain[STATES], miss[JOINTS];
     const double spread = P[row][row] + sd[row] * sd[row];
@@ -52,16 +52,16 @@ static void fuse(double (*x)[JOINTS], Matrix P, const double *told, const double
   }
 }
 
-/* `step` (n − 1): the time from one report to the next; `drift` (n − 1, 3, 3): the covariance that is added in it.
-   `first`: the variances to begin with. Into x (n, 3, JOINTS); `predicted` and `gains`, (n, 3, JOINTS) and (n, 3, 3), are
-   room to work in. */
-void smooth_path(long n, const double *step, const Matrix *drift, const double *told, const double *sd,
+/* `step` (n − 1): time from one report to the next; `drift` (n − 1, 3, 3): process noise covariance of it. `reports`
+   (n, STATES, JOINTS). `first`: initial variances. Result in x (n, 3, JOINTS); `predicted` and `gains`, (n, 3, JOINTS) and
+   (n, 3, 3), are work arrays. */
+void smooth_path(long n, const double *step, const Matrix *drift, const double *reports, const double *sd,
                  const double *first, double (*x)[STATES][JOINTS], double (*predicted)[STATES][JOINTS], Matrix *gains) {
   Matrix P = {{0.0}};
   for (int i = 0; i < STATES; i++) P[i][i] = first[i];
   memset(x[0], 0, sizeof x[0]);
-  memcpy(x[0][0], told, sizeof x[0][0]);
-  fuse(x[0], P, told, sd);
+  memcpy(x[0][0], reports, sizeof x[0][0]);
+  fuse(x[0], P, reports, sd);
   for (long k = 1; k < n; k++) {
     const double dt = step[k - 1], half = dt * dt / 2;
     Matrix FP, P_pred;
@@ -83,7 +83,7 @@ void smooth_path(long n, const double *step, const Matrix *drift, const double *
     }
     memcpy(P, P_pred, sizeof P);
     memcpy(x[k], predicted[k], sizeof x[k]);
-    fuse(x[k], P, told + k * STATES * JOINTS, sd);
+    fuse(x[k], P, reports + k * STATES * JOINTS, sd);
   }
   for (long k = n - 2; k >= 0; k--)
     for (int j = 0; j < JOINTS; j++) {

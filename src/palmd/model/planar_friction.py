@@ -1,9 +1,9 @@
-"""Dry friction in the plane of a palm that vibrates along one direction of it: mean and covariance of its direction.
+"""Mean and covariance of the direction of dry friction in the plane of a palm that vibrates along one direction.
 
 At slip u a point of the body moves along ŝ = (u + V cos τ·e)/|u + V cos τ·e| over the palm, which vibrates along e with
 amplitude V of its speed. Means over τ are closed: σ by complete elliptic integrals (Bulirsch's cel), second moments by
 square roots. Friction is −μ(σ + λμΣk) of the normal force (docs/theory/vibration.md): Σ = Cov ŝ, k the normal force's
-answer to friction. Each function takes CasADi expressions, or NumPy arrays with `xp` numpy. Safe inside the loop.
+response to friction. Each function takes CasADi expressions, or NumPy arrays if `xp` is numpy. Safe inside the loop.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 from palmd.model.symbolic import ca
 
 KINK = 0.02
-"""ε: directions are those of √(u² + (εV)²) for |u|, so that nothing jumps where the slip turns round."""
+"""ε: |u| is replaced by √(u² + (εV)²), so that the direction does not jump where the slip reverses."""
 _HALVINGS = 4  # of the arithmetic-geometric mean: with `KINK` its relative error is 1e-9
 
 
 def direction_moments(along: Any, across: Any, xp: Any = ca) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
-    """((σ∥, σ⊥), (Σ∥∥, Σ∥⊥, Σ⊥⊥)) at slip over V, along e and across it.
+    """Return ((σ∥, σ⊥), (Σ∥∥, Σ∥⊥, Σ⊥⊥)) for the slip along e and across it, in units of V.
 
     With t = u∥/V + cos τ and Y² = (u⊥/V)² + ε² the means are, for P = √(y² + 4Y²), y = x² + Y² − 1, S² = (y + P)/2 and
     C² = S² + 1: σ∥ = (2x/π√P) cel(k', C²/P, 1, k'²) and σ⊥ = (2u⊥/πV√P) K, k'² = S²/P.
@@ -39,7 +39,7 @@ def direction_moments(along: Any, across: Any, xp: Any = ca) -> tuple[tuple[Any,
 
 
 def _elliptic(kc2: Any, p: Any, xp: Any) -> tuple[Any, Any]:
-    """(2/π)(cel(k', p, 1, k'²), K), both by one descent (Bulirsch 1969), for `kc2` = k'² > 0 and p > 0."""
+    """(2/π)(cel(k', p, 1, k'²), K), by one iteration for both (Bulirsch 1969), for `kc2` = k'² > 0 and p > 0."""
     e = kc = xp.sqrt(kc2)
     mean: Any = 1.0
     p = xp.sqrt(p)
@@ -56,6 +56,6 @@ def _elliptic(kc2: Any, p: Any, xp: Any) -> tuple[Any, Any]:
 
 
 def averaged_direction(along: Any, across: Any, xp: Any = ca) -> tuple[Any, Any]:
-    """σ = u/√(u² + u_d²) with u_d = πV/2, at slip over V: the old law, for logs that were simulated by it."""
+    """σ = u/√(u² + u_d²), u_d = πV/2, for the slip in units of V: the former law, for logs simulated with it."""
     size = xp.sqrt(along**2 + across**2 + (math.pi / 2.0) ** 2)
     return along / size, across / size

@@ -1,7 +1,7 @@
-/* Sequences of palm moves rolled forward on the generated kernels `begin_batch`, `roll_batch`, and what comes of each move.
+/* Roll out sequences of palm moves with the generated kernels `begin_batch`, `roll_batch`, and summarise each move.
 
-   The twin of `motion.rollout_predictor`, which says what the numbers mean. Eight sequences stand side by side; when one
-   has come to its end the next takes its place, so that no column of the kernel runs idle. */
+   The counterpart of `motion.rollout_predictor`, which documents the results. Eight sequences run side by side; when one
+   ends the next takes its column, so that no column of the kernel is idle. */
 
 #include <math.h>
 #include <stdint.h>
@@ -11,9 +11,9 @@
 #define CONTACTS 2 /* s1, s2 */
 #define MOVE 6
 #define SUBSTEPS 4
-#define TOLD 10 /* psi, omega0, f1, f2 (least within a vibration), s1, s2, f1, f2 (mean), theta1, theta2 */
-#define S 4 /* where s1 is in it, */
-#define THETA 8 /* and theta1 */
+#define OUTPUTS 10 /* psi, omega0, f1, f2 (smallest within a vibration), s1, s2, f1, f2 (mean), theta1, theta2 */
+#define S 4 /* index of s1 in the outputs */
+#define THETA 8 /* index of theta1 */
 #define BINS 72
 #define MOST_MOVES 16
 #define STATE 21
@@ -21,7 +21,7 @@
 #define CALL_S (SUBSTEPS * STEP_S)
 #define CLOSE 1e-9
 
-const long rollout_sizes[] = {LANES, STATE, MOVE, SUBSTEPS, TOLD, BINS, MOST_MOVES};
+const long rollout_sizes[] = {LANES, STATE, MOVE, SUBSTEPS, OUTPUTS, BINS, MOST_MOVES};
 
 void kernel_begin_batch(const double *const *in, double *const *out, long columns);
 void kernel_roll_batch(const double *const *in, double *const *out, long columns);
@@ -32,16 +32,16 @@ typedef struct {
   long n, k, calls; /* calls: rows of the path */
   uint8_t *touched; /* (n, k, BINS) */
   double *force, *nearest, *farthest, *psi, *omega0; /* (n, k) */
-  double *path; /* (n, calls, TOLD) */
+  double *path; /* (n, calls, OUTPUTS) */
 } Task;
 
 typedef struct {
   long sequence, call, calls, leg;
-  double finished[MOST_MOVES]; /* when each move is, by the sequence's own time */
-  long last[MOST_MOVES];       /* step of each */
+  double finished[MOST_MOVES]; /* when each move ends, in the sequence's time */
+  long last[MOST_MOVES];       /* last step of each move */
 } Lane;
 
-static Lane begun(const Task *task, long sequence) {
+static Lane begin_lane(const Task *task, long sequence) {
   Lane lane = {.sequence = sequence};
   double t = 0.0;
   for (long j = 0; j < task->k; j++) lane.finished[j] = (t += task->durations[sequence * task->k + j]) - task->elapsed;
@@ -55,7 +55,7 @@ static Lane begun(const Task *task, long sequence) {
   return lane;
 }
 
-/* as numpy: what is no number stays none */
+/* minimum and maximum that propagate NaN, as in NumPy */
 static double lower(double a, double b) { return a < b || a != a ? a : b; }
 static double higher(double a, double b) { return a > b || a != a ? a : b; }
 
@@ -65,11 +65,11 @@ static int bin_of(double theta) {
   return (int)floor(turned / (2 * M_PI / BINS)) % BINS;
 }
 
-static void judge(const Task *task, const Lane *lane, const double told[SUBSTEPS][TOLD]) {
+static void judge(const Task *task, const Lane *lane, const double outputs[SUBSTEPS][OUTPUTS]) {
   const long k = task->k, row = lane->sequence * k + lane->leg;
   const double end = lane->finished[k - 1];
   for (int i = 0; i < SUBSTEPS; i++) {
-    const double *now = told[i];
+    const double *now = outputs[i];
     const long step = lane->call * SUBSTEPS + i;
     if (step * STEP_S < end - CLOSE) {
       const double force = lower(now[2], now[3]);
@@ -84,11 +84,11 @@ static void judge(const Task *task, const Lane *lane, const double told[SUBSTEPS
       task->omega0[lane->sequence * k + j] = now[1];
     }
   }
-  for (int i = 0; i < TOLD; i++)
-    task->path[(lane->sequence * task->calls + lane->call) * TOLD + i] = told[SUBSTEPS - 1][i];
+  for (int i = 0; i < OUTPUTS; i++)
+    task->path[(lane->sequence * task->calls + lane->call) * OUTPUTS + i] = outputs[SUBSTEPS - 1][i];
 }
 
-/* up to the end of each move, what has been since the beginning */
+/* accumulate the results of the moves, so that each covers the time since the beginning */
 static void accumulate(const Task *task, const Lane *lane) {
   const long k = task->k;
   for (long j = 0; j < k; j++) {
@@ -103,10 +103,10 @@ static void accumulate(const Task *task, const Lane *lane) {
 }
 
 void roll_sequences(const Task *task) {
-  double x[LANES][STATE] = {{0}}, move[LANES][MOVE] = {{0}}, moved[LANES][NODE], told[LANES][SUBSTEPS][TOLD];
+  double x[LANES][STATE] = {{0}}, move[LANES][MOVE] = {{0}}, moved[LANES][NODE], outputs[LANES][SUBSTEPS][OUTPUTS];
   double s[LANES][CONTACTS] = {{0}}, found[LANES][CONTACTS];
   const double *where[] = {&x[0][0], &move[0][0], task->rig}, *in[] = {&x[0][0], &s[0][0], &move[0][0], task->rig};
-  double *there[] = {&found[0][0]}, *out[] = {&moved[0][0], &told[0][0][0]};
+  double *there[] = {&found[0][0]}, *out[] = {&moved[0][0], &outputs[0][0][0]};
   Lane lanes[LANES];
   long next = 0, busy = 0;
   for (int l = 0; l < LANES; l++) {
@@ -119,7 +119,7 @@ void roll_sequences(const Task *task) {
     for (int l = 0; l < LANES; l++) {
       Lane *lane = &lanes[l];
       if (lane->sequence < 0 && next < task->n) {
-        *lane = begun(task, next);
+        *lane = begin_lane(task, next);
         for (int i = 0; i < STATE; i++) x[l][i] = task->states[next * STATE + i];
         next++;
         fresh[l] = any = 1;
@@ -142,9 +142,9 @@ void roll_sequences(const Task *task) {
     for (int l = 0; l < LANES; l++) {
       Lane *lane = &lanes[l];
       if (lane->sequence < 0) continue;
-      judge(task, lane, (const double(*)[TOLD])told[l]);
+      judge(task, lane, (const double(*)[OUTPUTS])outputs[l]);
       for (int i = 0; i < NODE; i++) x[l][i] = moved[l][i];
-      for (int i = 0; i < CONTACTS; i++) s[l][i] = told[l][SUBSTEPS - 1][S + i];
+      for (int i = 0; i < CONTACTS; i++) s[l][i] = outputs[l][SUBSTEPS - 1][S + i];
       if (++lane->call < lane->calls) continue;
       accumulate(task, lane);
       lane->sequence = -1;

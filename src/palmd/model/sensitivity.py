@@ -1,7 +1,7 @@
-"""How the readings of a short while depend on the shape map's state at its beginning, as generated C.
+"""Sensitivity of the readings of a short interval to the shape map's state at its start, as generated C.
 
-Along a trajectory of `model.shape_map` only ψ and ω0 move, so two rows T = ∂(ψ, ω0)/∂x0 carry the whole sensitivity
-to the state x0 at the beginning; the other rows of the transition Φ are the identity's. A reading s_i with gradient
+Along a trajectory of `model.shape_map` only ψ and ω0 vary, so two rows T = ∂(ψ, ω0)/∂x0 carry the whole sensitivity
+to the initial state x0; the other rows of the transition Φ are those of the identity. A reading s_i with gradient
 g_i = ∂s_i/∂x adds w_i (g_i Φ)ᵀ(g_i Φ) to the information G about x0, the observability Gramian.
 """
 
@@ -34,7 +34,7 @@ AIMED_AT = 4  # r1, r2, s1, s2
 
 
 def gather_function(curved: bool = False) -> ca.Function:
-    """(x, T, G, [dt, φ1 … α2, jerk1, jerk2, rig, w1, w2]) → (T, G): readings at x with weights w (1/m²), then dt on."""
+    """(x, T, G, [dt, φ1 … α2, jerk1, jerk2, rig, w1, w2]) → (T, G): add readings at x, weights w (1/m²); step by dt."""
     x, T, G = SX.sym("x", N), SX.sym("T", MOVING, N), SX.sym("G", N, N)
     u = SX.sym("u", GATHER_INPUTS)
     palms, jerk, rig = u[1 : 1 + PALM_INPUTS], u[1 + PALM_INPUTS : 3 + PALM_INPUTS], u[3 + PALM_INPUTS : -2]
@@ -52,8 +52,8 @@ def gather_function(curved: bool = False) -> ca.Function:
         state = ca.vertcat(moving, x[MOVING:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
-    beginning = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
-    braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
+    at_start = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
+    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
     _, J = exponential_step(rates, x, u[0], [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
     outputs = [J @ transition, *touch.thawed(G_next)]
     return ca.Function("gather", [x, T, G, u], outputs, ["x", "T", "G", "u"], ["T_next", "G_next"])
@@ -70,6 +70,6 @@ def aim_function(curved: bool = False) -> ca.Function:
 
 @cache
 def library(curved: bool = False) -> Library:
-    """The kernels `gather` and `aim`, for one trajectory."""
+    """Load the kernels `gather` and `aim`, for one trajectory."""
     name = "sensitivity_curved" if curved else "sensitivity"
     return load(name, lambda: map(single, (gather_function(curved), aim_function(curved))))

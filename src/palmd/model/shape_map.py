@@ -1,7 +1,7 @@
-"""The shape-map observer's kernels: orientation, spin, body constants and the whole outline in one state.
+"""Kernels of the shape-map observer: orientation, spin, body constants and the whole outline in one state.
 
-x = (ψ, ω0, ln ρ, μ, ln u_d, c, coefficients of h). Both contacts read the same function h at two normals, so every
-revisit sharpens it. Only ψ and ω0 move; s1, s2 are explicit functions of ψ, h, φ1, φ2.
+x = (ψ, ω0, ln ρ, μ, ln u_d, c, coefficients of h). Both contacts measure the same function h at two normals, so every
+revisit improves its estimate. Only ψ and ω0 vary; s1, s2 are explicit functions of ψ, h, φ1, φ2.
 """
 
 from __future__ import annotations
@@ -34,32 +34,32 @@ class Z(IntEnum):
 
 
 def size(order: int) -> int:
-    """How many states there are with an outline of `order` harmonics."""
+    """Return the number of states for an outline of `order` harmonics."""
     return Z.SHAPE + 2 * order + 1
 
 
 N = size(HARMONICS)
 PALM_INPUTS = 6  # φ1, φ2, ω1, ω2, α1, α2
 PREDICTION_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS
-UPDATE_INPUTS = 6  # and both curvatures, where palms are curved
-UPDATES = tuple(f"update_{contact}" for contact in CONTACTS)  # the kernels that take a reading of each pad
+UPDATE_INPUTS = 6  # plus both curvatures for curved palms
+UPDATES = tuple(f"update_{contact}" for contact in CONTACTS)  # names of the update kernels, one per pad
 
-Q_OMEGA0 = 0.02**2  # (rad/s)²/s, what the model leaves out
+Q_OMEGA0 = 0.02**2  # (rad/s)²/s, model discrepancy
 Q_PSI = 1e-4**2  # rad²/s
 
 
 def contacts_of(x: SX, joints: tuple[SX, SX], touch: Touch) -> tuple[Contact, Contact]:
-    """Both contacts of a state on palms at these angles."""
+    """Return both contacts of a state on palms at these joint angles."""
     return touch.contacts(*joints, x[Z.PSI], lambda theta, _: contact_at(theta, x[Z.SHAPE :]), x[Z.SHAPE])
 
 
 def body_of(x: SX) -> BodyConstants:
-    """The constants of a state that the motion depends on, but its outline."""
+    """Return the body constants of a state that the motion depends on, without the outline."""
     return BodyConstants(ca.exp(x[Z.LN_RHO]), x[Z.MU], ca.exp(x[Z.LN_DITHER]), x[Z.DAMPING])
 
 
 def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
-    """The palms' motion `t` seconds after `u` = (φ1, φ2, ω1, ω2, α1, α2), at constant jerk (rad/s³)."""
+    """Return the palms' motion `t` seconds after `u` = (φ1, φ2, ω1, ω2, α1, α2), at constant jerk (rad/s³)."""
     phi = u[0:2] + t * u[2:4] + t**2 / 2 * u[4:6] + t**3 / 6 * jerk
     omega = u[2:4] + t * u[4:6] + t**2 / 2 * jerk
     alpha = u[4:6] + t * jerk
@@ -67,13 +67,13 @@ def palms_after(u: SX, jerk: SX, t: SX) -> Palms:
 
 
 def motion_of(x: SX, palms: Palms, rig: SX, touch: Touch) -> Motion:
-    """How a state moves."""
+    """Return α0, forces and discrepancy of a state (`newton_euler`)."""
     one, two = contacts_of(x, palms.angles, touch)
     return newton_euler(palms, x[Z.OMEGA0], one, two, body_of(x), rig)
 
 
 def spin_acceleration(x: SX, palms: Palms, rig: SX, touch: Touch) -> SX:
-    """α0 (rad/s²) of a state."""
+    """Return α0 (rad/s²) of a state."""
     return motion_of(x, palms, rig, touch).alpha0
 
 
@@ -88,11 +88,11 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
         state = ca.vertcat(moving, x[2:])
         return ca.vertcat(moving[Z.OMEGA0], spin_acceleration(state, palms_after(palms, jerk, t), rig, touch))
 
-    beginning = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
-    braking = ca.jacobian(beginning.softened_alpha0, x[Z.OMEGA0])
+    at_start = motion_of(x, palms_after(palms, jerk, SX(0)), rig, touch)
+    braking = ca.jacobian(at_start.softened_alpha0, x[Z.OMEGA0])
     moved, J = exponential_step(rates, x, dt, [Z.PSI, Z.OMEGA0], Z.OMEGA0, braking, touch)
     x_next = ca.vertcat(moved, x[2:])
-    (discrepancy,) = touch.thawed(beginning.discrepancy * variance_share(braking, dt))
+    (discrepancy,) = touch.thawed(at_start.discrepancy * variance_share(braking, dt))
     # only two rows of the transition differ from the identity
     top = J @ P
     corner = top @ J.T + ca.diag(ca.vertcat(Q_PSI, Q_OMEGA0 + discrepancy)) * dt
@@ -104,9 +104,9 @@ def predict_function(order: int = HARMONICS, curved: bool = False) -> ca.Functio
 def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = False) -> ca.Function:
     """(x, P, [value, variance, gate, repeated, φ1, φ2]) → (x, P, [log-likelihood, NIS]) for one reading of `pad`.
 
-    Joseph form; the variance of a reading beyond the gate is inflated until it sits on the gate. It is one of
-    `repeated` that share one error, and weighs as much less; its NIS is told as if it were the only one. On `curved`
-    palms κ1, κ2 follow φ2.
+    Joseph form; the variance of a reading beyond the gate is inflated until its NIS equals the gate. `repeated`: number
+    of readings that share one error; it multiplies the variance and divides the log-likelihood, but not the NIS. For
+    `curved` palms κ1, κ2 follow φ2.
     """
     n = size(order)
     x, P, z = SX.sym("x", n), SX.sym("P", n, n), SX.sym("z", UPDATE_INPUTS + len(PALMS) * curved)
@@ -128,7 +128,7 @@ def update_function(name: str, pad: int, order: int = HARMONICS, curved: bool = 
 
 
 def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
-    """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian in (x, φ1, φ2)."""
+    """(x, [φ1 … α2, rig]) → values of `NAMED` and their Jacobian by (x, φ1, φ2)."""
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     palms, rig = palms_after(u[:PALM_INPUTS], SX.zeros(2), SX(0)), u[PALM_INPUTS:]
     touch = touch_on(rig, curved)
@@ -139,7 +139,7 @@ def named_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
 
 
 def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function:
-    """(x, [φ1 … α2, rig]) → values of `NAMED` alone."""
+    """(x, [φ1 … α2, rig]) → values of `NAMED` without the Jacobian."""
     named = named_function(order, curved)
     x, u = SX.sym("x", size(order)), SX.sym("u", PALM_INPUTS + RIG_INPUTS)
     return ca.Function("values", [x, u], [named(x, u)[0]], ["x", "u"], ["y"])
@@ -147,9 +147,9 @@ def values_function(order: int = HARMONICS, curved: bool = False) -> ca.Function
 
 @cache
 def library(order: int = HARMONICS, curved: bool = False) -> Library:
-    """Kernels for blocks of shape maps and, without `_block`, for one: predict, update_s1, update_s2, values; named.
+    """Load kernels for blocks of shape maps (`_block`) and for one: predict, update_s1, update_s2, values; named.
 
-    Those of `curved` palms find each contact by iteration; flat ones are spared that. Compiled, `fusion.c` besides.
+    For `curved` palms the contacts are found by iteration. If compiled, the library includes `fusion.c`.
     """
 
     def kernels() -> list[Kernel]:

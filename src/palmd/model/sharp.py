@@ -1,10 +1,10 @@
-"""An outline with flat sides: a Fourier series and besides it a few sides, each with its normal and its length.
+"""An outline with flat sides: a Fourier series plus a few sides, each with its normal and its length.
 
-h(θ) = Fourier(θ) + Σ_j L_j G(θ − θ_j). On a flat side of length L and normal θ_j all the radius of curvature is at one
-normal: v = L δ(θ − θ_j). G is the support function that this asks for, less its first harmonic, which an outline that
-closes has none of, and its mean: G + G″ = δ − cos/π − 1/2π. So that v is finite, a side is passed within a small
-angle: |y| in the ½ sin|y| behind δ is the soft w·2 ln(2 cosh(y/2w)), and δ a bump about as wide as 4w that falls like
-e^(−|y|/w) and is nowhere negative. Corners are what lies between sides.
+h(θ) = Fourier(θ) + Σ_j L_j G(θ − θ_j). A flat side of length L and normal θ_j has its whole radius of curvature at one
+normal: v = L δ(θ − θ_j). G is the corresponding support function without mean and first harmonic (a closed outline's v
+has no first harmonic): G + G″ = δ − cos/π − 1/2π. To keep v finite, a side is passed within a small angle: |y| in the
+½ sin|y| that belongs to δ is replaced by the smooth w·2 ln(2 cosh(y/2w)), which makes δ a bump about 4w wide that
+falls like e^(−|y|/w) and is never negative. Corners are the parts between sides.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from palmd.model.shape import basis, contact_at
 from palmd.model.smoothing import ORDER, C, Form, kernels
 from palmd.model.symbolic import SX, ca
 
-SIDES = 4  # at most that one record tells apart
-COMPILED = (1, SIDES)  # for how many there are kernels: most records tell of one
+SIDES = 4  # most sides that one record determines
+COMPILED = (1, SIDES)  # numbers of sides that kernels exist for; most records determine one
 FOURIER = 2 * ORDER + 1
 NORMALS = C.SHAPE + FOURIER
 LENGTHS = NORMALS + SIDES
@@ -31,9 +31,9 @@ CONSTANTS = WIDTH + 1
 
 
 def outline_at(theta: SX, shape: SX, sides: int = SIDES) -> Contact:
-    """r, d, v where the outward normal is `theta`; `shape` holds all constants from `C.SHAPE` on.
+    """Return r, d, v at outward normal `theta`; `shape`: all constants from `C.SHAPE` on.
 
-    Only the first `sides` count.
+    Only the first `sides` sides are used.
     """
     smooth = contact_at(theta, shape[:FOURIER])
     r, d, v = smooth.r, smooth.d, smooth.v
@@ -43,7 +43,7 @@ def outline_at(theta: SX, shape: SX, sides: int = SIDES) -> Contact:
         y = theta - normal
         y -= 2 * math.pi * ca.floor(y / (2 * math.pi) + 0.5)
         s, c = ca.sin(y), ca.cos(y)
-        sign = 2 * (y >= 0) - 1  # never 0, where it would lose the derivatives of what follows
+        sign = 2 * (y >= 0) - 1  # never 0, which would drop derivatives of the following terms
         away = sign * y
         decay = ca.exp(-away / width)
         soft, slope = away + 2 * width * ca.log(1 + decay), sign * (1 - decay) / (1 + decay)
@@ -56,7 +56,7 @@ def outline_at(theta: SX, shape: SX, sides: int = SIDES) -> Contact:
 
 
 def outline_rows(theta: FloatArray, p: FloatArray) -> FloatArray:
-    """d(h on `theta`)/d(constants from `C.SHAPE` on) at the constants p: (len(theta), CONSTANTS − C.SHAPE)."""
+    """Return ∂h(`theta`)/∂(constants from `C.SHAPE` on) at the constants p: (len(theta), CONSTANTS − C.SHAPE)."""
     rows = np.zeros((len(theta), CONSTANTS - C.SHAPE))
     rows[:, :FOURIER] = basis(theta, ORDER)
     width = math.exp(p[WIDTH])
@@ -73,7 +73,7 @@ def outline_rows(theta: FloatArray, p: FloatArray) -> FloatArray:
 
 
 def support(theta: FloatArray, p: FloatArray) -> FloatArray:
-    """h (m) on normals `theta` for the constants p."""
+    """Return h (m) at normals `theta` for the constants p."""
     rows = outline_rows(theta, p)
     h: FloatArray = (
         rows[:, :FOURIER] @ p[C.SHAPE : NORMALS] + rows[:, FOURIER : FOURIER + 2 * SIDES][:, SIDES:] @ p[LENGTHS:WIDTH]
@@ -83,13 +83,13 @@ def support(theta: FloatArray, p: FloatArray) -> FloatArray:
 
 @cache
 def library(sides: int = SIDES) -> Library:
-    """The smoother's kernels for such an outline, made once in a process; `sides` is one of `COMPILED`.
+    """Load the smoother's kernels for such an outline, once per process; `sides`: one of `COMPILED`.
 
-    A side takes a quarter as long as all harmonics together, whether there is one or not.
+    Each side costs a quarter of the time of all harmonics together, whether it is used or not.
     """
     return kernels(f"sharp{sides}", Form(partial(outline_at, sides=sides), CONSTANTS))
 
 
 def library_for(sides: int) -> Library:
-    """The `library` that knows so many sides, and as few more as there is one for."""
+    """Load the smallest `library` with at least this many sides."""
     return library(min(each for each in COMPILED if each >= sides))

@@ -1,9 +1,9 @@
-"""The smoother's kernels: one step of the motion, one contact reading, one force reading, each with its Jacobian.
+"""Kernels of the smoother: one step of the motion, one contact reading, one force reading, each with its Jacobian.
 
-The trajectory is held by nodes x_k = (ψ, ω0), and everything that does not move is one vector of constants
-p = (ln ρ, B, w, c, ln m, constants of the rig, coefficients of h). Between two nodes ψ is the cubic that fits both, so
-a reading at any time depends on two neighbouring nodes and on p alone: the least-squares problem is block-tridiagonal
-with a border.
+The trajectory is given at nodes x_k = (ψ, ω0); everything constant is one vector
+p = (ln ρ, B, w, c, ln m, constants of the rig, coefficients of h). Between two nodes ψ is their cubic Hermite
+interpolant, so a reading at any time depends only on two neighbouring nodes and on p: the least-squares problem is
+block-tridiagonal with a border.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import cache
 
 from palmd.model.compiled import Library, load
 from palmd.model.contact import Contact, alongs, readings, tangent_joints
-from palmd.model.dynamics import VIBRATION_OFF_INPUTS, BodyConstants, Motion, Palms, newton_euler
+from palmd.model.dynamics import VIBRATION_ERROR_INPUTS, BodyConstants, Motion, Palms, newton_euler
 from palmd.model.integrate import exponential_step, variance_share
 from palmd.model.kernels import Kernel, of_columns, single
 from palmd.model.outputs import FRICTION_INPUT, RIG_INPUTS, touch_on
@@ -26,18 +26,19 @@ from palmd.model.touch import Touch
 from palmd.system.mechanism import normal_directions
 from palmd.system.rig_constants import RIG_NAMES
 
-ORDER = 12  # harmonics of the outline: more than the live observer's, for ellipses and flat sides
+ORDER = 12  # harmonics of the outline; more than the live observer's, for ellipses and flat sides
 NODE = 2  # ψ, ω0
 
 
-RIPPLE_STEPS = 2  # see `newton_euler`
+RIPPLE_STEPS = 2  # `steps` of `newton_euler`
 
 
 class C(IntEnum):
     """Index of each constant; SI units, logarithms of SI units.
 
     DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²), u_d = πV/2 of palms that vibrate at speed V. Readings
-    determine B, the slope of friction in slow slip, linearly: records that hardly determine w add up without bending.
+    determine B, the slope of friction in slow slip, linearly, so that records which hardly determine w can be combined
+    linearly.
     """
 
     LN_RHO = 0
@@ -50,15 +51,14 @@ class C(IntEnum):
 
 
 class R(IntEnum):
-    """Index of each constant of the rig, from `C.RIG` on: by how much it is off from what it is taken for; SI units.
+    """Index of each rig constant, from `C.RIG` on: the error of a value of the rig's description; SI units.
 
-    A pad reads ZERO + FORCE f + (1 + SCALE) s of a contact at s under a force f (N), as it was LAG ago. Its surface
+    A pad reads ZERO + FORCE f + (1 + SCALE) s for a contact at s under a force f (N), with a delay LAG. Its surface
     lies STANDOFF above the hinge line, on the object's side, and is an arc that is SAGITTA higher in the pad's middle
-    than at its ends. TILT is φ1's error, gravity's direction included, TURN that of φ2. Palm 1's friction is
-    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are what κ and λ of the palms' vibration are
-    off by, PERIOD is the share by which its period is longer (`model.friction`), ARM that by which friction's arm about
-    the middle is longer than r. Where each pad has its own, pad 2's follows pad 1's. `system.rig_constants` has their
-    names.
+    than at its ends. TILT is the error of φ1, including gravity's direction, TURN that of φ2. Palm 1's friction is
+    (1 + FRICTION) μ and palm 2's (1 − FRICTION) μ. KAPPA and TRANSMISSION are the errors of κ and λ of the palms'
+    vibration, PERIOD the relative error of its period (`model.friction`), ARM the relative excess of friction's lever
+    arm over r. Constants of a pad: pad 2's follows pad 1's. Names: `system.rig_constants`.
     """
 
     ZERO = 0
@@ -84,12 +84,12 @@ CONTACT_INPUTS = 3 + 9  # dt, time into the step, pad, φ1, φ2, their rates, fo
 FORCE_INPUTS = 3 + PALM_INPUTS + RIG_INPUTS + 2  # dt, time into the step, pad, palms, rig, the pads' lengths
 
 Outline = Callable[[SX, SX], Contact]
-"""Of the direction of an outward normal and the constants from `C.SHAPE` on, as `model.shape.contact_at`."""
+"""Function of the outward normal and the constants from `C.SHAPE` on, like `model.shape.contact_at`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """What a set of kernels is for: the form of outline, with how many constants in all, and whether palms are arcs."""
+    """Variant of the kernels: function of the outline, total number of constants, and whether palms are arcs."""
 
     outline: Outline = contact_at
     constants: int = CONSTANTS
@@ -100,8 +100,8 @@ SMOOTH = Form()
 
 
 @dataclass(frozen=True, slots=True)
-class _Lying:
-    """How an object lies on the palms: its form of outline, how contacts are found, and the pads' lengths (m)."""
+class _ContactModel:
+    """What contacts are computed from: outline function, contact search, lengths of the pads (m)."""
 
     outline: Outline
     touch: Touch
@@ -109,98 +109,98 @@ class _Lying:
 
 
 @dataclass(frozen=True, slots=True)
-class _Touching:
-    """Where an object touches: joint angles of the palms that bear it (rad), both contacts on them, s1 and s2 (m)."""
+class _ContactState:
+    """Contacts of an object: actual joint angles of the palms (rad), both contacts, s1 and s2 (m)."""
 
     joints: tuple[SX, ...]
     contacts: tuple[Contact, Contact]
     s: tuple[SX, SX]
 
 
-def _felt(phi1: SX, phi2: SX, psi: SX, p: SX, lying: _Lying) -> _Touching:
-    """Of an object that is turned by ψ on palms that are said to be at φ1, φ2.
+def _contacts(phi1: SX, phi2: SX, psi: SX, p: SX, model: _ContactModel) -> _ContactState:
+    """Return the contacts of an object at orientation ψ on palms reported at φ1, φ2.
 
-    Where a bowed surface touches it is a plane, turned by its slope there and set off from the hinge.
+    A bowed pad is replaced by its tangent plane at the contact, turned by the slope and displaced from the hinge.
     """
     rig, h = p[RIG], p[C.SHAPE :]
     joints = phi1 + rig[R.TILT], phi2 + rig[R.TURN]
-    if not lying.touch.flat:
-        return _felt_on_arcs(joints, psi, p, lying)
+    if not model.touch.flat:
+        return _contacts_on_arcs(joints, psi, p, model)
     standoffs = rig[R.STANDOFF], rig[R.STANDOFF + 1]
 
     def planes(slopes: Sequence[SX], heights: Sequence[SX]) -> tuple[Contact, Contact]:
         turns = slopes[0], -slopes[1]
         normals = normal_directions(tangent_joints(joints, turns), psi)
         one, two = (
-            replace(lying.outline(theta, h), turn=turn, above=standoff + height)
+            replace(model.outline(theta, h), turn=turn, above=standoff + height)
             for theta, turn, standoff, height in zip(normals, turns, standoffs, heights, strict=True)
         )
         return one, two
 
-    nothing = SX(0), SX(0)
-    bows = [(rig[R.SAGITTA + i], lying.lengths[i]) for i in range(2)]
-    at = zip(bows, alongs(joints[1], *planes(nothing, nothing)), strict=True)
+    zeros = SX(0), SX(0)
+    bows = [(rig[R.SAGITTA + i], model.lengths[i]) for i in range(2)]
+    at = zip(bows, alongs(joints[1], *planes(zeros, zeros)), strict=True)
     slopes, heights = zip(
         *((4 * bow / length * (1 - 2 * s / length), 4 * bow * (s / length) ** 2) for (bow, length), s in at),
         strict=True,
-    )  # height less s·slope
+    )  # height: that of the tangent at the hinge, bow height − s·slope
     one, two = planes(slopes, heights)
-    return _Touching(joints, (one, two), alongs(joints[1], one, two))
+    return _ContactState(joints, (one, two), alongs(joints[1], one, two))
 
 
-def _felt_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, lying: _Lying) -> _Touching:
-    """As `_felt`: a bow is one more curvature and a slope at the hinge."""
-    rig, h, lengths = p[RIG], p[C.SHAPE :], lying.lengths
+def _contacts_on_arcs(joints: tuple[SX, ...], psi: SX, p: SX, model: _ContactModel) -> _ContactState:
+    """`_contacts` on curved palms: a bow adds to the curvature and is a slope at the hinge."""
+    rig, h, lengths = p[RIG], p[C.SHAPE :], model.lengths
     slopes = 4 * rig[R.SAGITTA] / lengths[0], -4 * rig[R.SAGITTA + 1] / lengths[1]
     bends = [-8 * rig[R.SAGITTA + i] / lengths[i] ** 2 for i in range(2)]
     phi1, phi2 = tangent_joints(joints, slopes)
 
     standoffs = [rig[R.STANDOFF + i] for i in range(2)]
-    one, two = lying.touch.contacts(phi1, phi2, psi, lambda theta, _: lying.outline(theta, h), h[0], bends, standoffs)
+    one, two = model.touch.contacts(phi1, phi2, psi, lambda theta, _: model.outline(theta, h), h[0], bends, standoffs)
     turned = replace(one, turn=one.turn + slopes[0]), replace(two, turn=two.turn + slopes[1])
-    return _Touching(joints, turned, readings(phi2, one, two))
+    return _ContactState(joints, turned, readings(phi2, one, two))
 
 
-def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, lying: _Lying) -> Motion:
-    felt = _felt(palms.phi1, palms.phi2, psi, p, lying)
+def _motion(psi: SX, omega0: SX, p: SX, palms: Palms, rig: SX, model: _ContactModel) -> Motion:
+    state = _contacts(palms.phi1, palms.phi2, psi, p, model)
     dither = 1.0 / ca.sqrt(p[C.SATURATION])
     body = BodyConstants(ca.exp(p[C.LN_RHO]), p[C.DRAG] * dither, dither, p[C.DAMPING])
-    off = ca.vertsplit(p[RIG][R.KAPPA : R.ARM + 1])
+    errors = ca.vertsplit(p[RIG][R.KAPPA : R.ARM + 1])
     rig = ca.vertcat(
-        rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[FRICTION_INPUT + 1 : VIBRATION_OFF_INPUTS.start], *off
+        rig[:FRICTION_INPUT], p[RIG][R.FRICTION], rig[FRICTION_INPUT + 1 : VIBRATION_ERROR_INPUTS.start], *errors
     )
-    phi1, phi2 = felt.joints
-    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *felt.contacts, body, rig, RIPPLE_STEPS)
+    phi1, phi2 = state.joints
+    return newton_euler(replace(palms, phi1=phi1, phi2=phi2), omega0, *state.contacts, body, rig, RIPPLE_STEPS)
 
 
 def step_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian in (x_k, p))."""
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → (x after dt, its Jacobian by (x_k, p))."""
     x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
     dt, palms, jerk, rig, lengths = u[0], u[1:7], u[7:9], u[9:-2], u[-2:]
-    y, lying = ca.vertcat(x, p), _Lying(form.outline, touch_on(rig, form.curved), lengths)
+    y, model = ca.vertcat(x, p), _ContactModel(form.outline, touch_on(rig, form.curved), lengths)
 
     def rates(moving: SX, t: SX) -> SX:
-        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, lying)
+        now = _motion(moving[0], moving[1], p, palms_after(palms, jerk, t), rig, model)
         return ca.vertcat(moving[1], now.alpha0)
 
-    beginning = _motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, lying)
-    braking = ca.jacobian(beginning.softened_alpha0, x[1])
-    moved, J = exponential_step(rates, y, dt, [0, 1], 1, braking, lying.touch)
+    at_start = _motion(x[0], x[1], p, palms_after(palms, jerk, SX(0)), rig, model)
+    braking = ca.jacobian(at_start.softened_alpha0, x[1])
+    moved, J = exponential_step(rates, y, dt, [0, 1], 1, braking, model.touch)
     return ca.Function("step", [x, p, u], [moved, J], ["x", "p", "u"], ["x_next", "J"])
 
 
 def discrepancy_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → what is left open of ω0 ((rad/s)²/s).
+    """(x_k, p, [dt, φ1 … α2, jerk1, jerk2, rig, L1, L2]) → process noise densities of ω0 ((rad/s)²/s).
 
-    By the law of friction in all, and by contacts that hop alone.
+    The total due to the friction law's discrepancy, and the part due to hopping contacts.
     """
     x, p, u = SX.sym("x", NODE), SX.sym("p", form.constants), SX.sym("u", STEP_INPUTS)
     palms, rig = palms_after(u[1:7], u[7:9], SX(0)), u[9:-2]
-    lying = _Lying(form.outline, touch_on(rig, form.curved), u[-2:])
-    motion = _motion(x[0], x[1], p, palms, rig, lying)
+    model = _ContactModel(form.outline, touch_on(rig, form.curved), u[-2:])
+    motion = _motion(x[0], x[1], p, palms, rig, model)
     braking = ca.jacobian(motion.softened_alpha0, x[1])
-    left_open = ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0])
-    return ca.Function("discrepancy", [x, p, u], lying.touch.thawed(left_open), ["x", "p", "u"], ["q"])
+    q = ca.vertcat(motion.discrepancy, motion.hopping) * variance_share(braking, u[0])
+    return ca.Function("discrepancy", [x, p, u], model.touch.thawed(q), ["x", "p", "u"], ["q"])
 
 
 def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
@@ -212,32 +212,32 @@ def _between(a: SX, b: SX, dt: SX, t: SX) -> tuple[SX, SX]:
 
 
 def contact_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1 … ω2, force, κ1 … L2]) → (its reading, the gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … ω2, force, κ1 … L2]) → (the pad's reading, its gradient by (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", form.constants)
     z = SX.sym("z", CONTACT_INPUTS)
     rig = p[RIG]
     first = z[2] < 1.5
 
-    def own(which: R) -> SX:
+    def of_pad(which: R) -> SX:
         return ca.if_else(first, rig[which], rig[which + 1])
 
-    lag, touch = own(R.LAG), Touch(ca.vertsplit(z[8:10])) if form.curved else Touch()
+    lag, touch = of_pad(R.LAG), Touch(ca.vertsplit(z[8:10])) if form.curved else Touch()
     psi, _ = _between(a, b, z[0], z[1] - lag)
-    s1, s2 = _felt(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, _Lying(form.outline, touch, z[10:])).s
-    reading = own(R.ZERO) + own(R.FORCE) * z[7] + (1 + own(R.SCALE)) * ca.if_else(first, s1, s2)
+    s1, s2 = _contacts(z[3] - lag * z[5], z[4] - lag * z[6], psi, p, _ContactModel(form.outline, touch, z[10:])).s
+    reading = of_pad(R.ZERO) + of_pad(R.FORCE) * z[7] + (1 + of_pad(R.SCALE)) * ca.if_else(first, s1, s2)
     reading, J = touch.thawed(reading, ca.jacobian(reading, ca.vertcat(a, b, p)))
     return ca.Function("contact", [a, b, p, z], [reading, J], ["a", "b", "p", "z"], ["s", "J"])
 
 
 def force_function(form: Form = SMOOTH) -> ca.Function:
-    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (its force in N, the gradient in (x_k, x_k+1, p))."""
+    """(x_k, x_k+1, p, [dt, t, pad, φ1 … α2, rig, L1, L2]) → (the pad's force (N), its gradient by (x_k, x_k+1, p))."""
     a, b, p = SX.sym("a", NODE), SX.sym("b", NODE), SX.sym("p", form.constants)
     z = SX.sym("z", FORCE_INPUTS)
     psi, omega0 = _between(a, b, z[0], z[1])
     palms = palms_after(z[3 : 3 + PALM_INPUTS], SX.zeros(2), SX(0))
     rig = z[3 + PALM_INPUTS : -2]
     touch = touch_on(rig, form.curved)
-    motion = _motion(psi, omega0, p, palms, rig, _Lying(form.outline, touch, z[-2:]))
+    motion = _motion(psi, omega0, p, palms, rig, _ContactModel(form.outline, touch, z[-2:]))
     force = ca.exp(p[C.LN_MASS]) * ca.if_else(z[2] < 1.5, motion.f1, motion.f2)
     force, J = touch.thawed(force, ca.jacobian(force, ca.vertcat(a, b, p)))
     return ca.Function("force", [a, b, p, z], [force, J], ["a", "b", "p", "z"], ["f", "J"])
@@ -253,10 +253,10 @@ def _kernels(form: Form) -> list[Kernel]:
 
 @cache
 def library(curved: bool = False) -> Library:
-    """step, discrepancy, contact, force, `_batch` each: of columns with the same p; `advance`: a step, no Jacobian."""
+    """Load step, discrepancy, contact, force (column kernels `…_batch` with common p) and `advance`, step without J."""
     return kernels("smoothing_curved", Form(curved=True)) if curved else kernels("smoothing", SMOOTH)
 
 
 def kernels(name: str, form: Form) -> Library:
-    """The same set for another form, under a name of its own."""
+    """Load the same set of kernels for another form, as library `name`."""
     return load(name, lambda: _kernels(form), written=["normal_equations.c", "palm_path.c"])

@@ -1,9 +1,9 @@
-"""How an object rests between palms that are arcs (docs/theory/curved.md).
+"""Stable poses of an object between palms that are arcs (docs/theory/curved.md).
 
-Palms press along their tangents' normals. So an object balances on arcs exactly where it would on flat palms that lie
-as the tangents do, β1 and β2 for φ1 and φ12: d1 sin β2 + d2 sin β1 = 0 (3.23). What is new is where the contacts are,
-which follows from the tangents without the outline being read again, and what happens when the object turns a little:
-the tangents turn as well, while the palms stand.
+Palms press along the normals of their tangents. So an object balances on arcs exactly where it would on flat palms
+that coincide with the tangents, β1 and β2 in place of φ1 and φ12: d1 sin β2 + d2 sin β1 = 0 (3.23). Different are the
+contacts' positions, which follow from the tangents without evaluating the outline again, and stability: when the object
+turns a little while the palms stand, the tangents turn too.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from palmd.system.arcs import MOST_LYING, arc_lengths
 
 @dataclass(frozen=True, slots=True)
 class OnArcs:
-    """Where palms and contacts are for poses in balance: φ1, φ2 (rad), s1, s2 (m), NaN where palms cannot be so.
+    """Palms and contacts of poses in balance: φ1, φ2 (rad), s1, s2 (m), NaN for impossible palm poses.
 
-    stable: whether the object comes back when it is turned a little.
+    stable: whether the object returns after a small rotation.
     """
 
     phi1: FloatArray
@@ -33,10 +33,10 @@ class OnArcs:
 
 
 def on_arcs(contacts: TouchedPoint, beta1: FloatArray, opening: FloatArray, curvatures: Sequence[float]) -> OnArcs:
-    """The palms that touch an object with tangents at β1 and β2 = β1 + opening (…) (rad), contacts as `touch` has them.
+    """Return the palms whose tangents β1 and β2 = β1 + opening (…) (rad) touch an object, contacts from `touch`.
 
-    Stable where (d1 sin β2 + d2 sin β1) rises with ψ at standing palms: then β_i′ = κ_i (u_i − v_i)/(1 − κ_i v_i) with
-    the slip u = t·c′ + r a radian, d_i′ = (v_i − r_i)(1 − β_i′). Beyond `MOST_LYING` nothing is.
+    Stable where d1 sin β2 + d2 sin β1 rises with ψ while the palms stand: β_i′ = κ_i (u_i − v_i)/(1 − κ_i v_i) with the
+    slip per radian u = t·c′ + r, d_i′ = (v_i − r_i)(1 − β_i′). Never stable where κ_i v_i > `MOST_LYING`.
     """
     r, d, v = (np.stack(each) for each in zip(*[(contacts.r1, contacts.d1, contacts.v1),
                                                 (contacts.r2, contacts.d2, contacts.v2)], strict=True))  # fmt: skip

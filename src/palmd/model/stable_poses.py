@@ -1,12 +1,12 @@
-"""How an object rests between two palms without friction (CMU-CS-01-107, section 3.2), for many palm poses at once.
+"""Stable poses of an object between two palms without friction (CMU-CS-01-107, section 3.2), for many palm poses.
 
 A stable pose is a local minimum over ψ of the height Y of the centre of mass. With n1·c = r1, n2·c = r2 that height is
 
     Y = (r1 sin φ12 + r2 sin φ1) / sin φ2,    r_i = h(θ_i),  dθ_i/dψ = −1 (3.1),
 
-so for an outline h(θ) = Re Σ z_k e^{ikθ} it is itself a Fourier series in ψ. Its slope is the horizontal distance of
-the centre of mass from the centre of rotation (3.21), which balance sets to zero (3.22). Heights are in the hinge's
-frame; lengths in m, angles in rad; palms must have φ1 > 0, φ2 > 0 and φ12 < π.
+so for an outline h(θ) = Re Σ z_k e^{ikθ} it is a Fourier series in ψ. Its slope is the horizontal distance of the
+centre of mass from the centre of rotation (3.21), which is zero in balance (3.22). Heights are in the hinge's frame;
+lengths in m, angles in rad; palms must have φ1 > 0, φ2 > 0 and φ12 < π.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
-SCAN = 180  # values of ψ among which the slope's changes of sign are looked for; more for outlines of high order
+SCAN = 180  # values of ψ scanned for sign changes of the slope; more for outlines of high order
 _SCAN_PER_HARMONIC = 16
-_SETTLED = 1e-13  # rad: the last Newton step of a root that is found
-_MAX_ITERATIONS = 60  # bisection alone gets there in 45
-_ROWS = 512  # palm poses at a time: what their scan needs fits into the processor's cache
-_FLAT = 1e-12  # of the mean radius: what is less than this of slope is rounding
+_SETTLED = 1e-13  # rad, Newton step at which a root has converged
+_MAX_ITERATIONS = 60  # bisection alone needs 45
+_ROWS = 512  # palm poses per batch, so that their scan fits into the processor's cache
+_FLAT = 1e-12  # slope, relative to the mean radius, below which it is rounding
 
 
 @dataclass(frozen=True, slots=True)
 class TouchedPoint:
-    """Both contacts of a pose: r, d, v (m) as in section 3.1, and the readings s1, s2 (m)."""
+    """Both contacts of a pose: r, d, v (m) of section 3.1, and the readings s1, s2 (m)."""
 
     r1: FloatArray
     d1: FloatArray
@@ -49,7 +49,7 @@ class TouchedPoint:
 
 @dataclass(frozen=True, slots=True)
 class Basins:
-    """Where the height has its extrema in ψ for each of many palm poses, (…, K) each, ascending in [0, 2π).
+    """Extrema of the height in ψ for many palm poses, (…, K) each, ascending in [0, 2π).
 
     Rows with fewer than K extrema end in NaN; every row has as many maxima as minima. The object slides from any ψ
     to the minimum between the same two maxima.
@@ -60,15 +60,15 @@ class Basins:
 
     @property
     def count(self) -> IntArray:
-        """How many stable poses each palm pose has, (…)."""
+        """Number of stable poses of each palm pose, (…)."""
         return cast(IntArray, np.isfinite(self.minima).sum(axis=-1))
 
     def at(self, where: tuple[slice | int, ...]) -> Basins:
-        """Those of some of the palm poses."""
+        """Return the extrema of the selected palm poses."""
         return Basins(self.minima[where], self.maxima[where])
 
     def index(self, psi: FloatArray) -> IntArray:
-        """Which minimum of its row each ψ (…, P), any branch, slides to: (…, P), −1 where the row has none."""
+        """Return the index of the minimum that each ψ (…, P), on any branch, slides to; −1 if its row has none."""
         turned = np.mod(psi, 2 * np.pi)
         passed = (self.maxima[..., None, :] <= turned[..., None]).sum(axis=-1)
         count = self.count[..., None]
@@ -77,7 +77,7 @@ class Basins:
 
 
 def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """r = h, d = −h′ and v = h + h″ (m) of the outline at normals of any shape; any odd number of coefficients."""
+    """Return r = h, d = −h′ and v = h + h″ (m) at normals of any array shape; any odd number of coefficients."""
     order = (len(coefficients) - 1) // 2
     bend = coefficients * (1 - harmonic_of_coefficient(order) ** 2)
     rows = basis(np.ravel(theta), order)
@@ -88,7 +88,7 @@ def outline_at(coefficients: FloatArray, theta: FloatArray) -> tuple[FloatArray,
 
 
 def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: FloatArray) -> TouchedPoint:
-    """Contacts and readings of poses, stable or not, that broadcast against each other: (3.1), (3.13), (3.14)."""
+    """Return contacts and readings of poses, stable or not, which broadcast together: (3.1), (3.13), (3.14)."""
     theta1, theta2 = normal_directions((phi1, phi2), psi)
     r1, d1, v1 = outline_at(coefficients, theta1)
     r2, d2, v2 = outline_at(coefficients, theta2)
@@ -97,7 +97,7 @@ def touch(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray, psi: Flo
 
 
 def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> ComplexArray:
-    """y_k (m), (…, order + 1), of Y(ψ) = Re Σ y_k e^{−ikψ}, for palm angles that broadcast against each other.
+    """Return y_k (m), (…, order + 1), of Y(ψ) = Re Σ y_k e^{−ikψ}, for palm angles that broadcast together.
 
     y_k = z_k (sin φ12 e^{ik(φ1 − π/2)} + sin φ1 e^{ik(φ12 − 3π/2)}) / sin φ2. Raises ValueError for palms that
     cannot hold an object.
@@ -115,12 +115,11 @@ def height_series(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) 
 
 
 def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basins:
-    """All stable and unstable balances of palm poses that broadcast to a shape (…): (3.22), (3.24), ψ to 1e-9 rad.
+    """Find all stable and unstable equilibria of palm poses of broadcast shape (…): (3.22), (3.24), ψ to 1e-9 rad.
 
-    Changes of the slope's sign are looked for on a fine circle of ψ, and between its points wherever the slope might
-    touch zero twice; Newton's method refines within each bracket. A circle about its centre of mass has no extrema:
-    it balances everywhere. A thousand palm poses take some 6 ms: for a thread beside the loop. Raises ValueError as
-    `height_series` does.
+    Scans the slope's sign on a grid of ψ, and between grid points wherever the slope might cross zero twice; Newton's
+    method refines within each bracket. A circle about its centre of mass balances everywhere and has no extrema. A
+    thousand palm poses take about 6 ms: not for the loop. Raises ValueError as `height_series` does.
     """
     series = height_series(coefficients, phi1, phi2)
     shape = series.shape[:-1]
@@ -132,13 +131,13 @@ def basins(coefficients: FloatArray, phi1: FloatArray, phi2: FloatArray) -> Basi
 
 
 def nearest_turn(psi: FloatArray, reference: FloatArray) -> FloatArray:
-    """`psi` on the branch that is nearest to `reference` (rad)."""
+    """Return `psi` plus the multiple of 2π that brings it nearest to `reference` (rad)."""
     return reference + np.mod(psi - reference + np.pi, 2 * np.pi) - np.pi
 
 
 @dataclass(frozen=True, slots=True)
 class _Brackets:
-    """Intervals (rad) in which the slope of the height of palm pose `row` changes sign once, rising or falling."""
+    """Intervals (rad) in which the height's slope of palm pose `row` changes sign once; `rising`: from − to +."""
 
     row: IntArray
     low: FloatArray
@@ -147,7 +146,7 @@ class _Brackets:
 
 
 def _derivatives(series: ComplexArray, order: int) -> list[ComplexArray]:
-    """The series and its derivatives in ψ up to `order`."""
+    """Return the series and its derivatives by ψ up to `order`."""
     factor = -1j * np.arange(series.shape[-1])
     return [series * factor**n for n in range(order + 1)]
 
@@ -169,7 +168,7 @@ def _on_circle(series: ComplexArray, psi: FloatArray) -> FloatArray:
 
 
 def _extrema(series: ComplexArray, first: int, mean_radius: float) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Of `_ROWS` heights from the first on: the row, ψ in [0, 2π), and whether it is a minimum."""
+    """Return row, ψ in [0, 2π), and is-minimum of the extrema of `_ROWS` heights from `first` on."""
     _, slope, curvature = _derivatives(series[first : first + _ROWS], 2)
     found = _brackets(slope, curvature, mean_radius)
     psi = _refine(slope[found.row], curvature[found.row], found)
@@ -177,7 +176,7 @@ def _extrema(series: ComplexArray, first: int, mean_radius: float) -> tuple[IntA
 
 
 def _brackets(slope: ComplexArray, curvature: ComplexArray, mean_radius: float) -> _Brackets:
-    """Intervals with one root of a row's slope: changes of sign on a circle of ψ, and pairs between its points."""
+    """Return intervals with one root of a row's slope: sign changes on a grid of ψ, and pairs between grid points."""
     count = max(SCAN, _SCAN_PER_HARMONIC * (slope.shape[-1] - 1))
     width = 2 * np.pi / count
     psi = np.arange(count + 1) * width
@@ -188,7 +187,7 @@ def _brackets(slope: ComplexArray, curvature: ComplexArray, mean_radius: float) 
     row, cell = np.nonzero(live & (uphill[:, 1:] != uphill[:, :-1]))
     crossing = _Brackets(row, psi[cell], psi[cell + 1], uphill[row, cell + 1])
 
-    # a slope that bends towards zero and back within a cell, and whose tangents cross zero there, may touch it twice
+    # a slope that bends towards zero and back within a cell, and whose tangents cross zero there, may have two roots
     sign = np.where(uphill, 1.0, -1.0)
     left, right = sign[:, :-1], sign[:, 1:]
     towards = (left == right) & (left * bends[:, :-1] < 0) & (right * bends[:, 1:] > 0)
@@ -213,7 +212,7 @@ def _brackets(slope: ComplexArray, curvature: ComplexArray, mean_radius: float) 
 
 
 def _refine(value: ComplexArray, derivative: ComplexArray, start: _Brackets) -> FloatArray:
-    """The root of each series in its bracket (rad): Newton's step where it stays inside, else the middle."""
+    """Return the root of each series in its bracket (rad): Newton's method, safeguarded by bisection."""
     low, high = start.low.copy(), start.high.copy()
     psi = 0.5 * (low + high)
     active = np.arange(len(psi))
@@ -234,7 +233,7 @@ def _refine(value: ComplexArray, derivative: ComplexArray, start: _Brackets) -> 
 
 
 def _table(row: IntArray, roots: FloatArray, rows: int) -> FloatArray:
-    """The roots of each row, ascending, padded with NaN to the longest."""
+    """Return the roots of each row, ascending, padded with NaN to the longest row."""
     order = np.lexsort((roots, row))
     row, roots = row[order], roots[order]
     count = np.bincount(row, minlength=rows)

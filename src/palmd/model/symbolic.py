@@ -1,4 +1,4 @@
-"""CasADi, loaded when something of it is first used: a process whose kernels have been built needs none of it."""
+"""CasADi, imported lazily at its first use: a process whose kernels are already built never loads it."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ else:
         def __init__(self, name: str = "") -> None:
             self._name = name
 
-        def _found(self) -> Any:
+        def _loaded(self) -> Any:
             module = importlib.import_module("casadi")
             return getattr(module, self._name) if self._name else module
 
         def __getattr__(self, name: str) -> Any:
-            value = getattr(self._found(), name)
-            setattr(self, name, value)  # models ask for the same few a hundred thousand times
+            value = getattr(self._loaded(), name)
+            setattr(self, name, value)  # cached: models access the same few names a hundred thousand times
             return value
 
         def __call__(self, *arguments: Any) -> Any:
-            return self._found()(*arguments)
+            return self._loaded()(*arguments)
 
     ca, SX = _Lazy(), _Lazy("SX")
 

@@ -1,4 +1,4 @@
-/* Vectors and rotations by rows, as `model.rotation` has them. */
+/* Vectors and row-major rotation matrices, as in `model.rotation`. */
 
 #include <math.h>
 
@@ -12,7 +12,7 @@ static inline double dot(const double *a, const double *b) { return a[0] * b[0] 
 
 static inline double sinc(double angle) { return angle == 0.0 ? 1.0 : sin(angle) / angle; }
 
-/* exp[v]R, which may not be R itself */
+/* to = exp[v] R; `to` must not alias R */
 static inline void turned(const double *v, const double *R, double *to) {
   const double square = dot(v, v), angle = sqrt(square), first = sinc(angle), half = sinc(angle / 2);
   const double S[3][3] = {{0, -v[2], v[1]}, {v[2], 0, -v[0]}, {-v[1], v[0], 0}};

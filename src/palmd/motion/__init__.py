@@ -1,1 +1,1 @@
-"""What the palms do next: the rig's kinematics, its limits, motion plans and their execution. Pure."""
+"""Motion of the palms: kinematics, limits, motion plans and their execution, exploration. Pure."""

@@ -1,8 +1,8 @@
-"""Palm motions worth trying: loops that turn the object on, and single moves, within the limits. Pure.
+"""Candidate palm motions for the explorer: loops that turn the object, and single moves, within the limits. Pure.
 
-Friction holds the object to the palm that presses harder. On a loop in (φ1, φ12) it is carried by the one palm on the
-way there and by the other on the way back, so that it is turned on at each round, a ratchet. Without friction it
-follows the stable poses, and single moves do.
+Friction holds the object to the palm that presses harder. On a loop in (φ1, φ12) one palm carries it on the way out
+and the other on the way back, so that each round turns it further, like a ratchet. Without friction it follows the
+stable poses, and single moves are enough.
 """
 
 from __future__ import annotations
@@ -17,20 +17,17 @@ from palmd.motion.rollout_predictor import CALL_S, Moves
 from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE
 
 POSE_MARGIN = math.radians(1.5)
-RATE_SHARE = 0.9  # of the limits, at most
-SLOWEST = math.radians(20.0)
+RATE_SHARE = 0.9  # largest share of the limits that moves use
+SLOWEST = math.radians(20.0)  # rad/s
 SHORTEST_S = 3 * CALL_S
-LOOP_HALF_1, LOOP_HALF_12 = (0.1, 0.95), (0.1, 0.85)  # rad
-NEARBY = 0.35  # rad, one-sigma of a loop's middle about the present pose, for half of them
-SHIFTED, SHIFT = (
-    0.5,
-    0.3,
-)  # the share of a kept sequence's ends that is shifted, and by how much at most (rad, one-sigma)
-STEP_SHARE = (0.15, 1.0)  # of the way to a pose anywhere, that a single move goes
+LOOP_HALF_1, LOOP_HALF_12 = (0.1, 0.95), (0.1, 0.85)  # rad, ranges of the loops' half axes in φ1 and φ12
+NEARBY = 0.35  # rad, standard deviation of a loop's centre about the present pose, for half of the loops
+SHIFTED, SHIFT = 0.5, 0.3  # share of a kept sequence's ends that is shifted; largest standard deviation of it (rad)
+STEP_SHARE = (0.15, 1.0)  # range of a single move's length, as a share of the way to a random pose
 
 
 def loops(random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits) -> Moves:
-    """`count` sequences of `length` moves: rounds about a pose near or anywhere, either way, of any size and rate."""
+    """Draw `count` sequences of `length` moves on loops of random centre, direction, size and rate."""
     low, high = range_of(limits)
     middle1 = random.uniform(low[0], high[0], count)
     top = limits.top - POSE_MARGIN
@@ -51,7 +48,7 @@ def loops(random: np.random.Generator, start: FloatArray, count: int, length: in
 def single_moves(
     random: np.random.Generator, start: FloatArray, count: int, length: int, limits: MotionLimits
 ) -> Moves:
-    """`count` sequences of `length` moves some way towards poses anywhere; some move one palm angle only."""
+    """Draw `count` sequences of `length` moves towards random poses; some move one palm angle only."""
     low, high = range_of(limits)
     ends = np.empty((count, length, 2))
     here = np.tile(start, (count, 1))
@@ -68,13 +65,13 @@ def single_moves(
 def visits(
     random: np.random.Generator, start: FloatArray, poses: FloatArray, length: int, limits: MotionLimits
 ) -> Moves:
-    """For each of `poses` (P, 2) a sequence of `length` moves that goes there with the first, and stays."""
+    """Return for each of `poses` (P, 2) a sequence of `length` moves that goes there with the first and stays."""
     ends = np.repeat(poses[:, None], length, axis=1)
     return timed(start, ends, _rates(random, len(poses), limits)[:, None], limits)
 
 
 def mutated(random: np.random.Generator, kept: Moves, count: int, limits: MotionLimits) -> Moves:
-    """`count` sequences like the one `kept`, each move's end shifted by a little or not."""
+    """Draw `count` variations of the sequence `kept`: some of its moves' ends are shifted."""
     ends = np.repeat(kept.ends, count, axis=0)
     shifted = random.random((count, ends.shape[1], 1)) < SHIFTED
     ends = ends + shifted * random.normal(0.0, SHIFT, ends.shape) * np.exp(random.uniform(-2.0, 0.0, (count, 1, 1)))
@@ -82,14 +79,14 @@ def mutated(random: np.random.Generator, kept: Moves, count: int, limits: Motion
 
 
 def lengthened(kept: Moves) -> Moves:
-    """The rest of a sequence that has been begun, with a stay at its end for the move that has gone."""
+    """Append a stay at the end of the rest of a sequence, to replace the first move, which has been executed."""
     stay = np.full((len(kept.durations), 1), SHORTEST_S)
     ends = np.concatenate([kept.ends, kept.ends[:, -1:]], axis=1)
     return Moves(kept.start, ends, np.concatenate([kept.durations, stay], axis=1))
 
 
 def ending_at(moves: Moves, ends: FloatArray, limits: MotionLimits) -> Moves:
-    """The sequences with their last moves going to `ends` (N, 2) instead."""
+    """Replace the end of each sequence's last move by `ends` (N, 2)."""
     before = moves.ends[:, -2]
     last = timed(before, ends[:, None], np.full((len(ends), 1), RATE_SHARE * limits.rate), limits)
     return Moves(
@@ -100,9 +97,9 @@ def ending_at(moves: Moves, ends: FloatArray, limits: MotionLimits) -> Moves:
 
 
 def timed(start: FloatArray, ends: FloatArray, rate: FloatArray, limits: MotionLimits) -> Moves:
-    """Sequences from `start` (2,) or (N, 2) to `ends` (N, k, 2) with peaks of `rate` (rad/s, (N, 1)), or slower.
+    """Return the fastest sequences from `start` (2,) or (N, 2) to `ends` (N, k, 2) within all limits.
 
-    As slow as rate, acceleration and the arm need it.
+    `rate`: largest peak rate (rad/s, (N, 1)); limits of acceleration and of the arm may require slower moves.
     """
     before = np.concatenate([np.broadcast_to(start, (len(ends), 2))[:, None], ends[:, :-1]], axis=1)
     way = ends - before
@@ -116,7 +113,7 @@ def timed(start: FloatArray, ends: FloatArray, rate: FloatArray, limits: MotionL
 
 
 def _for_the_arm(way: FloatArray, limits: MotionLimits) -> FloatArray:
-    """Seconds that the arm needs: its point E moves by L1 dφ1 and L2 dφ12 at most, and is bent by their squares."""
+    """Return the time (s) that the arm needs: bounds of E's speed and acceleration from L1 dφ1 and L2 dφ12."""
     arm = limits.workspace
     assert arm is not None
     turned = np.cumsum(way, axis=-1)  # of each palm against the world
@@ -135,7 +132,7 @@ def _rates(random: np.random.Generator, count: int, limits: MotionLimits) -> Flo
 
 
 def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
-    """The lowest and the highest palm angles (φ1, φ2) (rad) that moves end at; the middle of what is too narrow."""
+    """Return the lowest and the highest (φ1, φ2) (rad) for ends of moves; the middle of a range that is too narrow."""
     low, high = np.array([(bound.low, bound.high) for bound in limits.joint_bounds]).T
     margin = np.minimum(POSE_MARGIN, (high - low) / 2)
     low, high = low + margin, high - margin
@@ -143,7 +140,7 @@ def range_of(limits: MotionLimits) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(poses: FloatArray, limits: MotionLimits) -> FloatArray:
-    """The poses, those outside of the limits brought to their edge (…, 2)."""
+    """Clip poses (…, 2) to the limits."""
     low, high = range_of(limits)
     top = limits.top - POSE_MARGIN
     first = np.clip(poses[..., 0], low[0], min(high[0], top - low[1]))

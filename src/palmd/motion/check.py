@@ -1,4 +1,4 @@
-"""Plans out of their files, and what `palmd check` finds wrong in configurations and plans."""
+"""Load plans from files, and check configurations and plans (`palmd check`)."""
 
 from __future__ import annotations
 
@@ -34,31 +34,31 @@ def _form(system: str) -> PlanForm:
 
 
 def motion_limits(config: AnyConfig) -> MotionLimits:
-    """The limits that a configuration sets; the arm's workspace is known only when it has said hello."""
+    """Return the limits that a configuration sets; the arm's workspace is known only after its handshake."""
     return _form(config.system).configured(config)
 
 
 def load_trajectory(path: Path, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
-    """The plan in a file, within the limits; raises ConfigError with file:line:col for all that is wrong.
+    """Load a plan and compile it within the limits; raises ConfigError with file:line:col of every error.
 
-    start: where the palms stand (rad), as for `compile_plan`.
+    start: pose of the palms (rad), as for `compile_plan`.
     """
     document = read_document(path)
     return compiled(document, plan_spec(document, limits), limits, start)
 
 
 def plan_spec(document: Document, limits: MotionLimits) -> AnyPlanSpec:
-    """The plan in a document, in the form that the limits' system has; raises ConfigError."""
+    """Parse the plan in a document in the form of the limits' system; raises ConfigError."""
     return parse(document, _form(limits.system).spec)
 
 
 def compile_any(spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
-    """The plan as a trajectory; raises PlanError."""
+    """Compile the plan into a trajectory; raises PlanError."""
     return _form(limits.system).compiled(spec, limits, start)
 
 
 def compiled(document: Document, spec: AnyPlanSpec, limits: MotionLimits, start: Angles | None) -> Trajectory:
-    """The compiled plan; raises ConfigError with file:line:col for what is wrong with it."""
+    """Compile the plan; raises ConfigError with file:line:col of every error."""
     try:
         return compile_any(spec, limits, start)
     except PlanError as error:
@@ -68,19 +68,19 @@ def compiled(document: Document, spec: AnyPlanSpec, limits: MotionLimits, start:
 
 
 def check_files(paths: Sequence[Path]) -> list[str]:
-    """Everything wrong with these configurations and plans, as `file:line:col: what`; empty when all is well.
+    """Return all errors of these configurations and plans, as `file:line:col: text`; empty if there are none.
 
-    A file with `segments` is a plan, checked within the limits of every configuration of its system given beside it,
-    else the defaults. What a configuration names (plan, stored outlines, keys, the folder of the runs) is checked
-    too, the plan within that configuration's limits alone. A plan that does not begin with a move is taken to begin
-    at HOME: only the rig knows better.
+    A file with `segments` is a plan. It is checked against the limits of every given configuration of its system, or
+    the default limits. What a configuration refers to (plan, stored outlines, keys, folder of the runs) is checked
+    too, the plan against that configuration's limits only. A plan that does not begin with a move is assumed to begin
+    at HOME, since the pose of the rig is unknown here.
     """
     errors: list[str] = []
     documents = _documents(paths, errors)
     plans = [document for document in documents if is_plan(document)]
     configs = [document for document in documents if not is_plan(document)]
     limits = [] if configs else [_limits(name, {}) for name in LIVE]
-    blind: list[tuple[str, Document]] = []  # configurations, and their systems, whose observers explore by no outline
+    blind: list[tuple[str, Document]] = []  # system and configuration, where the observer has no outline for exploring
     for document in configs:
         try:
             config = parse_config(document)
@@ -99,17 +99,17 @@ def check_files(paths: Sequence[Path]) -> list[str]:
             errors += _plan_errors(plan, [own])
             errors += _blind_errors(plan, [] if config.explores else [document])
     for document in plans:
-        meant = [each for each in limits if _of_its_system(document, each)] or limits[:1]
-        errors += _plan_errors(document, meant)
-        systems = {each.system for each in meant}
+        applicable = [each for each in limits if _of_its_system(document, each)] or limits[:1]
+        errors += _plan_errors(document, applicable)
+        systems = {each.system for each in applicable}
         errors += _blind_errors(document, [each for name, each in blind if systems == {name}])
-    return list(dict.fromkeys(errors))  # two configurations may name one plan
+    return list(dict.fromkeys(errors))  # two configurations may refer to the same plan
 
 
 def shaking_notes(paths: Sequence[Path]) -> list[str]:
-    """What is to be known of how good configurations and plans shake the palms, as `file: what`.
+    """Return notes on the vibration and dither of valid configurations and plans, as `file: text`.
 
-    A plan is judged on the rig of every configuration of two palms given beside it, and of the one that names it.
+    A plan is judged on the rig of every given configuration of two palms, and of those that refer to it.
     """
     documents = [read_document(path) for path in paths]
     notes: list[str] = []
@@ -137,7 +137,7 @@ def _documents(paths: Iterable[Path], errors: list[str]) -> list[Document]:
 
 
 def _outline_errors(document: Document, config: AnyConfig) -> list[str]:
-    """What is wrong with the stored outlines that a configuration names."""
+    """Return the error of the stored outlines that a configuration refers to, if any."""
     try:
         if config.outlines is not None:
             read_library(config.outlines)
@@ -151,17 +151,17 @@ def _blind_errors(plan: Document, blind: Iterable[Document]) -> list[str]:
     last = segments[-1] if isinstance(segments, list) and segments else None
     if not (isinstance(last, dict) and "explore" in last):
         return []
-    text = f"observer.primary: {plan.path} explores, which needs an outline to go by: set it to shape"
+    text = f"observer.primary: {plan.path} explores, which needs an observer that estimates an outline: set it to shape"
     return [config.line(config.place(("observer", "primary")), text) for config in blind]
 
 
 def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
-    """What is wrong with the folder of keys that a configuration names, unless it is closed to this user."""
+    """Return the error of the configured folder of keys, if any and if this user may read it."""
     if config.bus.keys is None:
         return []
     try:
         server_keys(config.bus.keys)
-    except KeysClosedError:  # the service's own: `palmd doctor` tells what its user may do
+    except KeysClosedError:  # the service's own: `palmd doctor` reports what its user may do
         return []
     except KeysError as error:
         return [document.line(document.place(("bus", "keys")), f"bus.keys: {error}")]
@@ -169,35 +169,35 @@ def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
 
 
 def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
-    """Whether runs can be put where a configuration says; its folder is made when it is needed."""
+    """Return the error of the configured folder of runs, if any; a missing folder is created when needed."""
     place = document.place(("record", "directory"))
     try:
         there = nearest(config.record.directory)
-    except PermissionError:  # the service's own, most often: `palmd doctor` tells what its user may do
+    except PermissionError:  # usually the service's own: `palmd doctor` reports what its user may do
         return []
     except OSError as error:
         return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
     if not there.is_dir():
         return [document.line(place, f"record.directory: {there} is no folder: nothing could be recorded")]
-    if not takes_files(there) and there.stat().st_uid in (os.geteuid(), 0):  # another user's is the service's own
+    if not takes_files(there) and there.stat().st_uid in (os.geteuid(), 0):  # else it belongs to the service's user
         text = f"record.directory: {there} is not writable: nothing could be recorded; see its permissions"
         return [document.line(place, text)]
     return []
 
 
 def _plan_named(document: Document, config: AnyConfig, errors: list[str], *, given: Sequence[Path]) -> list[Path]:
-    """The plan that a configuration names, unless it is one of those given; one that is not there is an error."""
+    """Return the plan that a configuration refers to, unless it is among those given; a missing file is an error."""
     if config.plan is None:
         return []
     try:
         there = config.plan.exists()
-    except OSError:  # whoever reads it tells why
+    except OSError:  # reading it reports why
         return [config.plan]
     if not there:
         beside = {each.stem: each for each in _plans_beside(config.plan)}
         near = difflib.get_close_matches(config.plan.stem, beside, n=1)
-        meant = f"; is {beside[near[0]]} meant?" if near else ""
-        errors.append(document.line(document.place(("plan",)), f"plan: {config.plan} does not exist{meant}"))
+        hint = f"; did you mean {beside[near[0]]}?" if near else ""
+        errors.append(document.line(document.place(("plan",)), f"plan: {config.plan} does not exist{hint}"))
         return []
     resolved = config.plan.resolve()
     return [] if any(path.resolve() == resolved for path in given) else [config.plan]
@@ -211,13 +211,13 @@ def _plans_beside(plan: Path) -> list[Path]:
 
 
 def _limits(system: str, section: Any) -> MotionLimits:
-    """What a section of limits sets over usual pads; raises ValidationError."""
+    """Return the limits of a configuration section, for pads of the default length; raises ValidationError."""
     form = _form(system)
     return form.over(form.section.model_validate(section), DEFAULT_PAD_LENGTH_MM)
 
 
 def _limits_of_faulty(document: Document) -> list[MotionLimits]:
-    """The limits of a configuration that is wrong elsewhere, so that its plans are checked all the same."""
+    """Return the limits of a configuration with errors elsewhere, so that plans can still be checked."""
     section = document.data.get("limits", {}) if isinstance(document.data, dict) else None
     try:
         return [_limits(system_meant(document), section)]
@@ -226,7 +226,7 @@ def _limits_of_faulty(document: Document) -> list[MotionLimits]:
 
 
 def _of_its_system(plan: Document, limits: MotionLimits) -> bool:
-    """Whether a plan has the form that these limits' system gives plans."""
+    """True if a plan parses in the form of these limits' system."""
     try:
         plan_spec(plan, limits)
     except ConfigError:

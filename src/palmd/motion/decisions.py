@@ -1,4 +1,4 @@
-"""What is asked of an explorer and what it says, apart from it: who only asks need not load it."""
+"""Input and output types of the explorers, separate so that their users need not import an explorer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Kind = Literal["move", "wait", "safe", "unsafe", "done"]
 
 @dataclass(frozen=True, slots=True)
 class UnderWay:
-    """What the palms are commanded to do: a move, and for how long already (s); at rest when that is its duration."""
+    """The commanded move and the time since its start (s); the palms are at rest once that is its duration."""
 
     move: Move
     elapsed: float
@@ -21,12 +21,11 @@ class UnderWay:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What to do next; `safe` says no more than that the move under way may go on.
+    """An explorer's decision; kind `safe` only means that the move under way may continue.
 
-    move: from where the one under way ends, from rest to rest. then: what may follow that unseen, for whom the next
-    decision would come too late. reason: in words. coverage: the share touched of the normals that can be reached;
-    reachable: their share of all. blind: nothing was foreseen, so that the move goes on whether or not the object is
-    known.
+    move: from the end of the move under way, from rest to rest. then: a move that may follow it if the next decision
+    comes too late. reason: text. coverage: touched share of the reachable normals; reachable: their share of all
+    normals. blind: the move was not predicted, and continues whether or not the estimate is valid.
     """
 
     kind: Kind

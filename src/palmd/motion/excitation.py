@@ -1,4 +1,4 @@
-"""Excitation: gentle moves for an object of which nothing is known: back to where any lies well, and to and fro."""
+"""Excitation: gentle moves for an unknown object, back to the home pose, where any object lies well, and rocking."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import approach, home
 from palmd.motion.segments import Angles, Move
 
-# From the centre, degrees of both joints, one after the other: both palms turn, with and against each other.
+# Offsets of both joints from the centre (degrees), in sequence: both palms turn, with and against each other.
 CORNERS_DEG: tuple[Angles, ...] = ((6.0, 3.0), (-6.0, -3.0), (6.0, -3.0), (-6.0, 3.0))
 
-STEP_RAD = math.radians(12.0)  # of a joint, on the way home; nearer than that it is as good
+STEP_RAD = math.radians(12.0)  # step of a joint on the way home; poses nearer than that are as good
 
 
 def homewards(here: Angles, limits: MotionLimits) -> Move | None:
-    """A step from `here` (rad) towards HOME; None near it, or where the way leaves the limits. Not for the loop.
+    """Return a step from `here` (rad) towards HOME; None near it, or if the way leaves the limits. Not for the loop.
 
-    Far from it an object hardly presses on one of the palms, and who rocks it there loses it.
+    Far from HOME an object hardly presses on one of the palms, and rocking would lose its contact.
     """
     there = home(limits)
     farthest = max(abs(b - a) for a, b in zip(here, there, strict=True))
@@ -32,7 +32,7 @@ def homewards(here: Angles, limits: MotionLimits) -> Move | None:
 
 
 def rock(here: Angles, centre: Angles, limits: MotionLimits) -> Move | None:
-    """The move from `here` to the next corner about `centre` (rad); None where none is left. Not for the loop."""
+    """Return the move from `here` to the next corner about `centre` (rad), None if impossible. Not for the loop."""
     corners = [tuple(at + math.radians(way) for at, way in zip(centre, each, strict=True)) for each in CORNERS_DEG]
     if here in corners:
         turn = corners.index(here)

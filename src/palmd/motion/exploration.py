@@ -1,4 +1,4 @@
-"""Moves strung together as they are decided: the one segment of a plan that is not known beforehand."""
+"""The plan segment of an exploration: moves are appended while it runs."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from palmd.motion.segments import Angles, Move
 
 
 class Exploration:
-    """Goes through its moves one after the other and stands where the last one ended, for ever.
+    """Executes its moves one after the other, then stands at the end of the last one, without end.
 
-    Times are seconds since it began and must not run backwards from call to call: a move that is over is
-    forgotten when the next one is appended. Everything is safe in the loop.
+    Times are seconds since its start and must not decrease from call to call: a finished move is dropped when the next
+    one is appended. Safe in the loop.
     """
 
     duration = math.inf
 
     def __init__(self, start: Angles, goal: ExploreGoal) -> None:
-        """`start` is where it stands at first (rad); `goal` and `coverage` are kept for who decides and who asks."""
+        """`start`: initial pose (rad). `goal` and `coverage` are stored for the explorer and for status reports."""
         self.goal = goal
         self.coverage = 0.0
-        self._moves = [(0.0, Move(start, start, 0.0))]  # each with the time when it begins
+        self._moves = [(0.0, Move(start, start, 0.0))]  # (start time, move)
 
     @property
     def last(self) -> Move:
-        """The move after which it stands."""
+        """The last move appended."""
         return self._moves[-1][1]
 
     @property
@@ -37,23 +37,23 @@ class Exploration:
         return begins + move.duration
 
     def at(self, t: float) -> PalmMotion:
-        """The motion t (s) after the beginning."""
+        """Return the motion at t (s)."""
         move, elapsed = self.under_way(t)
         return move.at(elapsed)
 
     def sample_times(self) -> Iterator[float]:
-        """Only where it begins is known beforehand; every move is checked when it is decided."""
+        """Return the start only; every move is checked when it is appended."""
         return iter((0.0,))
 
     def under_way(self, t: float) -> tuple[Move, float]:
-        """The move in hand at t (s) and how long ago it began (s); longer than it takes when it is over."""
+        """Return the current move at t (s) and the time since its start (s), more than its duration once it ended."""
         for begins, move in reversed(self._moves):
             if begins <= t:
                 return move, t - begins
         return self._moves[0][1], 0.0
 
     def append(self, move: Move, t: float) -> None:
-        """Let a move follow the last one, at t (s) at the earliest; ValueError unless it starts where that one ends."""
+        """Append a move, to start at t (s) or later; ValueError unless it starts where the last one ends."""
         if move.start != self.last.end:
             raise ValueError(f"a move from {move.start} cannot follow one to {self.last.end}")
         begins = max(t, self.end)
@@ -61,7 +61,7 @@ class Exploration:
         self._moves.append((begins, move))
 
     def cut(self, t: float) -> None:
-        """Drop what was to come after t (s) and stand where it is then: only while nothing moves along this path."""
+        """Drop all motion after t (s) and stand at the pose of that time; only while the palms are at rest."""
         if t < self.end:
             here = self.at(t).angles
             self._moves = [(t, Move(here, here, 0.0))]

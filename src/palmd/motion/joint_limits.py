@@ -1,4 +1,4 @@
-"""Limits of joints that have nothing to do with each other: a range of each, one speed and one acceleration for all."""
+"""Limits of independent joints: a range for each, one speed and one acceleration for all."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from palmd.motion.limits import MotionLimits, QuantityLimit
 
 @dataclass(frozen=True, slots=True)
 class JointLimits(MotionLimits):
-    """As `MotionLimits`; `angles` are the ranges of joints of whatever unit."""
+    """`MotionLimits` for independent joints; `angles`: their ranges, in rad or m."""
 
     names: ClassVar[tuple[str, ...]]
-    """Of the joints."""
+    """Names of the joints."""
     speeds: ClassVar[str]
-    """What their rates are called, of a joint whose name is put in for {}."""
+    """Description of a rate, with {} for the joint's name."""
     accelerations: ClassVar[str]
-    """What their accelerations are called."""
+    """Description of an acceleration, with {} for the joint's name."""
     unit: ClassVar[str]
+    """Unit of positions in texts."""
     scale: ClassVar[float]
-    """How a place is told: so many of these are one of SI."""
+    """Factor from SI to that unit."""
 
     def __post_init__(self) -> None:
-        """Bounds of each joint, of its speed and of its acceleration."""
+        """Set the bounds of each joint, of its speed and of its acceleration."""
         unit, scale = self.unit, self.scale
         bounds = [
             QuantityLimit(joint, unit, scale, low, high)
@@ -39,11 +40,11 @@ class JointLimits(MotionLimits):
         object.__setattr__(self, "bounds", tuple(bounds))
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
-        """The quantities bounded by `bounds`, in that order."""
+        """Return the quantities bounded by `bounds`, in that order."""
         return (*motion.angles, *motion.rates, *motion.accelerations)
 
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
-        """As `MotionLimits.clamp_step`: `wanted`, inside the ranges and one step of rate·dt. Safe in the loop."""
+        """Clamp `wanted` to the ranges and to a step of rate·dt, as `MotionLimits.clamp_step`. Safe in the loop."""
         if not all(map(math.isfinite, wanted.angles)):
             return PalmMotion.at_rest(previous.angles)
         inside = tuple(min(max(each, low), high) for each, (low, high) in zip(wanted.angles, self.angles, strict=True))
@@ -52,6 +53,6 @@ class JointLimits(MotionLimits):
         if inside == wanted.angles and longest <= room:
             return wanted
         share = 1.0 if longest <= room else room / longest
-        place = tuple(before + share * step for before, step in zip(previous.angles, steps, strict=True))
+        clamped = tuple(before + share * step for before, step in zip(previous.angles, steps, strict=True))
         rates = tuple(share * step / dt for step in steps) if dt > 0.0 else (0.0,) * len(steps)
-        return PalmMotion(place, rates, (0.0,) * len(steps))
+        return PalmMotion(clamped, rates, (0.0,) * len(steps))

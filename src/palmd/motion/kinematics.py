@@ -1,11 +1,11 @@
-"""The arc-hinge rig's kinematics: palm angles to arm position and back (frames: docs/theory/theory.md).
+"""Kinematics of the arc-hinge rig: palm angles ↔ arm position (frames: docs/theory/theory.md).
 
-Palm 1's far end is hinged to the fixed base B, the arm holds palm 2's far end E:
+Palm 1's far end is hinged to the fixed base B; the arm holds palm 2's far end E:
 
     O = B − L1·(cos φ1, sin φ1)        E = O + L2·(cos φ12, sin φ12)        φ12 = φ1 + φ2
 
-Seen from B, E lies at the distance D with D² = L1² + L2² − 2·L1·L2·cos φ2, so φ2 follows from D alone and φ1
-from the direction; φ2 is taken in (0, π), where the palms are open.
+The distance D of E from B is given by D² = L1² + L2² − 2·L1·L2·cos φ2, so φ2 follows from D and φ1 from the direction;
+φ2 is taken in (0, π), where the palms are open.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from palmd.config.two_palms import Config
 from palmd.events import Joints, PalmMotion
 from palmd.system.mechanism import directions, hinge_position
 
-LEAST_OPENING = math.radians(1.0)  # nearer than this to φ2 = 0 or π the arm cannot turn the palms
+LEAST_OPENING = math.radians(1.0)  # closer than this to φ2 = 0 or π, the singular poses, the arm cannot turn the palms
 
 
 class PoseError(ValueError):
-    """A pose that the rig cannot take, or that says nothing about the palms."""
+    """A pose that the rig cannot take, or that does not determine the palm angles."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigGeometry:
     """Lengths and fixed points of the arc-hinge rig (m, rad), world frame.
 
-    base_x, base_y: B; arm_x, arm_y, arm_yaw: the arm's base, yaw counted from the world X axis.
+    base_x, base_y: B. arm_x, arm_y, arm_yaw: the arm's base, yaw counted from the world X axis.
     """
 
     base_x: float
@@ -42,12 +42,12 @@ class RigGeometry:
 
     @property
     def palm_lengths(self) -> tuple[float, ...]:
-        """From the hinge to each palm's far end (m)."""
+        """Distance from the hinge to each palm's far end (m)."""
         return self.palm1_length, self.palm2_length
 
     @classmethod
     def from_config(cls, config: Config) -> RigGeometry:
-        """The configured geometry in SI; raises PoseError for a rig whose actuator holds no palm's end."""
+        """Return the configured geometry in SI; raises PoseError for a rig without an arm that holds palm 2."""
         arm = config.arm
         if not isinstance(arm, AdeptConfig):
             raise PoseError(f"a rig with arm.kind: {arm.kind} has no arm that holds palm 2's end")
@@ -63,11 +63,11 @@ class RigGeometry:
         )
 
     def hinge(self, phi1: float) -> tuple[float, float]:
-        """O in the world frame (m) for palm 1 at phi1 (rad)."""
+        """Return the hinge O in the world frame (m) for palm 1 at phi1 (rad)."""
         return hinge_position((self.base_x, self.base_y), self.palm1_length, phi1)
 
     def arm_pose(self, angles: Joints) -> tuple[float, float, float]:
-        """Position x, y (m, arm coordinates) and tool angle t (rad, in (−π, π]) for joint angles (rad).
+        """Return position x, y (m, arm coordinates) and tool angle t (rad, in (−π, π]) for joint angles (rad).
 
         Raises PoseError where the palms are shut or stretched out, or not finite. Safe in the loop.
         """
@@ -81,7 +81,7 @@ class RigGeometry:
         return cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx, wrapped(phi12 - self.arm_yaw)
 
     def palm_angles(self, x: float, y: float) -> Joints:
-        """Palm angles phi1 in (−π, π], phi2 in (0, π) (rad) for an arm position x, y (m, arm coordinates).
+        """Return palm angles phi1 in (−π, π], phi2 in (0, π) (rad) for an arm position x, y (m, arm coordinates).
 
         Raises PoseError for a position out of palm 2's reach or singular. Safe in the loop.
         """
@@ -98,11 +98,11 @@ class RigGeometry:
             )
         phi2 = math.acos(cos_phi2)
         _check_opening(phi2)
-        toward_tip = math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)  # of B→E, counted from palm 1
+        toward_tip = math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)  # direction B→E, counted from palm 1
         return wrapped(math.atan2(dy, dx) - toward_tip), phi2
 
     def tip_speed_acceleration(self, motion: PalmMotion) -> tuple[float, float]:
-        """Speed (m/s) and acceleration (m/s²) of E, the point that the arm holds, as magnitudes."""
+        """Return the magnitudes of speed (m/s) and acceleration (m/s²) of E, the point that the arm holds."""
         turned, turning, speeding = map(directions, (motion.angles, motion.rates, motion.accelerations))
         velocity, acceleration = [0.0, 0.0], [0.0, 0.0]
         # from B to the hinge along palm 1, and from there along palm 2
@@ -118,7 +118,7 @@ class RigGeometry:
 
 
 def wrapped(angle: float) -> float:
-    """The same angle (rad) in (−π, π]."""
+    """Wrap an angle (rad) to (−π, π]."""
     angle = math.remainder(angle, math.tau)
     return math.pi if angle == -math.pi else angle
 

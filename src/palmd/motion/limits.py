@@ -1,7 +1,7 @@
-"""What the palms may do: angles, rates, accelerations, the arm's workspace, contacts on the pads.
+"""Limits of the palms' motion: angles, rates, accelerations, the arm's workspace, contacts on the pads.
 
-A limit is a `QuantityLimit` on one quantity of a motion and says in words when it is left, so that the check of a
-plan, the last guard before a set-point and the message to the operator speak of the same numbers.
+A limit is a `QuantityLimit` on one quantity of a motion and words its own violation, so that plan checks, the last
+guard before a set-point and messages to the operator use the same numbers.
 """
 
 from __future__ import annotations
@@ -18,24 +18,22 @@ from palmd.system.arcs import FLAT, opening_at
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 from palmd.systems import TWO_PALMS
 
-PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; here it must stay below this
-SMALL_RADIUS = 0.010  # an object no smaller than this shall find pad under it
-PAD_MARGIN = 0.002
-HELD_SHARE = (
-    0.3  # of a cradle's pad, from the hinge: what it is made for touches it farther out, unless it is open wide
-)
+PHI12_MAX = math.radians(172.0)  # two contacts need φ12 < 180°; φ12 must stay below this
+SMALL_RADIUS = 0.010  # m, radius of the smallest object that must touch within the pads
+PAD_MARGIN = 0.002  # m
+HELD_SHARE = 0.3  # of a concave palm's pad, from the hinge: the objects it is made for touch it farther out
 _DEGREES = math.degrees(1.0)
 _ROUNDING = 1e-9
-_STOP_SHARE = 0.9  # of the arm's acceleration that a stop uses: set-points come in steps
-_BELOW = 3e-9  # "must stay below" as a bound that may be reached
+_STOP_SHARE = 0.9  # of the arm's acceleration that a stop uses; set-points are discrete in time
+_BELOW = 3e-9  # turns "must stay below" into an inclusive bound
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityLimit:
-    """The limits of one quantity (SI) and how to speak of it.
+    """The limits of one quantity (SI) and the words for messages about it.
 
-    order: 0 for a pose, 1 for a rate, 2 for an acceleration. gain: the most that the quantity changes when
-    both palm angles (or their rates, or accelerations) change by one.
+    order: 0 for a pose, 1 for a rate, 2 for an acceleration. gain: largest change of the quantity when both palm
+    angles (or their rates, or accelerations) change by one. unit, scale: of messages.
     """
 
     what: str
@@ -49,8 +47,8 @@ class QuantityLimit:
     high_words: str = "the limit is"
 
     def problem(self, lowest: float, highest: float) -> str | None:
-        """What is wrong when the quantity ranges from `lowest` to `highest`; None if nothing is."""
-        if self.order > 0:  # same limit both ways: only the size matters
+        """Return the violation by a quantity that ranges from `lowest` to `highest`, as text; None if within limits."""
+        if self.order > 0:  # symmetric limit: only the magnitude matters
             lowest, highest = self.low, max(-lowest, highest)
         if not highest <= self.high + _ROUNDING:
             return self._words("reaches", highest, self.high_words, self.high)
@@ -65,7 +63,7 @@ class QuantityLimit:
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """Where and how fast the arm can go, as it says in its hello (m, m/s, m/s², arm coordinates)."""
+    """Workspace, speed and acceleration of the arm, as reported in its handshake (m, m/s, m/s², arm coordinates)."""
 
     geometry: RigGeometry
     x_min: float
@@ -76,7 +74,7 @@ class Workspace:
     acceleration: float
 
     def bounds(self) -> tuple[QuantityLimit, ...]:
-        """Of the values that `values` gives, in the same order."""
+        """Return the limits of the quantities of `values`, in the same order."""
         gain = sum(turning * length for turning, length in enumerate(self.geometry.palm_lengths, 1))
         return (
             QuantityLimit("the arm's x", " mm", 1e3, self.x_min, self.x_max, 0, gain),
@@ -86,12 +84,12 @@ class Workspace:
         )
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
-        """Position, speed and acceleration of the arm; raises PoseError at a singular pose."""
+        """Return position, speed and acceleration of the arm; raises PoseError at a singular pose."""
         x, y, _ = self.geometry.arm_pose(motion.angles)
         return (x, y, *self.geometry.tip_speed_acceleration(motion))
 
     def hardest_slowing(self, planned: PalmMotion, speed: float) -> float:
-        """As that of `MotionLimits`, by the tip's acceleration alone; 0 where that has no room at all."""
+        """`MotionLimits.hardest_slowing` by the tip's acceleration only; 0 if its limit leaves no room."""
 
         def squared(slowing: float) -> float:
             each = zip(planned.rates, planned.accelerations, strict=True)
@@ -115,14 +113,13 @@ class Workspace:
 class MotionLimits:
     """All limits of the palms' motion (rad, rad/s, rad/s², m); rate and acceleration hold for each angle.
 
-    angles: the lowest and the highest of each joint.
-    pad_length: how far along a palm, from the hinge, a contact is felt. pad_forces: what may press on each pad (N);
-    empty: anything. workspace: None while no arm has said what it can do. stop_deceleration: of each angle when the
-    motion is held; None: as much as the arm allows.
+    angles: range of each joint. pad_length: distance from the hinge up to which a pad senses contacts. pad_forces:
+    largest force on each pad (N); empty: no limit. workspace: None until the arm has reported it. stop_deceleration: of
+    each angle when the motion is held; None: as much as the arm allows.
     """
 
     system: ClassVar[str] = TWO_PALMS
-    """Whose they are, by the table of `palmd.systems`."""
+    """The system they belong to (`palmd.systems`)."""
 
     angles: tuple[tuple[float, float], ...]
     rate: float
@@ -168,7 +165,7 @@ class MotionLimits:
         curvatures: tuple[float, ...] = FLAT,
         pad_forces: tuple[float, ...] = (),
     ) -> MotionLimits:
-        """The configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m, `pad_forces` in N."""
+        """Return the configured limits in SI; pad_length in m, the palms' `curvatures` in 1/m, `pad_forces` in N."""
         stop = limits.stop_deceleration_deg_s2
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.angles_deg),
@@ -183,39 +180,39 @@ class MotionLimits:
 
     @property
     def top(self) -> float:
-        """φ12 stays below it (rad): 172° where palm 2 may be touched, by its tangent."""
+        """Upper bound of φ12 (rad): palm 2's tangent stays below 172° wherever it may be touched."""
         return PHI12_MAX + self._turned(self.curvatures[-1])
 
     def _turned(self, kappa: float) -> float:
-        """By how much (rad) a palm's tangent has turned up where it may be touched, at the least.
+        """Return the smallest upward turn (rad) of a palm's tangent where it may be touched.
 
-        That is at the end of a dome, where it has turned down. On a cradle it is at `HELD_SHARE` of the pad: who knows
-        where the object touches must keep to its tangent there.
+        It is at the end of a dome (convex palm), where the tangent has turned down, and at `HELD_SHARE` of the pad of a
+        cradle (concave palm). A caller that knows the contacts must check their tangents itself.
         """
         return kappa * self.pad_length * (HELD_SHARE if kappa > 0.0 else 1.0)
 
     @property
     def unknown(self) -> Joints:
-        """No pose."""
+        """A pose of NaN."""
         return (math.nan,) * len(self.angles)
 
     @property
     def joint_bounds(self) -> tuple[QuantityLimit, ...]:
-        """Of `bounds` those of the joints, in their order."""
+        """The joints' bounds among `bounds`, in the order of the joints."""
         return self.bounds[: len(self.angles)]
 
     def _first_bound(self) -> QuantityLimit:
-        """φ1's, `top` mirrored: above the horizontal where palm 1 may be touched, by its tangent."""
+        """Return the bound of φ1: palm 1's tangent stays above the horizontal wherever it may be touched."""
         level = -self._turned(self.curvatures[0])
         low, high = self.angles[0]
         if level <= low:
             return QuantityLimit(JOINTS[0], "°", _DEGREES, low, high)
-        told = "is a dome, whose end points" if level > 0.0 else "points"
-        words = f"palm {PALMS[0]} {told} downwards below"
+        shape = "is a dome, whose end points" if level > 0.0 else "points"
+        words = f"palm {PALMS[0]} {shape} downwards below"
         return QuantityLimit(JOINTS[0], "°", _DEGREES, level, high, low_words=words)
 
     def _opening_bound(self) -> QuantityLimit:
-        """The opening's bound: a circle of radius r touches both palms at r/tan(φ2/2), which must be on the pads."""
+        """Return the bound of the opening: a circle of radius r touches at r/tan(φ2/2), which must be on the pads."""
         pads_end = opening_at(SMALL_RADIUS, max(self.pad_length - PAD_MARGIN, PAD_MARGIN), self.curvatures)
         joint, (low, high) = JOINTS[OPENING], self.angles[OPENING]
         if pads_end <= low:
@@ -224,22 +221,22 @@ class MotionLimits:
         return QuantityLimit(joint, "°", _DEGREES, pads_end, high, low_words=words)
 
     def values(self, motion: PalmMotion) -> tuple[float, ...]:
-        """The quantities bounded by `bounds`, in that order; raises PoseError at a singular pose."""
+        """Return the quantities bounded by `bounds`, in that order; raises PoseError at a singular pose."""
         arm = self.workspace.values(motion) if self.workspace else ()
         return (*motion.angles, directions(motion.angles)[-1], *motion.rates, *motion.accelerations, *arm)
 
     def violations(self, angles: Joints) -> list[str]:
-        """What is wrong with standing at these joint angles (rad), in words; empty when nothing is.
+        """Return the limits violated by standing at these joint angles (rad), as texts.
 
         Raises PoseError at a singular pose when a workspace is known. Safe in the loop.
         """
         return [text for _, text in problems(self.bounds, ranges([self.values(PalmMotion.at_rest(angles))]))]
 
     def hardest_slowing(self, planned: PalmMotion, speed: float) -> float:
-        """How fast (1/s²·s) a path's speed may fall to bring the palms to a stand, from `speed`, 1 being as planned.
+        """Return how fast (1/s) the path speed u may fall when the palms are stopped, at u = `speed` (1: as planned).
 
-        With the plan's ω and α the palms then have the accelerations α·u² − ω·s. s is the largest for which these keep
-        to the stops' deceleration and the arm's tip to its own acceleration, whose square is quadratic in s. Safe in
+        With the plan's ω and α the palms then have the accelerations α·u² − ω·s. s is the largest value for which these
+        respect the stop deceleration and the arm's tip its acceleration limit, whose square is quadratic in s. Safe in
         the loop.
         """
         arm = self.workspace
@@ -254,11 +251,11 @@ class MotionLimits:
         return max(slowing, 0.0)
 
     def clamp_step(self, previous: PalmMotion, wanted: PalmMotion, dt: float) -> PalmMotion:
-        """The last guard before a set-point: `wanted`, inside the angle limits and one step of rate·dt.
+        """Clamp `wanted` to the angle limits and to a step of rate·dt: the last guard before a set-point.
 
-        previous: the set-point sent last; dt: time (s) that the step may take. Both angles of a step that is
-        too long shrink alike, so that the direction stays; non-finite wishes are answered by standing still.
-        From outside the limits the way back is taken at the rate limit. Safe in the loop.
+        previous: the last set-point; dt: time (s) that the step may take. A step that is too long is shortened in its
+        direction; for non-finite angles the palms stand still. From outside the limits the palms return at the rate
+        limit. Safe in the loop.
         """
         if not all(map(math.isfinite, wanted.angles)):
             return PalmMotion.at_rest(previous.angles)
@@ -275,13 +272,13 @@ class MotionLimits:
 
 
 def ranges(values: Iterable[tuple[float, ...]]) -> list[tuple[float, float]]:
-    """Lowest and highest of each quantity over samples of them."""
+    """Return the lowest and the highest value of each quantity over the samples."""
     return [(min(column), max(column)) for column in zip(*values, strict=True)]
 
 
 def problems(
     bounds: Iterable[QuantityLimit], extremes: Iterable[tuple[float, float]]
 ) -> list[tuple[QuantityLimit, str]]:
-    """Which bounds the quantities' extremes leave, in words."""
+    """Return the bounds that the quantities' extremes violate, with the violation as text."""
     found = ((bound, bound.problem(*pair)) for bound, pair in zip(bounds, extremes, strict=True))
     return [(bound, text) for bound, text in found if text is not None]

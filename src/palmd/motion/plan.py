@@ -1,9 +1,9 @@
-"""From a plan as written to a trajectory: every segment placed in time and checked against the limits.
+"""Compile a plan into a trajectory: place every segment in time and check it against the limits.
 
-A plan begins at the target of its first segment when that is a `move` (the way there is the executor's
-approach, no shorter than the move's duration); any other plan begins where the palms stand. A `rate` segment
-comes to rest exactly at its `until` angle. Repeats go from the pose where one round ended through the first
-segment again. An exploration is decided while it runs and ends when it is told to, so that it comes last and once.
+A plan that begins with a `move` starts at that move's target (the way there is the executor's approach, no shorter
+than the move's duration); any other plan starts where the palms stand. A `rate` segment comes to rest exactly at its
+`until` angle. Each repetition starts at the pose where the previous round ended and includes the first segment. The
+moves and the end of an exploration are decided while it runs, so it must be the last segment and cannot repeat.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ from palmd.system.mechanism import JOINTS, PALMS
 HOME: Angles = (
     math.radians(45.0),
     math.radians(90.0),
-)  # a V about the vertical: assumed when no pose is known
+)  # a V symmetric about the vertical: assumed when no pose is known
 HOME_RADIUS_M = 0.02
-BLEND_SHARE = 0.5  # of the acceleration limit, for speeding up to a rate and slowing down from it
-APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's beginning: nobody asked for it to be quick
-DITHER_SHARE = 0.8  # of the limits, at most
-DITHER_GROW = 1.0  # s
+BLEND_SHARE = 0.5  # of the acceleration limit, for the ramps of a `rate` segment
+APPROACH_SHARE = 0.25  # of the limits, for the way to a plan's start, which need not be fast
+DITHER_SHARE = 0.8  # largest share of the limits that the dither may use
+DITHER_GROW = 1.0  # s, growth and decay of the dither
 MAX_DRIFTING_ROUNDS = 100
-SETTLING_ROUNDS = 3  # a plan whose rounds come to repeat themselves does so within these
+SETTLING_ROUNDS = 3  # rounds within which a plan becomes periodic, if it ever does
 _SAME_POSE = 1e-12
 _SMALL = 1e-9
 
@@ -65,7 +65,7 @@ Loc = tuple[str | int, ...]
 
 
 class PlanError(ValueError):
-    """A plan that must not move; `problems` says what is wrong and at which part of the plan, all at once."""
+    """An invalid plan; `problems`: all errors, each with its location in the plan."""
 
     def __init__(self, problems: Sequence[tuple[Loc, str]]) -> None:
         super().__init__("\n".join(f"{'.'.join(map(str, loc))}: {text}" for loc, text in problems))
@@ -74,9 +74,9 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PlanPlace:
-    """Where in a plan a time is: the segment's number (from 0) and kind, and the whole's progress, 0 to 1.
+    """A position in a plan: number (from 0) and kind of the segment, progress of the plan from 0 to 1.
 
-    A plan that runs forever shows the progress of its present round, one that explores the share it has touched.
+    For a plan that runs forever it is the progress of the present round, for an exploration the coverage.
     """
 
     segment: int
@@ -86,7 +86,7 @@ class PlanPlace:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One pass through a plan: its segments, and when each begins (s, from the round's beginning)."""
+    """One pass through a plan: its segments, and the start time of each (s, from the start of the round)."""
 
     segments: tuple[MotionSegment, ...]
     begins: tuple[float, ...]
@@ -94,26 +94,26 @@ class Round:
 
     @classmethod
     def of(cls, segments: Sequence[MotionSegment]) -> Round:
-        """Segments one after the other."""
+        """Chain segments."""
         ends = list(accumulate(segment.duration for segment in segments))
         return cls(tuple(segments), (0.0, *ends[:-1]), ends[-1])
 
     def index(self, t: float) -> int:
-        """The number of the segment that time t falls into."""
+        """Return the number of the segment at time t (s)."""
         return max(bisect_right(self.begins, t) - 1, 0)
 
     def at(self, t: float) -> PalmMotion:
-        """The motion t (s) after the round's beginning."""
+        """Return the motion t (s) after the start of the round."""
         index = self.index(t)
         return self.segments[index].at(t - self.begins[index])
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A checked plan as a function of its own time tau (s), from rest to rest; `duration` may be inf.
+    """A checked plan as a function of plan time tau (s), from rest to rest; `duration` may be inf.
 
-    start: the pose where it begins (rad). lead_in: the time (s) that the way to it takes at least. rounds:
-    one pass after the other; the last one repeats while the plan lasts.
+    start: initial pose (rad). lead_in: shortest time (s) for the way to it. rounds: passes in order; the last one
+    repeats until the plan ends.
     """
 
     name: str
@@ -125,7 +125,7 @@ class Trajectory:
     dither: Sine | None
 
     def at(self, tau: float) -> PalmMotion:
-        """The motion at plan time tau, clamped to the plan. Safe in the loop."""
+        """Return the motion at plan time tau, clamped to the plan. Safe in the loop."""
         tau = min(max(tau, 0.0), self.duration)
         current, t = self._locate(tau)
         motion = current.at(t)
@@ -139,7 +139,7 @@ class Trajectory:
         )
 
     def place(self, tau: float) -> PlanPlace:
-        """Which segment plan time tau belongs to, and how far the plan is. Safe in the loop."""
+        """Return the segment and the progress at plan time tau. Safe in the loop."""
         tau = min(max(tau, 0.0), self.duration)
         current, t = self._locate(tau)
         whole, done = (current.duration, t) if math.isinf(self.duration) else (self.duration, tau)
@@ -150,14 +150,14 @@ class Trajectory:
         return PlanPlace(index, self.labels[index], done / whole if whole > 0.0 else 1.0)
 
     def exploration(self, tau: float) -> tuple[Exploration, float] | None:
-        """The exploration that plan time tau belongs to, and the time since it began (s). Safe in the loop."""
+        """Return the exploration at plan time tau and the time since its start (s); None if none. Safe in the loop."""
         current, t = self._locate(min(max(tau, 0.0), self.duration))
         index = current.index(t)
         segment = current.segments[index]
         return (segment, t - current.begins[index]) if isinstance(segment, Exploration) else None
 
     def _locate(self, tau: float) -> tuple[Round, float]:
-        """The round that plan time tau falls into, and the time since that round began."""
+        """Return the round at plan time tau and the time since its start."""
         before = 0.0
         for current in self.rounds[:-1]:
             if tau - before < current.duration:
@@ -169,37 +169,38 @@ class Trajectory:
         if math.isinf(last.duration):
             return last, tau - before
         passes = (tau - before) // last.duration
-        if not math.isinf(self.duration):  # at the very end: the end of the last pass, not the start of another
+        if not math.isinf(self.duration):  # the end of the plan is the end of the last pass, not the start of another
             passes = min(passes, round((self.duration - before) / last.duration) - 1)
         return last, tau - before - passes * last.duration
 
 
 @dataclass(frozen=True, slots=True)
 class PlanForm:
-    """What a system's plans are: how they are written, what limits them, and what becomes of them."""
+    """How a system's plans are parsed, limited and compiled."""
 
     spec: type[AnyPlanSpec]
+    """Schema of a plan file."""
     section: type[Strict]
-    """The configuration's `limits`."""
+    """Schema of the configuration's section `limits`."""
     configured: Callable[[Any], MotionLimits]
-    """The limits of a configuration."""
+    """Configuration → limits."""
     over: Callable[[Any, float], MotionLimits]
-    """The limits of such a section, over pads of a length (mm)."""
+    """Section `limits`, length of the pads (mm) → limits."""
     compiled: Callable[[Any, Any, Angles | None], Trajectory]
-    """The trajectory of a plan within limits, for a rig that stands there (None: unknown); raises PlanError."""
+    """Plan, limits, pose of the rig (None: unknown) → trajectory; raises PlanError."""
 
 
 def compile_plan(spec: PlanSpec, limits: MotionLimits, start: Angles | None = None) -> Trajectory:
-    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
+    """Compile a plan within the limits; raises PlanError with all errors.
 
-    start: the palm angles (rad) from which it would begin, HOME within the limits where unknown; it matters
-    only when the plan does not begin by moving both angles.
+    start: present palm angles (rad); None: HOME, clipped to the limits. It only matters if the plan does not begin
+    with a move of both angles.
     """
     return _Compiler(spec, limits).trajectory(start if start is not None else home(limits))
 
 
 def approach(start: Angles, end: Angles, limits: MotionLimits, least: float, share: float = APPROACH_SHARE) -> Move:
-    """A move that takes `least` (s) or more, by that share of the limits; raises PoseError if its way leaves them."""
+    """Return a move of `least` (s) or more within `share` of the limits; raises PoseError if its way leaves them."""
     if start == end:
         return Move(start, end, least)
     move, extremes = _way(start, end, limits)
@@ -208,12 +209,12 @@ def approach(start: Angles, end: Angles, limits: MotionLimits, least: float, sha
 
 
 def check_way(start: Angles, end: Angles, limits: MotionLimits) -> None:
-    """Raises PoseError if the straight way from `start` to `end` (rad) leaves the limits; takes about a millisecond."""
+    """Raise PoseError if the straight way from `start` to `end` (rad) leaves the limits; takes about a millisecond."""
     _way(start, end, limits)
 
 
 def home(limits: MotionLimits) -> Angles:
-    """HOME, on curved palms where a middling object lies as there, or the angles nearest to it within the limits."""
+    """Return HOME clipped to the limits; for curved palms, the angles at which a 20 mm radius touches as at HOME."""
     curvatures = limits.curvatures
     wanted = joints_of(HOME_RADIUS_M, HOME, curvatures) if any(curvatures) else HOME
     return tuple(min(max(angle, low), high) for angle, (low, high) in zip(wanted, limits.angles, strict=True))
@@ -224,7 +225,7 @@ def _sum(one: Angles, other: Angles) -> Angles:
 
 
 class _SegmentError(ValueError):
-    """A segment that makes no motion; `end` is where the plan may go on to look for further errors."""
+    """An impossible segment; `end`: pose from which the check of the following segments continues."""
 
     def __init__(self, text: str, end: Angles) -> None:
         super().__init__(text)
@@ -232,13 +233,13 @@ class _SegmentError(ValueError):
 
 
 class _Compiler:
-    """Builds one plan round by round, collecting what is wrong with it."""
+    """Builds one plan round by round and collects its errors."""
 
     def __init__(self, spec: PlanSpec, limits: MotionLimits) -> None:
         self.spec = spec
         self.limits = limits
-        self.problems: dict[tuple[Loc, str], str] = {}  # by place and kind: each is told once
-        self._known: dict[MotionSegment, list[tuple[float, float]]] = {}  # the extremes of segments that come again
+        self.problems: dict[tuple[Loc, str], str] = {}  # (location, kind) → text: each is reported once
+        self._known: dict[MotionSegment, list[tuple[float, float]]] = {}  # extremes of segments, for repetitions
         self.dither_peaks = self._dither_peaks(spec.dither)
 
     def trajectory(self, origin: Angles) -> Trajectory:
@@ -275,7 +276,7 @@ class _Compiler:
         )
 
     def _round(self, pose: Angles, *, first: bool) -> tuple[list[MotionSegment], Angles]:
-        """One pass from `pose`; in the first, a move at its beginning is left to the approach."""
+        """Build one pass from `pose`; in the first pass the executor's approach replaces an initial move."""
         segments: list[MotionSegment] = []
         for index, spec in enumerate(self.spec.segments):
             beginning = first and index == 0
@@ -293,7 +294,7 @@ class _Compiler:
         return segments, pose
 
     def _segment(self, spec: SegmentSpec, pose: Angles) -> tuple[MotionSegment, Angles]:
-        """One segment from `pose`, and where it ends."""
+        """Build one segment from `pose`; return it and its end."""
         if isinstance(spec, MoveSpec):
             end = _target(spec.move, pose)
             return Move(pose, end, spec.duration_s), end
@@ -335,9 +336,9 @@ class _Compiler:
         return ConstantRate(pose, rate, ramp, duration), end
 
     def _check(self, index: int, segment: MotionSegment, *, first: bool) -> None:
-        """Note what in a segment leaves the limits, with the dither on top.
+        """Record where a segment, with the dither added, violates the limits.
 
-        A pose limit that is left already where the segment starts is the fault of the one before.
+        A pose limit that is violated at the start of the segment was already reported for the previous one.
         """
         loc: Loc = ("segments", index)
         bounds = self.limits.bounds
@@ -361,36 +362,36 @@ class _Compiler:
             self.problems.setdefault((loc, bound.what), text)
 
     def _check_explorations(self) -> None:
-        places = [index for index, spec in enumerate(self.spec.segments) if isinstance(spec, ExploreSpec)]
-        for index in places:
+        indices = [index for index, spec in enumerate(self.spec.segments) if isinstance(spec, ExploreSpec)]
+        for index in indices:
             if index != len(self.spec.segments) - 1:
-                text = "where an exploration ends is not known beforehand: it must be the last segment"
+                text = "the end of an exploration is not known in advance: it must be the last segment"
                 self.problems[(("segments", index), "not last")] = text
-        if places and self.spec.repeat != 1:
+        if indices and self.spec.repeat != 1:
             self.problems[(("repeat",), "exploration")] = "a plan that explores runs once: leave repeat out"
-        if places and self.spec.dither is not None:
-            text = "a plan that explores has no dither: its moves leave no room for one"
+        if indices and self.spec.dither is not None:
+            text = "a plan that explores cannot have a dither: its moves leave no room for one"
             self.problems[(("dither",), "exploration")] = text
 
     def _most_rounds(self, count: float) -> int:
-        """How many rounds that differ are built; a plan refused anyway needs few to show its faults."""
+        """Return how many different rounds are built at most; few if the plan is invalid anyway."""
         return SETTLING_ROUNDS if self.problems or math.isinf(count) else MAX_DRIFTING_ROUNDS
 
     def _drifts(self, drift: float, rounds: int, count: float) -> None:
-        wish = "forever" if math.isinf(count) else f"{count:g} times"
+        times = "forever" if math.isinf(count) else f"{count:g} times"
         self.problems[(("repeat",), "drift")] = (
-            f"a plan cannot repeat {wish} when every round ends elsewhere than it began (round {rounds} by"
+            f"a plan cannot repeat {times} when every round ends elsewhere than it began (round {rounds} by"
             f" {math.degrees(drift):.3g}°); let it begin with a move of both angles"
         )
 
     def _dither_peaks(self, spec: DitherSpec | None) -> tuple[float, float, float]:
-        """The most that the dither adds to an angle, its rate and its acceleration (rad, s)."""
+        """Return the largest angle, rate and acceleration that the dither adds (rad, s); zeros if it is too large."""
         dither = _dither(spec, math.inf)
         if dither is None:
             return (0.0, 0.0, 0.0)
         swings = [dither.at(t) for t in dither.sample_times()]
         peaks = (
-            max(abs(swing.angles[0]) for swing in swings),  # of all joints alike
+            max(abs(swing.angles[0]) for swing in swings),  # all joints have the same dither
             max(abs(swing.rates[0]) for swing in swings),
             max(abs(swing.accelerations[0]) for swing in swings),
         )
@@ -407,13 +408,13 @@ class _Compiler:
 
 
 def _target(angles: PalmAngles, pose: Angles) -> Angles:
-    """The named angles (rad), with the pose's for those left out."""
+    """Return the target (rad): the specified angles, and the pose's for those left out."""
     wanted = zip(angles.each(), pose, strict=True)
     return tuple(here if degrees is None else math.radians(degrees) for degrees, here in wanted)
 
 
 def _radians(values: JointValues) -> Angles:
-    """Of each joint; zero where left out."""
+    """Convert each joint's value from degrees; zero where left out."""
     return tuple(math.radians(degrees or 0.0) for degrees in values.each())
 
 
@@ -432,7 +433,7 @@ def _sine(spec: SineSpec, pose: Angles) -> Sine:
 
 
 def _dither(spec: DitherSpec | None, duration: float) -> Sine | None:
-    """The dither over a whole plan; None when none is asked for, or the plan is too short for it."""
+    """Return the dither over a whole plan; None if none is specified or the plan is too short for it."""
     if spec is None or duration < 2.0 * DITHER_GROW:
         return None
     amplitude, w = math.radians(spec.amplitude_deg), math.tau * spec.frequency_hz
@@ -441,7 +442,7 @@ def _dither(spec: DitherSpec | None, duration: float) -> Sine | None:
 
 
 def _way(start: Angles, end: Angles, limits: MotionLimits) -> tuple[Move, list[tuple[float, float]]]:
-    """The move in a second and its extremes; raises PoseError where no duration keeps it within the limits."""
+    """Return the move with a duration of 1 s, and its extremes; raises PoseError if its path violates the limits."""
     move = Move(start, end, 1.0)
     extremes = _extremes(move, limits)
     blocked = [text for bound, text in problems(limits.bounds, extremes) if bound.order == 0]
@@ -451,7 +452,7 @@ def _way(start: Angles, end: Angles, limits: MotionLimits) -> tuple[Move, list[t
 
 
 def _extremes(segment: MotionSegment, limits: MotionLimits) -> list[tuple[float, float]]:
-    """Lowest and highest of each bounded quantity; raises PoseError at a singular pose."""
+    """Return lowest and highest value of each bounded quantity; raises PoseError at a singular pose."""
     return ranges(limits.values(segment.at(t)) for t in segment.sample_times())
 
 
@@ -462,9 +463,9 @@ def _widened(extremes: Sequence[tuple[float, float]], more: Sequence[float]) -> 
 def _slowing(
     bounds: Sequence[QuantityLimit], extremes: Sequence[tuple[float, float]], usable: Sequence[float]
 ) -> float:
-    """The factor on a move's duration that brings its rates and accelerations down to what is usable of them.
+    """Return the factor on a move's duration that brings its rates and accelerations down to the `usable` ones.
 
-    The path stays the same, so rates go with 1/T and accelerations with 1/T².
+    The path stays the same, so rates scale with 1/T and accelerations with 1/T².
     """
     factor = 0.0
     for bound, (low, high), most in zip(bounds, extremes, usable, strict=True):
@@ -491,4 +492,4 @@ PLANS = PlanForm(
     lambda section, length_mm: MotionLimits.from_config(section, pad_length=length_mm * 1e-3),
     compile_plan,
 )
-"""Of two palms."""
+"""Plans of the system of two palms."""

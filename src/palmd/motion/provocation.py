@@ -1,14 +1,15 @@
-"""Moves that make an object that sticks slip where it sticks, now along the one palm, now along the other. Pure.
+"""Moves that make a sticking object slip, along one palm and then along the other. Pure.
 
-What sticks to one palm all the time lies the same at the same angles (`model.rolling`: Q is kept), so that no motion
-shows more of it than those angles do. It lets go where more friction is asked for than there is: of the palm that bears
-less as they lean to the other. A round leans to palm 1 and opens, leans to palm 2 and closes. Rolled along palm 1 on
-the way out and along palm 2 on the way back, a round object is turned on by
+An object that sticks to one palm all the time returns to the same pose at the same angles (`model.rolling`: Q is
+conserved), so no motion shows more of it than those angles do. It slips where the required friction exceeds the
+available one: on the palm that carries less, when the palms lean to the other. A round leans to palm 1 and opens, then
+leans to palm 2 and closes. A round object rolls along palm 1 on the way out and along palm 2 on the way back, and is
+turned by
 
     2 (cot φ2c/2 − cot φ2o/2) − (φ2o − φ2c)
 
-between the openings closed and open; leaning to the other palm each time turns it back. How far to lean is foreseen for
-a round object of which the contacts tell the radius.
+between the openings φ2c (closed) and φ2o (open); leaning to the other palm each time turns it back. The lean is
+computed for a round object, whose radius follows from the contacts.
 """
 
 from __future__ import annotations
@@ -26,28 +27,30 @@ from palmd.motion.plan import approach
 from palmd.motion.segments import Angles, Move
 from palmd.system.mechanism import OPENING, PALMS
 
-CLOSED, OPEN = math.radians(65.0), math.radians(118.0)  # between these, as far as the pads allow
-NEAREST_M, FARTHEST = 8e-3, 0.75  # of a contact from the hinge, in m and of the pad's length
-ASKED = 0.6  # friction over normal force that makes anything let go
-KINETIC = 0.2  # of what slips already: little depends on it
+CLOSED, OPEN = math.radians(65.0), math.radians(118.0)  # range of openings, as far as the pads allow
+NEAREST_M, FARTHEST = 8e-3, 0.75  # range of a contact's distance from the hinge: in m, and of the pad's length
+SLIP_RATIO = 0.6  # ratio of required friction to normal force at which every object slips
+KINETIC = 0.2  # friction coefficient of the contact that slips already; the result depends little on it
 MOST_LEAN = math.radians(22.0)
-BRISK = 1.6  # times as fast as the gentle moves for what may slide off; still within the limits: what sticks does not
-ROUNDS = 3  # the one way, before as many the other way
+BRISK = (
+    1.6  # speed relative to gentle moves for objects that may slide off, which a sticking one does not; within limits
+)
+ROUNDS = 3  # in one direction, before as many in the other
 
 
 def slips(angles: Angles, palm: int, opens: bool) -> bool:
-    """Whether a round object cannot stick to `palm` (0 or 1) as the palms begin to open, or to close, at `angles`."""
+    """True if a round object cannot stick to `palm` (0 or 1) when the palms start to open, or to close, at `angles`."""
     sense = 1.0 if opens else -1.0
     stuck, ratio = np.array([palm]), np.array([KINETIC * SLIPS_SIGN[1 - palm] * sense])
     palms, round_one, level = np.array([[*angles, 0.0, 0.0, 0.0, 0.0]]), (np.ones(1),) * 2, (np.zeros(1),) * 2
     weight = np.zeros(1), np.ones(1)
     forces = normal_forces(stuck, ratio, palms, round_one, level, weight, np.zeros(1))
-    return bool(abs(friction_asked(stuck, ratio, palms, weight, forces)[0]) > ASKED)
+    return bool(abs(friction_asked(stuck, ratio, palms, weight, forces)[0]) > SLIP_RATIO)
 
 
 @cache
 def lean(opening: float, opens: bool) -> float:
-    """How far (rad) both palms must lean to palm 2 so that nothing sticks to palm 1, opened so far (rad)."""
+    """Return how far (rad) both palms must lean to palm 2 at this opening (rad) so that nothing sticks to palm 1."""
     for tried in np.arange(0.0, MOST_LEAN, math.radians(1.0)).tolist():
         if slips(_leaning(opening, tried), 0, opens):
             return float(tried)
@@ -55,13 +58,13 @@ def lean(opening: float, opens: bool) -> float:
 
 
 def rounds(contacts: tuple[float, ...], here: Angles, limits: MotionLimits) -> tuple[Angles, ...]:
-    """The corners of `ROUNDS` rounds the one way and as many the other; contacts (m) as they are at `here` (rad)."""
+    """Return the corners of `ROUNDS` rounds in each direction; `contacts`: s1, s2 (m) at the pose `here` (rad)."""
     radius = max(contacts) * math.tan(here[OPENING] / 2)
     closed = max(CLOSED, 2.0 * math.atan(radius / (FARTHEST * limits.pad_length)))
     opened = max(closed, min(OPEN, 2.0 * math.atan(min(contacts) * math.tan(here[OPENING] / 2) / NEAREST_M)))
     leans = lean(closed, True), lean(opened, False)
     either_way = []
-    for palm in PALMS:  # on which it is rolled as they open
+    for palm in PALMS:  # along which the object rolls when they open
         sign = -1.0 if palm == 1 else 1.0
         out = [_leaning(each, sign * leans[0]) for each in (closed, opened)]
         back = [_leaning(each, -sign * leans[1]) for each in (opened, closed)]
@@ -70,7 +73,7 @@ def rounds(contacts: tuple[float, ...], here: Angles, limits: MotionLimits) -> t
 
 
 def provoke(here: Angles, corners: tuple[Angles, ...], limits: MotionLimits) -> Move | None:
-    """The move from `here` (rad) to the first of the `corners`; None where its way leaves the limits."""
+    """Return the move from `here` (rad) to the first of `corners`; None if its way leaves the limits."""
     try:
         gentle = approach(here, corners[0], limits, 0.0)
     except PoseError:
@@ -79,5 +82,5 @@ def provoke(here: Angles, corners: tuple[Angles, ...], limits: MotionLimits) -> 
 
 
 def _leaning(opening: float, lean: float) -> Angles:
-    """Leaning to palm 2 by that much: the V's middle is turned from the vertical."""
+    """Return the pose that leans to palm 2: the V's bisector is turned from the vertical by `lean`."""
     return lean + (math.pi - opening) / 2, opening

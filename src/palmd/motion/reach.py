@@ -1,4 +1,4 @@
-"""Which normals of an outline palms can touch, and why they cannot touch the others. Pure."""
+"""The normals of an outline that palms can touch, and the reasons for the others. Pure."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Bools
 
 LEAST_OVAL_M = 1e-9
-ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # as if there were no limits
+ANYWHERE, ANY_LENGTH_M = ((0.02, 2.9), (0.1, 2.95)), 0.5  # effectively unlimited angles and pads
 
 
 def surface_limits(limits: MotionLimits) -> SurfaceLimits:
-    """What the palms may do, as far as it matters for where an object can lie."""
+    """Return the limits that matter for an object's stable poses."""
     first, opening = ((bound.low, bound.high) for bound in limits.joint_bounds)
     return SurfaceLimits(first, opening, limits.top, limits.pad_length, MARGIN_M, limits.curvatures)
 
 
 def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
-    """The bins of normals that a palm touches in some stable pose of `outline`, coefficients of h (m).
+    """Return the bins of normals that a palm touches in some stable pose of `outline`, coefficients of h (m).
 
-    A circle about its centre of mass, which balances everywhere, is taken for the oval next to it.
+    A circle about its centre of mass, which balances everywhere, is replaced by a minimal oval.
     """
     if not outline[1:].any():
         outline = outline.copy()
@@ -34,8 +34,8 @@ def reach(outline: FloatArray, limits: SurfaceLimits) -> Bools:
 
 
 def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]:
-    """In words, why the bins `out` of the outline are out of reach: what would have to be wider to reach them."""
-    told = []
+    """Return as texts which limits keep the bins `out` of the outline out of reach."""
+    texts = []
     first, opening = ANYWHERE
     free = replace(limits, phi1=first, phi2=opening)
     for wider, why in (
@@ -45,13 +45,13 @@ def why_not(out: Bools, outline: FloatArray, limits: SurfaceLimits) -> list[str]
     ):
         opened = out & reach(outline, wider) if out.any() else out
         if opened.any():
-            told.append(f"out of reach because of {why}: {arcs(opened)}")
+            texts.append(f"out of reach because of {why}: {arcs(opened)}")
         out = out & ~opened
-    return [*told, f"in no stable pose: {arcs(out)}"] if out.any() else told
+    return [*texts, f"in no stable pose: {arcs(out)}"] if out.any() else texts
 
 
 def arcs(marks: Bools) -> str:
-    """The marked bins as arcs `from–to°` of the normal."""
+    """Format the marked bins as arcs `from–to°` of the normal."""
     if marks.all():
         return "0–360°"
     width = 360 / BINS

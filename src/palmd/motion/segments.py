@@ -1,9 +1,8 @@
-"""The pieces of a motion plan: each starts and ends at rest, with smooth rates and accelerations between.
+"""The segments of a motion plan: each starts and ends at rest, with smooth rates and accelerations.
 
-Every piece gives its pose and both time derivatives in closed form, in the time since it began, so that plan
-rates and accelerations can stand beside measured angles. All blends are the same quintic
-S(u) = 10u³ − 15u⁴ + 6u⁵, whose first two derivatives vanish at both ends: the minimum-jerk path
-(Flash & Hogan 1985).
+Every segment gives its pose and both time derivatives in closed form as functions of the time since its start, so that
+observers can use the plan's rates and accelerations. All blends are the quintic S(u) = 10u³ − 15u⁴ + 6u⁵, whose first
+two derivatives vanish at both ends: the minimum-jerk path (Flash & Hogan 1985).
 """
 
 from __future__ import annotations
@@ -17,29 +16,29 @@ from palmd.events import Joints, PalmMotion
 
 PEAK_RATE = 15.0 / 8.0  # largest S′
 PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |S″|
-SWING_GROW_MAX = 10.0  # s
-_SAMPLES = 64  # of one blend or one period, when a piece is checked
-_SWING_SAMPLES = 6000  # at most, of a long sine; by then it has shown all it does
+SWING_GROW_MAX = 10.0  # s, longest growth of a swing
+_SAMPLES = 64  # per blend or period, when a segment is checked
+_SWING_SAMPLES = 6000  # largest number for a long sine, enough to include its extremes
 
 Angles = Joints
 
 
 class MotionSegment(Protocol):
-    """One piece of motion, from rest to rest."""
+    """One segment of motion, from rest to rest."""
 
     @property
     def duration(self) -> float:
-        """Length in time (s)."""
+        """Duration (s)."""
 
     def at(self, t: float) -> PalmMotion:
-        """The motion t (s) after the beginning, 0 ≤ t ≤ duration. Safe in the loop."""
+        """Return the motion t (s) after the start, 0 ≤ t ≤ duration. Safe in the loop."""
 
     def sample_times(self) -> Iterator[float]:
-        """Times close enough together to see every extreme of the motion."""
+        """Return times that are dense enough to include every extreme of the motion."""
 
 
 def blend(u: float) -> tuple[float, float, float]:
-    """S(u), S′(u), S″(u), going from 0 at u ≤ 0 to 1 at u ≥ 1."""
+    """Return S(u), S′(u), S″(u); S is 0 for u ≤ 0 and 1 for u ≥ 1."""
     if u <= 0.0:
         return 0.0, 0.0, 0.0
     if u >= 1.0:
@@ -53,7 +52,7 @@ def blend(u: float) -> tuple[float, float, float]:
 
 
 def _along(start: Angles, direction: Sequence[float], way: float, speed: float, change: float) -> PalmMotion:
-    """The motion at `way` from `start` on the straight line in `direction`, at that speed and change of speed."""
+    """Return the motion at distance `way` from `start` along `direction`, with this speed and rate of change of it."""
     return PalmMotion(
         tuple(angle + each * way for angle, each in zip(start, direction, strict=True)),
         tuple(each * speed for each in direction),
@@ -77,7 +76,7 @@ class Hold:
         return PalmMotion.at_rest(self.pose)
 
     def sample_times(self) -> Iterator[float]:
-        """One is enough."""
+        """Return one time, which is enough."""
         return iter((0.0,))
 
 
@@ -101,13 +100,13 @@ class Move:
         )
 
     def sample_times(self) -> Iterator[float]:
-        """Closer than the others: the shortest move that the limits allow is computed from these."""
+        """Return denser times than other segments: the shortest duration within the limits is computed from them."""
         return _spread(0.0, self.duration, 4 * _SAMPLES)
 
 
 @dataclass(frozen=True, slots=True)
 class ConstantRate:
-    """Constant rates, with speeding up from rest and slowing down to rest in `ramp` seconds each."""
+    """Constant rates between ramps from rest and to rest of `ramp` seconds each."""
 
     start: Angles
     rate: Angles
@@ -132,7 +131,7 @@ class ConstantRate:
         return _along(self.start, self.rate, way, speed, slope)
 
     def sample_times(self) -> Iterator[float]:
-        """Both ramps and the way between."""
+        """Return times of both ramps and of the part between."""
         yield from _spread(0.0, self.ramp, _SAMPLES)
         yield from _spread(self.ramp, self.duration - self.ramp, _SAMPLES)
         yield from _spread(self.duration - self.ramp, self.duration, _SAMPLES)
@@ -140,7 +139,7 @@ class ConstantRate:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """A swing about `centre`, growing in and dying away in `grow` seconds; an endless one only grows in."""
+    """An oscillation about `centre` that grows and decays in `grow` seconds each; an endless one only grows."""
 
     centre: Angles
     amplitude: Angles
@@ -149,7 +148,7 @@ class Sine:
     duration: float
 
     def at(self, t: float) -> PalmMotion:
-        """φ_i = centre_i + e(t)·amplitude_i·sin(w_i t), e going as S(t/grow) up and at the end down."""
+        """φ_i = centre_i + e(t)·amplitude_i·sin(w_i t), the envelope e rising as S(t/grow) and falling at the end."""
         envelope, slope, curve = blend(t / self.grow)
         if envelope == 1.0:
             envelope, slope, curve = blend((self.duration - t) / self.grow)
@@ -165,7 +164,7 @@ class Sine:
         return PalmMotion(tuple(angles), tuple(rates), tuple(accelerations))
 
     def sample_times(self) -> Iterator[float]:
-        """Growing in, as much of the swing as tells something new, and dying away."""
+        """Return times of growth, of the oscillation until it repeats itself, and of decay."""
         step = min(math.tau / max(self.angular_frequency), 2.0 * self.grow) / _SAMPLES
         growing = math.ceil(self.grow / step)
         yield from _spread(0.0, self.grow, growing)
@@ -178,7 +177,7 @@ class Sine:
 
 
 def growing_s(frequencies_hz: Sequence[float], duration_s: float) -> float:
-    """In what time (s) a swing grows in, and dies away."""
+    """Return the time (s) in which an oscillation grows, and decays."""
     return min(1.0 / min(frequencies_hz), 0.5 * duration_s, SWING_GROW_MAX)
 
 

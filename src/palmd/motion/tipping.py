@@ -1,9 +1,9 @@
-"""Rounds of the palms that tip a thing with flat sides on from side to side, whatever it is. Pure.
+"""Palm motions that tip any object with flat sides from side to side. Pure.
 
-Closed palms that lean from palm 1 to palm 2 carry it over with them, opened ones that lean back bring it to lie on
-palm 1 with another side: those that lie on the palms at once are turned against each other by 180° less the opening.
-Rounds differ, so that what rocks between the same sides in one goes on in another. They were chosen by poses of least
-height of many polygons; `config/plans/tip.yaml` is the same as a plan.
+Closed palms that lean from palm 1 to palm 2 carry the object over; opened palms that lean back lay it on palm 1 with
+another side: the sides that lie on both palms at once are turned against each other by 180° minus the opening. Rounds
+differ, so that an object that rocks between the same two sides in one round proceeds in another. They were chosen by
+the poses of least height of many polygons; `config/plans/tip.yaml` is the same motion as a plan.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ POSES_DEG: tuple[Angles, ...] = (
     (6.0, 55.0),
     (38.0, 110.0),
 )
-PACE_RAD_S, SHORTEST_S = math.radians(33.0), 1.5  # of the palm that turns farthest, on average; of a move
-SHARE = 0.9  # of the limits, at most
+PACE_RAD_S, SHORTEST_S = math.radians(33.0), 1.5  # mean rate of the palm that turns farthest; shortest duration
+SHARE = 0.9  # largest share of the limits
 
 
 def tip(here: Angles, aim: Angles | None, limits: MotionLimits) -> Move | None:
-    """The move from `here` to the pose `aim` (rad), or, where it is reached, to the next; None where there is no room.
+    """Return the move from `here` to the pose `aim` (rad), or to the next one if `aim` is reached; None if impossible.
 
-    aim: where the move before led, though it may have been stopped on its way; None: the first pose. Not for the loop.
+    aim: goal of the previous move, which may have been stopped on its way; None: the first pose. Not for the loop.
     """
     poses = [tuple(map(math.radians, pose)) for pose in POSES_DEG]
     if aim in poses:
@@ -55,6 +55,6 @@ def tip(here: Angles, aim: Angles | None, limits: MotionLimits) -> Move | None:
 
 
 def pace_s(start: Angles, end: Angles) -> float:
-    """How long (s) a move takes that lets what tips come to lie."""
+    """Return a duration (s) of the move that lets a tipping object come to rest."""
     turns = [b - a for a, b in zip(start, end, strict=True)]
     return max(SHORTEST_S, max(map(abs, (*turns, sum(turns)))) / PACE_RAD_S)

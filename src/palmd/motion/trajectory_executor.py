@@ -1,9 +1,9 @@
-"""Executes a trajectory in its own path time, so that hold and resume keep the path's geometry.
+"""Executes a trajectory in path time, so that hold and resume keep the geometry of the path.
 
-The command is q(tau), tau the path time, and u = dtau/dt its speed: 0 standing, 1 as planned. With the
+The command is q(tau), tau the path time, and u = dtau/dt the path speed: 0 standing, 1 as planned. With the
 trajectory's ω = q′ and α = q″ the command has the rate ω·u and the acceleration α·u² + ω·u̇. A hold brings
-u to 0 and a resume back to 1, as fast as the acceleration limit leaves room for u̇. As u never exceeds 1, what
-is within the limits at plan speed is so at any lower one, and u̇ = 0 is always allowed.
+u to 0 and a resume back to 1, as fast as the acceleration limit leaves room for u̇. As u never exceeds 1, a motion
+within the limits at plan speed is within them at any lower speed, and u̇ = 0 is always allowed.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanPlace, Trajectory, approach
 from palmd.motion.segments import Angles, Move
 
-LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is late, it never catches up
-_AT_REST = 1e-9  # rad/s; below this a palm angle does not limit how the path's speed changes
-_SPEED_RATE_MAX = 1000.0  # 1/s; where the path stands, its speed may change within a step
+LONGEST_STEP = 0.020  # s; after a longer pause between calls the motion is delayed and does not catch up
+_AT_REST = 1e-9  # rad/s; an angle with a lower rate does not limit the change of path speed
+_SPEED_RATE_MAX = 1000.0  # 1/s; where the path stands still, its speed may change within a step
 
 
 class MotionError(ValueError):
-    """Something that the palms cannot be asked to do now; says why."""
+    """A motion command that is impossible now; the message says why."""
 
 
 class TrajectoryExecutor:
-    """What the palms are commanded to do, instant by instant. Pure, and safe in the loop.
+    """Computes the commanded motion of the palms at each instant. Pure, and safe in the loop.
 
-    The pose is NaN until `stand` gives one. `start` takes about a millisecond, everything else microseconds.
+    The pose is NaN until `stand` sets one. `start` takes about a millisecond, everything else microseconds.
     """
 
     def __init__(self, limits: MotionLimits) -> None:
@@ -47,32 +47,32 @@ class TrajectoryExecutor:
 
     @property
     def motion(self) -> PalmMotion:
-        """The command as `advance` gave it last (rad, s)."""
+        """The last command returned by `advance` (rad, s)."""
         return self._motion
 
     @property
     def moving(self) -> bool:
-        """Whether the command is under way; a dwell within a running plan counts as moving."""
+        """True while the command moves; a dwell within a running plan counts as moving."""
         return self._speed > 0.0 or self._wanted_speed > 0.0
 
     @property
     def held(self) -> bool:
-        """Whether a plan is waiting for `resume`."""
+        """True while a plan waits for `resume`."""
         return self._trajectory is not None and not self._stopping and self._wanted_speed == 0.0 and not self.done
 
     @property
     def done(self) -> bool:
-        """Whether the plan has run to its end."""
+        """True once the plan has reached its end."""
         return self._trajectory is not None and (self._concluded or self._tau >= self._end)
 
     @property
     def plan(self) -> str | None:
-        """The name of the plan in hand."""
+        """Name of the current plan; None without one."""
         return None if self._trajectory is None else self._trajectory.name
 
     @property
     def place(self) -> PlanPlace | None:
-        """Where in the plan the command is; None without one."""
+        """Position of the command in the plan; None without one."""
         if self._trajectory is None:
             return None
         if self._tau < self._approach.duration:
@@ -81,21 +81,21 @@ class TrajectoryExecutor:
 
     @property
     def exploration(self) -> tuple[Exploration, float] | None:
-        """The exploration that is in hand and its own time (s); None when there is none, or it is over."""
+        """The running exploration and its time (s); None if there is none or it is over."""
         lead = self._approach.duration
         if self._trajectory is None or self.done or self._tau < lead:
             return None
         return self._trajectory.exploration(self._tau - lead)
 
     def stand(self, angles: Angles) -> None:
-        """Begin anew at the pose (rad) where the palms are. No motion: only while the arm follows nothing."""
+        """Restart at the palms' actual pose (rad), without motion; only while the arm does not follow commands."""
         self._motion = PalmMotion.at_rest(angles)
         self._drop()
 
     def start(self, trajectory: Trajectory) -> None:
-        """Go to the trajectory's start on a gentle minimum-jerk way, then run it.
+        """Go to the trajectory's start by a gentle minimum-jerk move, then run it.
 
-        Raises MotionError while moving, without a pose, and when the way there leaves the limits.
+        Raises MotionError while moving, without a pose, and if the way there leaves the limits.
         """
         if self.moving:
             raise MotionError("the palms are moving: hold or stop them first")
@@ -108,11 +108,11 @@ class TrajectoryExecutor:
             raise MotionError(f"no way from here to the start of plan {trajectory.name}: {error}") from None
         self._trajectory = trajectory
         self._tau = 0.0
-        self._speed = self._wanted_speed = 1.0  # at once: the way there begins at rest
+        self._speed = self._wanted_speed = 1.0  # at once: the way there starts at rest
         self._stopping = self._concluded = False
 
     def hold(self, *, hard: bool = False) -> None:
-        """Slow down along the path to a stand; `resume` goes on from there. `hard`: by the stops' limits."""
+        """Slow down along the path to a stand; `resume` continues from there. `hard`: with the stop deceleration."""
         self._wanted_speed = 0.0
         self._hard = hard
 
@@ -123,19 +123,19 @@ class TrajectoryExecutor:
         self._wanted_speed = 1.0
 
     def stop(self) -> None:
-        """Slow down along the path to a stand and put the plan away."""
+        """Slow down along the path to a stand and discard the plan."""
         self._wanted_speed = 0.0
         self._stopping = True
         if self._speed == 0.0:
             self._drop()
 
     def conclude(self) -> None:
-        """The plan ends here: only while the path is at rest, which an exploration is when its last move is over."""
+        """End the plan here; only while the path is at rest, for example after an exploration's last move."""
         self._speed = self._wanted_speed = 0.0
         self._concluded = True
 
     def advance(self, t: float) -> PalmMotion:
-        """The command for time t (s); calls may come irregularly, an earlier t changes nothing."""
+        """Return the command for time t (s); calls may be irregular, an earlier t changes nothing."""
         elapsed = 0.0 if math.isnan(self._t) else t - self._t
         if elapsed < 0.0:
             return self._motion
@@ -167,7 +167,7 @@ class TrajectoryExecutor:
             self._drop()
 
     def _speed_rate(self, trajectory: Trajectory, dt: float) -> float:
-        """u̇ (1/s) towards the wanted speed: what the accelerations leave room for at both ends of a step."""
+        """Return u̇ (1/s) towards the wanted speed, within the acceleration limit at both ends and middle of a step."""
         change = self._wanted_speed - self._speed
         if change == 0.0:
             return 0.0
@@ -182,7 +182,7 @@ class TrajectoryExecutor:
         return speed_rate
 
     def _hard_speed_rate(self, trajectory: Trajectory, dt: float) -> float:
-        """u̇ (1/s) of a stop: what the stops' limits leave room for at both ends of a step and between."""
+        """Return u̇ (1/s) of a stop, within the stops' limits at both ends and middle of a step."""
         slowing = _SPEED_RATE_MAX
         for ahead in (0.0, 0.5 * dt, dt):
             duration = min(ahead, self._speed / slowing) if slowing > 0.0 else ahead
@@ -192,7 +192,7 @@ class TrajectoryExecutor:
         return -slowing
 
     def _limited(self, speed_rate: float, planned: PalmMotion, speed: float) -> float:
-        """u̇ cut, but not reversed, so that |α·u² + ω·u̇| stays within the acceleration limit on both palms."""
+        """Reduce u̇, without reversing it, so that |α·u² + ω·u̇| respects the acceleration limit on both palms."""
         most = self._limits.acceleration
         for omega, alpha in zip(planned.rates, planned.accelerations, strict=True):
             if abs(omega) > _AT_REST:

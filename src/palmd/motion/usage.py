@@ -1,4 +1,4 @@
-"""What a plan makes of its limits: its motion sampled, and how much of every limit it uses. Pure."""
+"""Sample a plan's motion and compute how much of every limit it uses. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from palmd.motion.limits import MotionLimits, QuantityLimit
 from palmd.motion.plan import Trajectory
 
 LONGEST_S = 120.0
-"""So much of a plan is looked at; by then one that goes on has shown what it does."""
+"""Longest part of a plan that is sampled; a longer plan repeats itself by then."""
 
 STEP_S = 0.005
 _MOST_SAMPLES = 24_000
@@ -20,9 +20,9 @@ _MOST_SAMPLES = 24_000
 
 @dataclass(frozen=True, slots=True)
 class LimitUsage:
-    """What a plan reaches of one limited quantity (SI): lowest, highest, and the share of the room that it takes.
+    """Range of one limited quantity in a plan (SI): lowest, highest, and the share of the limit that it uses.
 
-    A share of 1 is the limit itself: of a rate or an acceleration its size, of a pose the way from the middle.
+    A share of 1 is the limit: of the magnitude for rates and accelerations, of the distance from the middle for poses.
     """
 
     bound: QuantityLimit
@@ -30,8 +30,8 @@ class LimitUsage:
     highest: float
     share: float
 
-    def told(self) -> str:
-        """In words."""
+    def text(self) -> str:
+        """Format the usage for people."""
         scale, unit = self.bound.scale, self.bound.unit
         if self.bound.order:
             reached, most = max(-self.lowest, self.highest), self.bound.high
@@ -43,22 +43,22 @@ class LimitUsage:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A plan's motion over its own time: angles, rates, accelerations of each joint (rad, rad/s, rad/s²)."""
+    """A plan's motion over plan time: angles, rates, accelerations of each joint (rad, rad/s, rad/s²)."""
 
     t: FloatArray
     angles: FloatArray
     rates: FloatArray
     accelerations: FloatArray
-    whole: bool  # whether that is all that the plan does
+    whole: bool  # True if the whole plan was sampled
 
     def motions(self) -> list[PalmMotion]:
-        """One at each time."""
+        """Return the motion at each time."""
         rows = zip(self.angles, self.rates, self.accelerations, strict=True)
         return [PalmMotion(tuple(a), tuple(w), tuple(b)) for a, w, b in rows]
 
 
 def sampled(trajectory: Trajectory) -> Sampled:
-    """The plan until it ends, explores, or has gone on for long enough; of one for ever, the first two rounds."""
+    """Sample the plan up to its end, its exploration or `LONGEST_S`; the first two rounds of an endless plan."""
     end, whole = trajectory.duration, True
     first = trajectory.rounds[0]
     if math.isinf(first.duration):
@@ -79,7 +79,7 @@ def sampled(trajectory: Trajectory) -> Sampled:
 
 
 def usage(motion: Sampled, limits: MotionLimits) -> list[LimitUsage]:
-    """Of every limit, the one most used first."""
+    """Return the usage of every limit, the most used first."""
     values = np.array([limits.values(each) for each in motion.motions()])
     found = []
     for bound, lowest, highest in zip(limits.bounds, values.min(axis=0), values.max(axis=0), strict=True):

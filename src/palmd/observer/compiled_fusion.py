@@ -16,7 +16,7 @@ import numpy as np
 from palmd.events import Event, FloatArray, PadLift, PadSample, PalmMotion, PalmSample
 from palmd.model import shape_map
 from palmd.model.compiled import EXPORTED, Library
-from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.dynamics import VIBRATION_ERROR_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.observer.filters.base import pad_update
@@ -104,7 +104,7 @@ class Routines:
         self.library = ctypes.CDLL(str(library.path))
         of_pads = (R.ZERO, R.SCALE, R.SAGITTA, R.LAG, R.STANDOFF)
         constants = (*of_pads, R.TILT, R.TURN, R.FRICTION, R.FORCE, R.KAPPA, RIG_CONSTANTS)
-        inputs = (RIG_INPUTS, FRICTION_INPUT, VIBRATION_OFF_INPUTS.start)
+        inputs = (RIG_INPUTS, FRICTION_INPUT, VIBRATION_ERROR_INPUTS.start)
         sizes = (_JOINTS, *inputs, len(NAMED), MOST_STATES, EVENTS, shape_map.Z.SHAPE, *constants)
         if tuple((ctypes.c_long * len(sizes)).in_dll(self.library, "fusion_sizes")) != sizes:
             raise RuntimeError("model/fusion.c has other sizes than the model")

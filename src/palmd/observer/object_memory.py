@@ -17,7 +17,7 @@ import numpy as np
 from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.model.arcs import contacts_on_arcs
-from palmd.model.touch import LEAST_SLACK
+from palmd.model.touch import LEAST_CURVATURE_MARGIN
 from palmd.observer.coverage import Marks
 from palmd.observer.mass import MassEstimator
 from palmd.observer.riding import Riding
@@ -144,7 +144,7 @@ def readings_on_arcs(
     theta = normal_directions(touched, _PSI)
     bend = (1.0 - shape.harmonic_of_coefficient(order) ** 2) * coefficients
     slack = [
-        np.maximum(1.0 - kappa * (shape.basis(each, order) @ bend), LEAST_SLACK)[:, None]
+        np.maximum(1.0 - kappa * (shape.basis(each, order) @ bend), LEAST_CURVATURE_MARGIN)[:, None]
         for kappa, each in zip(curvatures, theta, strict=True)
     ]
     cos, sin = np.cos(touched[OPENING])[:, None], np.sin(touched[OPENING])[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 
 from palmd.events import FloatArray, PadSample
 from palmd.model.smoothing import RIG_CONSTANTS, R
-from palmd.model.touch import LEAST_SLACK
+from palmd.model.touch import LEAST_CURVATURE_MARGIN
 from palmd.system.arcs import FLAT
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
@@ -51,7 +51,7 @@ class RigError:
         slack = 1.0
         if any(self.curvatures):
             opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
-            slack = max(1.0 - self.curvatures[palm] * radius, LEAST_SLACK)
+            slack = max(1.0 - self.curvatures[palm] * radius, LEAST_CURVATURE_MARGIN)
         by = np.full(len(PALMS), 1.0 / math.sin(opening) / slack)
         by[palm] = math.cos(opening) / math.sin(opening) / slack
         return by

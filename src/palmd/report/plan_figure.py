@@ -33,7 +33,7 @@ def save(trajectory: Trajectory, limits: MotionLimits, config: Config, path: Pat
     with styled(trajectory.name):
         figure = _drawn(trajectory, motion, used, limits, RigGeometry.from_config(config))
         figure.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None, dpi=150)
-    return f"{how_long(trajectory, motion)}; nearest to its limit: {used[0].told()}"
+    return f"{how_long(trajectory, motion)}; nearest to its limit: {used[0].text()}"
 
 
 def how_long(trajectory: Trajectory, motion: Sampled) -> str:
@@ -139,7 +139,7 @@ def _who_limits(axes: Axes, used: list[LimitUsage]) -> None:
         colour = ORANGE if each.share > _NEAR else BLUE
         axes.barh(number, min(each.share, 1.2), color=colour, height=0.7)
     axes.axvline(1.0, color=GREY, linestyle=_DOTTED)
-    axes.set_yticks(range(len(used)), [each.told() for each in used])
+    axes.set_yticks(range(len(used)), [each.text() for each in used])
     axes.set_ylim(len(used) - 0.5, -0.5)
     axes.set_xlim(0.0, 1.05)
     axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")

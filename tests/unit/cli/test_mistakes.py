@@ -149,7 +149,7 @@ MISTAKES = {
     "a plan that does not exist": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:3:7: plan: {here}/plans/rok.yaml does not exist; is {here}/plans/rock.yaml meant?",
+        "my.yaml:3:7: plan: {here}/plans/rok.yaml does not exist; did you mean {here}/plans/rock.yaml?",
         {"my.yaml": PORTS + "plan: plans/rok.yaml\n", "plans/rock.yaml": FIRST},
     ),
     "a bus for everybody, without keys": Mistake(

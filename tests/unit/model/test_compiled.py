@@ -29,7 +29,7 @@ def _function() -> ca.Function:
 @pytest.fixture(autouse=True)
 def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process that has just begun."""
-    monkeypatch.setattr(compiled, "_SAID", set())
+    monkeypatch.setattr(compiled, "_WARNED", set())
     monkeypatch.delenv(compiler.FAULT, raising=False)
 
 
@@ -279,8 +279,8 @@ def script(path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("exit 1", "ended with status 1: it says nothing"),
-        ("exit 0", "made nothing"),
+        ("exit 1", "ended with status 1: no output"),
+        ("exit 0", "wrote no library"),
         ("sleep 600 & sleep 600", "has not ended"),
     ],
 )
@@ -340,7 +340,7 @@ def test_a_library_that_can_no_longer_be_loaded_is_said_once(
         raise OSError(f"{path}: failed to map segment from shared object")
 
     monkeypatch.setattr("ctypes.CDLL", refused)
-    building._tried.cache_clear()
+    building._check_compiler.cache_clear()
     assert {toy(tmp_path, name).backend for name in ("one", "other")} == {"vm"}
     assert len(caplog.records) == 1
     assert "noexec" in caplog.text
@@ -388,7 +388,7 @@ def test_a_library_that_is_not_what_was_built_is_built_anew(tmp_path: Path, capl
     victim.unlink()  # not written over: it is loaded in this process
     victim.write_bytes(sound[: len(sound) // 2])
     assert toy(tmp_path).backend == "c"
-    assert "is not what was built" in caplog.text
+    assert "wrong hash" in caplog.text
     (note,) = tmp_path.glob("*.json")
     note.write_text(json.dumps({"sha256": 3}))
     assert toy(tmp_path).backend == "c"

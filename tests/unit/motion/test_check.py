@@ -100,7 +100,7 @@ def test_the_plan_that_a_configuration_names_is_checked_once(tmp_path: Path) -> 
 def test_a_plan_that_is_named_and_does_not_exist_is_told_where_it_is_named(tmp_path: Path) -> None:
     config, plan = write(tmp_path, palmd=PORTS + "plan: rok.yaml\n", rock=ROCK)
     expected = f"{config}:3:7: plan: {tmp_path / 'rok.yaml'} does not exist"
-    assert check_files([config]) == [f"{expected}; is {plan} meant?"]
+    assert check_files([config]) == [f"{expected}; did you mean {plan}?"]
     plan.unlink()
     assert check_files([config]) == [expected]
     config.write_text(PORTS + "plan: nowhere/rock.yaml\n")

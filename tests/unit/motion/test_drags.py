@@ -68,7 +68,7 @@ def test_friction_trails_while_the_body_is_raised(touched):
         ({"force": 1.4}, "the force comes near its limit"),
         ({"force": math.nan}, "the force comes near its limit"),  # beyond the pad's scale
         ({"force": 0.05}, "the body hardly presses any more"),
-        ({"e": 0.0015}, "the pivot comes near over the contact"),
+        ({"e": 0.0015}, "the pivot is nearly above the contact"),
     ],
 )
 def test_it_turns_back_at_once(touched, changed, why):
@@ -100,7 +100,7 @@ def pressed(touched, *, raised):
 @pytest.mark.parametrize("raised", [False, True])
 def test_the_force_at_rest_is_foreseen(touched, raised, monkeypatch):
     """Friction that trails takes from the force: what is felt on the way is less than where the body stands."""
-    monkeypatch.setattr(drags, "TAMED_SHARE", math.inf)
+    monkeypatch.setattr(drags, "FORCE_SHARE", math.inf)
     felt = list(pressed(touched, raised=raised))
     assert len(felt) > 1
     assert max(felt) < LIMITS.force

@@ -9,7 +9,7 @@ import pytest
 
 from palmd.events import FloatArray, PlanningBelief
 from palmd.model import shape_map
-from palmd.model.rollout import THETA, TOLD
+from palmd.model.rollout import OUTPUTS, THETA
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, R
 from palmd.motion.rig_information import READING_S, RigInformation, rig_cost
 from palmd.motion.rollout_predictor import BINS, CALL_S
@@ -36,7 +36,7 @@ def circle(*steps: dict[int, float], radius_m: float = 0.0) -> PlanningBelief:
 
 def standing(opening: float, seconds: float) -> tuple[FloatArray, FloatArray]:
     """The path of a stand with the palms this far open (rad), and the duration of its only move."""
-    path = np.zeros((1, round(seconds / CALL_S), TOLD))
+    path = np.zeros((1, round(seconds / CALL_S), OUTPUTS))
     path[..., THETA] = normal_directions((0.7, opening), 0.0)
     return path, np.array([[seconds]])
 
@@ -54,9 +54,9 @@ def test_an_opening_that_is_off_is_told_as_a_circle_tells_it(opening_deg: float)
     moved = off * RADIUS_M * (1.0 / math.tan(opening / 2) - 0.5 / math.sin(opening / 2) ** 2)
     expected = 2 * 0.4 / READING_S * moved**2 / rig.pads[0].reading_variance
     assert np.trace(told[0, 0]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    assert cost.share_told(told)[0, 0] == pytest.approx(expected / (1 + expected), rel=1e-6, abs=1e-9)
+    assert cost.share_determined(told)[0, 0] == pytest.approx(expected / (1 + expected), rel=1e-6, abs=1e-9)
     again = 1 / (1 + expected) - 1 / (1 + 2 * expected)
-    assert cost.share_told(told, told[0, 0])[0, 0] == pytest.approx(again, rel=1e-6, abs=1e-9)
+    assert cost.share_determined(told, told[0, 0])[0, 0] == pytest.approx(again, rel=1e-6, abs=1e-9)
 
 
 def test_what_no_touch_tells_costs_nothing() -> None:

@@ -16,7 +16,7 @@ from palmd.motion.check import motion_limits
 from palmd.motion.decisions import UnderWay
 from palmd.motion.explorer import Explorer
 from palmd.motion.limits import PHI12_MAX, MotionLimits, problems, ranges
-from palmd.motion.roadmap import BETWEEN, NEVER_S, ORIENTATIONS, STEP, Roadmap, _between, _touches
+from palmd.motion.roadmap import BETWEEN, NEVER_S, ORIENTATIONS, STEP, Roadmap, _refined, _touches
 from palmd.motion.rollout_predictor import BINS, MARGIN_M, Moves, RolloutPredictor, goodness
 from palmd.motion.segments import Move
 from palmd.rig.plant import random_surface
@@ -175,7 +175,7 @@ def test_between_two_orientations_it_is_told_where_a_move_leads():
 
 def test_what_lies_between_goes_on_all_around():
     angles = np.array([[0.3, 1.9, 3.4, 5.0]])
-    rises = np.diff(_between(angles, math.tau, torn=2.0)[0], append=0.3 + math.tau)
+    rises = np.diff(_refined(angles, math.tau, torn=2.0)[0], append=0.3 + math.tau)
     assert rises.reshape(4, BETWEEN) == pytest.approx(
         np.repeat([[1.6], [1.5], [1.6], [1.5832]], BETWEEN, 1) / BETWEEN, abs=1e-4
     )
@@ -192,7 +192,7 @@ def test_a_palm_touches_the_bins_from_the_lowest_normal_to_the_highest():
 
 def test_next_to_a_barrier_nothing_is_promised():
     angles = np.array([[0.0, 0.2, 2.0, math.nan]])
-    between = _between(angles, math.tau, torn=1.0).reshape(4, BETWEEN)
+    between = _refined(angles, math.tau, torn=1.0).reshape(4, BETWEEN)
     assert between[:, 0] == pytest.approx(angles[0], nan_ok=True)
     assert between[0] == pytest.approx(0.2 * np.arange(BETWEEN) / BETWEEN)
     assert np.isnan(between[1:, 1:]).all()

@@ -68,7 +68,7 @@ def test_what_is_never_told_is_set_down_elsewhere_and_given_up_in_the_end():
         if setting < SETTINGS - 1:
             assert any("lifted off to be set down elsewhere" in step.reason for step in steps)
             rolls.phase = "settle"  # it has been set down elsewhere
-    assert any("the outline is not told" in step.reason for step in steps if step.kind == "done")
+    assert any("the outline is not determined" in step.reason for step in steps if step.kind == "done")
 
 
 def test_the_stop_takes_the_carriage_up():

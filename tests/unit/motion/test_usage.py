@@ -27,12 +27,12 @@ def test_the_limit_most_used_comes_first_and_says_by_how_much() -> None:
     assert used == sorted(used, key=lambda each: -each.share)
     rate = next(each for each in used if each.bound.what == "the rate of phi1")
     assert rate.share == pytest.approx(15 / 8 * 20 / 0.5 / 100, rel=1e-3)  # a minimum-jerk move's peak
-    assert rate.told() == "the rate of phi1 75 of 100°/s"
+    assert rate.text() == "the rate of phi1 75 of 100°/s"
     still = next(each for each in used if each.bound.what == "the rate of phi2")
     assert still.share == 0.0
     pose = next(each for each in used if each.bound.what == "phi1")
     assert pose.share == pytest.approx((78 - 25) / 72)
-    assert pose.told() == "phi1 25 to 45 of 6 to 150°"
+    assert pose.text() == "phi1 25 to 45 of 6 to 150°"
 
 
 @pytest.mark.parametrize(

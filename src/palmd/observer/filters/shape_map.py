@@ -9,7 +9,7 @@ import numpy as np
 
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model import shape, shape_map
-from palmd.model.dynamics import VIBRATION_OFF_INPUTS
+from palmd.model.dynamics import VIBRATION_ERROR_INPUTS
 from palmd.model.outputs import FRICTION_INPUT, NAMED, RIG_INPUTS, rig_inputs
 from palmd.model.smoothing import R
 from palmd.observer import prior
@@ -264,7 +264,7 @@ class ShapeFilters:
 
     def _rig_now(self) -> FloatArray:
         self._rig[FRICTION_INPUT] = self.rig_error.values[R.FRICTION]
-        self._rig[VIBRATION_OFF_INPUTS] = self.rig_error.values[R.KAPPA : R.ARM + 1]
+        self._rig[VIBRATION_ERROR_INPUTS] = self.rig_error.values[R.KAPPA : R.ARM + 1]
         return self._rig
 
     def _palms_at(self, t: float, palms: TrackedPalms) -> FloatArray:
