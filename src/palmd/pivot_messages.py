@@ -1,4 +1,4 @@
-"""Builders of what palmd publishes of a pivoting grasp, by the tables of `palmd.quantities`; safe in the loop."""
+"""Build the messages that palmd publishes about a pivoting grasp; tables: `pivot_quantities`. Safe in the loop."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 if TYPE_CHECKING:
     from palmd.config.pivot import PivotConfig
 
-_TOLD = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
+_FIELDS = tuple((each.name, each.source) for each in PIVOT.quantities if each.source)
 _NAMES = {each.source: each.name for each in PIVOT.quantities if each.uncertain}
 
 
 def estimate_fields(estimate: PivotEstimate) -> Fields:
     """`palm/pivot`."""
-    fields: Fields = {name: getattr(estimate, source) for name, source in _TOLD}
+    fields: Fields = {name: getattr(estimate, source) for name, source in _FIELDS}
     fields["invalid_reasons"] = messages.invalid_reasons(estimate, estimate.reason)
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 
 def estimate_at_a_glance(estimate: PivotEstimate) -> Fields:
-    """Of `palm/pivot` what people look at first, as the status tells it; None for what has no value."""
+    """Fields of `palm/pivot` for the status display; None for no value."""
     return messages.at_a_glance(PIVOT, estimate_fields(estimate), "side", "touched", "nis", "reason")
 
 
 def shape_fields(shape: ShapeEstimate) -> Fields:
-    """`palm/pivot_shape` of an outline about the pivot."""
+    """`palm/pivot_shape`: the outline about the pivot."""
     return messages.shape_fields(shape, "hP")
 
 
 _EVENTS = EventsForm(PIVOT_EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
-"""`palm/pivot_events`, there and back."""
+"""`palm/pivot_events`: fields of events, and events of fields."""
 
 
-def _shaped(covariance: FloatArray, **others: Any) -> PivotAnswer:
+def _answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
     width = len(others["p"])
     return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
-_ANSWER = AnswerForm(PIVOT_ANSWER, _shaped)
+_ANSWER = AnswerForm(PIVOT_ANSWER, _answer_from_flat)
 answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
-"""`palm/pivot_answer`, there and back."""
+"""`palm/pivot_answer`: fields of an answer, and the answer of fields."""
 
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
-    """`palm/pivot_info`: who runs, and the rig as configured, for whoever draws it."""
+    """`palm/pivot_info`: version and observer, and the rig as configured, for displays."""
     return messages.who_runs(version, observer, config, SYSTEM) | {
         "gravity_m_s2": config.rig.gravity_m_s2,
         "pad1_length_m": config.pads.palm1.length_mm * 1e-3,

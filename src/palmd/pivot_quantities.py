@@ -1,4 +1,4 @@
-"""What is published of a pivoting grasp, by the forms of `palmd.quantities`."""
+"""Topics published about a pivoting grasp; see `palmd.quantities`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ PIVOT = Topic(
     100.0,
     "every tick, of a pivoting grasp",
     (
-        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid"),
-        Quantity("valid", "bool", "", "whether to trust it: the outline is claimed, felt here, and explains readings",
+        Quantity("invalid_reasons", "texts", "", "codes of the reasons why it is not valid, empty when valid"),
+        Quantity("valid", "bool", "", "whether the outline is accepted, touched here, and agrees with the readings",
                  source="valid"),
-        Quantity("observer", "text", "", "which observer it comes from", source="observer"),
+        Quantity("observer", "text", "", "observer that made the estimate", source="observer"),
         Quantity("object", "number", "", "counts up when a new object is begun", source="object_count"),
         Quantity("x_m", "number", "m", "the pivot along the pad", "X", role="derived", source="x"),
         Quantity("z_m", "number", "m", "the pivot over the pad, which is h_P while the body touches", "z",
@@ -31,8 +31,8 @@ PIVOT = Topic(
         Quantity("mu", "number", "", "friction", "μ", role="derived", source="mu", glance=True),
         Quantity("moment_kg_m", "number", "kg m", "mass times distance of the centre of mass from the pivot", "mb",
                  role="derived", source="moment"),
-        Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
-        Quantity("side", "number", "", "of the dead centre: 1 where e > 0, -1 where e < 0, 0 while untouched",
+        Quantity("sd", "sds", "", "1σ of each field that it names, in that field's unit"),
+        Quantity("side", "number", "", "side of the dead centre: 1 for e > 0, -1 for e < 0, 0 while untouched",
                  source="side"),
         Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", source="nis", digits=2),
         Quantity("touched", "number", "", "fraction of normals that have been in contact", "touched",
@@ -43,11 +43,11 @@ PIVOT = Topic(
 PIVOT_SHAPE = Topic(
     "palm/pivot_shape",
     10.0,
-    "at most, of a pivoting grasp whose outline is claimed",
+    "at most, of a pivoting grasp with an accepted outline",
     (
         Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in the object's frame"),
         Quantity("hP_m", "numbers", "m", "support function about the pivot"),
-        Quantity("hP_sd_m", "numbers", "m", "one-sigma of hP"),
+        Quantity("hP_sd_m", "numbers", "m", "1σ of hP"),
         Quantity("touched", "numbers", "", "1 where the pad has been in contact, else 0"),
     ),
 )
@@ -69,8 +69,8 @@ PIVOT_MOTION = Topic(
     100.0,
     "every tick, of a pivoting grasp",
     (
-        *(Quantity(f"{axis}_cmd_m", "number", "m", "the pivot as commanded; none unless tracking") for axis in AXES),
-        *(Quantity(f"{axis}_m", "number", "m", "the pivot as it is, from the arm's last report") for axis in AXES),
+        *(Quantity(f"{axis}_cmd_m", "number", "m", "commanded pivot; none unless tracking") for axis in AXES),
+        *(Quantity(f"{axis}_m", "number", "m", "measured pivot, from the arm's last report") for axis in AXES),
         *MOTION.quantities[-6:-2],
         *following("m"),
     ),
@@ -83,12 +83,12 @@ PIVOT_EVENTS = Topic(
         TICK,
         Quantity("source", "numbers", "",
                  "of each event that the observer was fed: 1 a reading, -1 the end of the contact, 0 the gripper"),
-        Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
+        Quantity("t_sample_s", "numbers", "s", "time of the sample, CLOCK_MONOTONIC"),
         Quantity("s_m", "numbers", "m", "of a reading: contact"),
         Quantity("force_n", "numbers", "N", "of a reading: normal force"),
-        *(Quantity(f"{axis}_m", "numbers", "m", "of the gripper: as measured") for axis in AXES),
-        *(Quantity(f"v{axis}_m_s", "numbers", "m/s", "of the gripper: velocity, planned") for axis in AXES),
-        *(Quantity(f"a{axis}_m_s2", "numbers", "m/s²", "of the gripper: acceleration, planned") for axis in AXES),
+        *(Quantity(f"{axis}_m", "numbers", "m", "of the gripper: measured position") for axis in AXES),
+        *(Quantity(f"v{axis}_m_s", "numbers", "m/s", "of the gripper: planned velocity") for axis in AXES),
+        *(Quantity(f"a{axis}_m_s2", "numbers", "m/s²", "of the gripper: planned acceleration") for axis in AXES),
     ),
 )  # fmt: skip
 PIVOT_ANSWER = Topic(
@@ -97,20 +97,20 @@ PIVOT_ANSWER = Topic(
     "when the smoother beside the loop has answered, of a pivoting grasp",
     (
         TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC", source="t"),
-        Quantity("claimed", "bool", "", "whether an outline is claimed", source="claimed"),
-        Quantity("reason", "text", "", "why none is, in words", source="reason"),
-        Quantity("psi_rad", "number", "rad", "turn of the object at that instant", source="psi"),
+        Quantity("t_s", "number", "s", "time of the estimate, CLOCK_MONOTONIC", source="t"),
+        Quantity("claimed", "bool", "", "whether the estimate is accepted", source="accepted"),
+        Quantity("reason", "text", "", "why it is rejected, in words; empty if it is accepted", source="reason"),
+        Quantity("psi_rad", "number", "rad", "orientation of the object at that time", source="psi"),
         Quantity(
             "p",
             "numbers",
             "SI",
-            "the constants: of the body about its pivot, of the rig, the outline's harmonics",
+            "constants: of the body about its pivot, of the rig, harmonics of the outline",
             source="p",
         ),
-        Quantity("covariance", "numbers", "SI", "of them, row after row", source="covariance"),
-        Quantity("hP_sd_m", "numbers", "m", "one-sigma of the outline, each degree of its normals", source="h_sd"),
-        Quantity("touched", "numbers", "", "1 where it was felt, else 0, each degree of its normals", source="touched"),
+        Quantity("covariance", "numbers", "SI", "of p, row by row", source="covariance"),
+        Quantity("hP_sd_m", "numbers", "m", "1σ of the outline, for each degree of its normals", source="h_sd"),
+        Quantity("touched", "numbers", "", "1 where it was touched, else 0, for each degree", source="touched"),
     ),
 )  # fmt: skip
 PIVOT_INFO = Topic(
@@ -121,8 +121,8 @@ PIVOT_INFO = Topic(
         *who_runs(SYSTEM),
         Quantity("gravity_m_s2", "number", "m/s²", "towards the pad"),
         Quantity("pad1_length_m", "number", "m", "the pad, from its zero on"),
-        *(Quantity(f"{axis}_limits_m", "numbers", "m", f"least and largest {axis} of the pivot") for axis in AXES),
-        Quantity("force_limit_n", "number", "N", "what the body may press on the pad"),
+        *(Quantity(f"{axis}_limits_m", "numbers", "m", f"smallest and largest {axis} of the pivot") for axis in AXES),
+        Quantity("force_limit_n", "number", "N", "limit of the body's force on the pad"),
         PLANS_BESIDE,
     ),
 )
@@ -146,7 +146,7 @@ PIVOT_BODY = Topic(
     "of a pivoting grasp",
     (
         Quantity("object", "number", "", "as in rig/pivot"),
-        Quantity("shape", "text", "", "what the outline is made of"),
+        Quantity("shape", "text", "", "description of the outline"),
         Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in a frame that turns by psi_rad"),
         Quantity("hP_m", "numbers", "m", "support function about the pivot"),
         Quantity("com_m", "numbers", "m", "centre of mass from the pivot, in that frame"),

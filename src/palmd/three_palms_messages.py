@@ -1,4 +1,4 @@
-"""Builders of what palmd publishes of three palms in space, by the tables of `palmd.quantities`; safe in the loop."""
+"""Build the messages that palmd publishes about three palms in space; tables: `three_palms_quantities`. Loop-safe."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
 
 
 def estimate_at_a_glance(estimate: BodyEstimate) -> Fields:
-    """Of `palm3/estimate` what people look at first, as the status tells it; None for what has no value."""
+    """Fields of `palm3/estimate` for the status display; None for no value."""
     return messages.at_a_glance(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
 
 
 def shape_fields(shape: ShapeEstimate, object_count: int, valid: bool) -> Fields:
-    """`palm3/shape` of a surface in all directions of the icosphere."""
+    """`palm3/shape`: a surface in all directions of the icosphere."""
     return {
         "halvings": HALVINGS,
         "h_m": shape.h.tolist(),
@@ -58,23 +58,23 @@ def shape_fields(shape: ShapeEstimate, object_count: int, valid: bool) -> Fields
 
 _EVENTS = EventsForm(PALM3_EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
-"""`palm3/events`, there and back."""
+"""`palm3/events`: fields of events, and events of fields."""
 
 
-def shaped(**values: Any) -> BodyAnswer:
-    """An answer whose matrices have been laid flat."""
+def answer_from_flat(**values: Any) -> BodyAnswer:
+    """Answer from values whose matrices are flat."""
     width = math.isqrt(values["covariance"].size)
     square = {"R": values["R"].reshape(-1, 3), "covariance": values["covariance"].reshape(width, width)}
     return BodyAnswer(**values | square)
 
 
-_ANSWER = AnswerForm(PALM3_ANSWER, shaped, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
+_ANSWER = AnswerForm(PALM3_ANSWER, answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
 answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
-"""`palm3/answer`, there and back."""
+"""`palm3/answer`: fields of an answer, and the answer of fields."""
 
 
 def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: Iterable[str]) -> Fields:
-    """`palm3/info`: who runs, and the rig as configured, for whoever draws it."""
+    """`palm3/info`: version and observer, and the rig as configured, for displays."""
     from palmd.config.guards import pad_force_limits
 
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))

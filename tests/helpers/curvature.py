@@ -1,11 +1,11 @@
-"""Radii of curvature of a body between three palms, as eigenvalues of how it bends."""
+"""Radii of curvature of a body between three palms, as eigenvalues of its Hessian."""
 
 import numpy as np
 
-from palmd.model.spherical import bends, order_of
+from palmd.model.spherical import hessian_rows, order_of
 
 
 def curvatures(c, u):
     """(T, 2) radii (m), the smaller first, at outward unit normals (T, 3)."""
-    bend = bends(order_of(len(c)), u) @ c
+    bend = hessian_rows(order_of(len(c)), u) @ c
     return np.linalg.eigvalsh(0.5 * (bend + bend.transpose(0, 2, 1)))

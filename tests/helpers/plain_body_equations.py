@@ -38,7 +38,7 @@ class PlainEquations:
     """As `CompiledEquations`."""
 
     def __init__(self, record: BodyRecord, noise: Noise, rig: ThreePalmsRig, order: int) -> None:
-        self._record, self._noise, self._acting = record, noise, rig.acting
+        self._record, self._noise, self._acting = record, noise, rig.kernel_constants
         self._shape, law = slice(0, count(order)), rig.vibration.law
         self._of_all, self._of_motion = (
             (acceleration_kernel(order, law, of_motion=each), _reading_kernel(order, law, of_motion=each))
@@ -93,7 +93,7 @@ class PlainEquations:
 
         residual = self._read(reading, motion, phi, ending, r, left, right, by)
         arrow = Arrow.empty(K + 1, m)
-        arrow.couple(r, left, right, by)
+        arrow.add_residuals(r, left, right, by)
         return SumOfSquares(arrow, float((r**2).sum()), residual, force)
 
     def _read(

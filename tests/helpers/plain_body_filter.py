@@ -11,7 +11,7 @@ from palmd.model import rotation
 from palmd.model.spherical import order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import kernels
-from palmd.observer.three_palms.body_filter import GATE, LEARNT, LONGEST_STEP_S, SHORT, BodyFilter, PlaneReading
+from palmd.observer.three_palms.body_filter import GATE, LONGEST_STEP_S, NIS_GAIN, SHORT_AXES, BodyFilter, PlaneReading
 from palmd.observer.three_palms.compiled_filter import STATES
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs, reading_geometry
@@ -30,9 +30,11 @@ class PlainFilter(BodyFilter):
         self._rig = rig
         self._order = order_of(len(answer.p) - BODY)
         self._shape = slice(STATES, STATES + len(answer.p) - BODY)
-        self._does = SimpleNamespace(seen=lambda _body, _P, joints, t, _short: self._seen(joints.palms(np.array([t]))))
+        self._compiled = SimpleNamespace(
+            outputs=lambda _body, _P, joints, t, _short: self._seen(joints.palms(np.array([t])))
+        )
 
-    def carry(self, readings, until: float, joints: JointTrack, longest_s: float = LONGEST_STEP_S) -> None:
+    def propagate(self, readings, until: float, joints: JointTrack, longest_s: float = LONGEST_STEP_S) -> None:
         """See `BodyFilter.carry`."""
         for number, end in enumerate((*(each.t for each in readings), until)):
             middles, h = _steps(self.t, end, longest_s)
@@ -45,7 +47,7 @@ class PlainFilter(BodyFilter):
 
     def _step(self, h: float, palms: FloatArray) -> None:
         """One step of h (s), the palms as in its middle."""
-        shared = (self.p, self._rig.acting)
+        shared = (self.p, self._rig.kernel_constants)
         acceleration = acceleration_kernel(self._order, self._rig.vibration.law)
         out = acceleration((by_columns(self.R[None]), self.omega[None], palms[None]), shared)
         alpha, by_turn, by_omega, by_p = (out[i][0] for i in (0, 2, 3, 4))
@@ -70,7 +72,7 @@ class PlainFilter(BodyFilter):
         miss = np.array([reading.a, reading.b]) - y
         weighed = np.linalg.solve(S, np.column_stack([miss, PH.T]))
         strange = 0.5 * float(miss @ weighed[:, 0])
-        self._body[12] += (min(strange, GATE) - self.nis) * LEARNT
+        self._body[12] += (min(strange, GATE) - self.nis) * NIS_GAIN
         if strange > GATE:
             return
         step = PH @ weighed[:, 0]
@@ -93,11 +95,11 @@ class PlainFilter(BodyFilter):
         repeated = PalmPlanes(*(np.repeat(getattr(palms, name), len(PALMS), axis=0) for name in _PLANES))
         geometry = reading_geometry(repeated, np.arange(len(PALMS)))
         centre = np.repeat(geometry[:1], 2, axis=0)
-        centre[:, 9:18] /= SHORT
-        centre[:, 18:] = SHORT * np.array([[1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 0, 0]])
+        centre[:, 9:18] /= SHORT_AXES
+        centre[:, 18:] = SHORT_AXES * np.array([[1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 0, 0]])
         y, H = self._looked(np.concatenate([geometry, centre]))
         inputs = palm_inputs(palms)
-        shared = (self.p, self._rig.acting)
+        shared = (self.p, self._rig.kernel_constants)
         acceleration = acceleration_kernel(self._order, self._rig.vibration.law)
         force = acceleration((by_columns(self.R[None]), self.omega[None], inputs), shared)[1]
         return y, H @ self.P @ H.T, inputs[0], force[0]

@@ -8,7 +8,7 @@ import pytest
 from palmd.model import pivot
 from palmd.model.pivot import BATCH, CONSTANTS, INPUTS, MOTION, ORDER, P, U
 from palmd.model.shape import coefficients_of
-from palmd.observer.pivot.fit import likely_body
+from palmd.observer.pivot.fit import body_prior_residuals
 from palmd.rig.pivot import GRAVITY, Grasp
 from palmd.rig.shapes import random_body
 
@@ -119,10 +119,10 @@ def test_gradients_are_those_of_differences(grasp, name):
 
 def test_what_most_bodies_are_like_has_the_gradient_of_differences(grasp):
     p = constants_of(grasp)
-    off, J = likely_body(p)
+    off, J = body_prior_residuals(p)
     assert np.abs(off).max() < 1.0  # a uniform body is likely
     for i in (P.INERTIA, P.MOMENT, P.MOMENT + 1, P.MASS, P.SHAPE, P.SHAPE + 1, P.SHAPE + 2):
         step = np.zeros(CONSTANTS)
         step[i] = 1e-6 * abs(p[i])
-        slope = (likely_body(p + step)[0] - likely_body(p - step)[0]) / (2 * step[i])
+        slope = (body_prior_residuals(p + step)[0] - body_prior_residuals(p - step)[0]) / (2 * step[i])
         assert slope == pytest.approx(J[:, i], rel=1e-5, abs=1e-4)

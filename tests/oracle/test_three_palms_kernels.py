@@ -91,7 +91,7 @@ def test_the_smoothers_gradient_is_that_of_its_cost(parameters):
     times = np.sort(random.uniform(0.01, 0.2, 40))
     readings = PadReadings(times, random.integers(0, 3, 40), random.uniform(0.0, 0.02, (40, 2)), np.full(40, np.nan))
     record = lay_out(joint_path(t, angle, plan, 2e-4), readings, 0.0, 10, 0.02)
-    prior = BodyPrior.apart(p, np.eye(len(p)), np.zeros(3), 1.0)
+    prior = BodyPrior.independent(p, np.eye(len(p)), np.zeros(3), 1.0)
     smoother = BodySmoother(record, prior, Noise(1e-4), ThreePalmsRig())
     R = np.tile(np.eye(3), (11, 1, 1))
     motion = BodyMotion(R, np.zeros((11, 3)), p).moved(random.normal(0, 0.02, (11, 6)), 0 * p)
@@ -116,7 +116,7 @@ def random_arrow(seed, K, m, q):
     arrow = Arrow.empty(K, m)
     left, right = random.normal(size=(2, K - 1, q, STATES))
     by, r = random.normal(size=(K - 1, q, m)), random.normal(size=(K - 1, q))
-    arrow.couple(r, left, right, by)
+    arrow.add_residuals(r, left, right, by)
     arrow.diagonal += np.eye(STATES)
     return arrow, left, right, by, r
 
@@ -141,9 +141,9 @@ def test_the_arrow_is_solved_as_a_dense_matrix_is():
 def test_what_is_left_in_the_last_node_is_the_dense_marginal():
     m = 3
     arrow, *_ = random_arrow(1, 5, m, 9)
-    arrow.believe(2.0 * np.eye(STATES + m), np.ones(STATES + m))
+    arrow.add_prior(2.0 * np.eye(STATES + m), np.ones(STATES + m))
     nodes, step = arrow.solve(0.0)
-    information, gradient = arrow.onto_last()
+    information, gradient = arrow.marginal_of_last_node()
     told = -np.linalg.solve(information, gradient)
     np.testing.assert_allclose(told, np.concatenate([nodes[-1], step]), rtol=1e-9)
     np.testing.assert_allclose(

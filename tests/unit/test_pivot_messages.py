@@ -48,7 +48,7 @@ def test_an_answer_comes_back_bit_for_bit():
     rng = np.random.default_rng(1)
     answer = PivotAnswer(1.5, True, "", 0.3, rng.normal(size=5), rng.normal(size=(5, 5)), rng.random(9), np.ones(9))
     back = says.answer_of(says.answer_fields(2.0, answer))
-    assert (back.t, back.claimed, back.psi) == (1.5, True, 0.3)
+    assert (back.t, back.accepted, back.psi) == (1.5, True, 0.3)
     for name in ("p", "covariance", "h_sd", "touched"):
         assert np.array_equal(getattr(back, name), getattr(answer, name))
     assert not validate(PIVOT_ANSWER, stamped(says.answer_fields(2.0, answer)))
@@ -58,7 +58,7 @@ def test_an_answer_that_accepts_nothing_comes_back_empty():
     none = np.zeros(0)
     told = PivotAnswer(1.5, False, "too little", math.nan, none, np.zeros((0, 0)), none, none)
     back = says.answer_of(says.answer_fields(2.0, told))
-    assert (back.claimed, back.reason, back.p.size, back.covariance.shape) == (False, "too little", 0, (0, 0))
+    assert (back.accepted, back.reason, back.p.size, back.covariance.shape) == (False, "too little", 0, (0, 0))
 
 
 def estimate(**changed):

@@ -75,7 +75,7 @@ def test_an_exploration_comes_last_and_asks_for_no_band(limits):
     found = compile_tilt_plan(plan({"hold_s": 1}, goal), limits).exploration(2.0)
     assert found is not None
     assert (found[0].goal.coverage, found[1]) == (0.8, 1.0)
-    with pytest.raises(PlanError, match="it must be the last segment"):
+    with pytest.raises(PlanError, match="must be the last segment"):
         compile_tilt_plan(plan(goal, {"hold_s": 1}), limits)
     with pytest.raises(ValueError, match="leave it out"):
         plan({"explore": {"band_mm": 0.1}})

@@ -48,7 +48,7 @@ def test_an_answer_comes_back_bit_for_bit():
         assert np.array_equal(getattr(back, name), getattr(told, name)), name
     assert not validate(PALM3_ANSWER, stamped(fields))
     del fields["rough_m"]  # as recordings were
-    assert says.answer_of(fields).rough == 0.0
+    assert says.answer_of(fields).unexplained_sd == 0.0
 
 
 def test_every_field_of_an_estimate_is_in_its_table_and_none_is_left_out():

@@ -289,8 +289,8 @@ class Scored:
 
     def _answered(self, t: float, answer: PivotAnswer) -> None:
         told, truth = self._told, self.live.world.object_truth()
-        told["claimed"] = answer.claimed
-        if not answer.claimed:
+        told["claimed"] = answer.accepted
+        if not answer.accepted:
             self._outline_is_wrong = False
             return
         theta, felt = directions(), answer.touched > 0

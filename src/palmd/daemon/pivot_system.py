@@ -1,4 +1,4 @@
-"""What of the daemon is a pivoting grasp's: see `daemon.systems`."""
+"""The daemon's parts that are specific to a pivoting grasp: see `daemon.systems`."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ OUTSIDE_M = 2e-3
 
 
 class PivotPoses:
-    """Of an arm whose tool is the pivot; its base stands at (x, y) and is turned by `yaw` seen from the pad's zero."""
+    """Poses of an arm whose tool is the pivot; its base is at (x, y) from the pad's zero, turned by `yaw` (m, rad)."""
 
     def __init__(self, x: float, y: float, yaw: float) -> None:
         self._base, self._yaw = (x, y), yaw
 
     @classmethod
     def of(cls, config: PivotConfig) -> PivotPoses:
-        """The configured arm's."""
+        """Poses of the configured arm."""
         arm = config.arm
         return cls(arm.base_x_mm * 1e-3, arm.base_y_mm * 1e-3, math.radians(arm.base_yaw_deg))
 
     def pose(self, angles: Joints, twist: float = 0.0) -> Pose:
-        """The tool's, in arm coordinates."""
+        """Pose of the tool in arm coordinates, for a position of the pivot."""
         dx, dy = angles[0] - self._base[0], angles[1] - self._base[1]
         cos, sin = math.cos(self._yaw), math.sin(self._yaw)
         return Pose(cos * dx + sin * dy, cos * dy - sin * dx, twist)
 
     def angles(self, pose: Place) -> Joints:
-        """The pivot's place that belongs to a pose of the tool."""
+        """Position of the pivot for a pose of the tool."""
         if not isinstance(pose, Pose):
-            raise PoseError("the arm reports no place of its tool")
+            raise PoseError("the arm reports no pose of its tool")
         cos, sin = math.cos(self._yaw), math.sin(self._yaw)
         return (
             self._base[0] + cos * pose.x_m - sin * pose.y_m,
@@ -63,12 +63,12 @@ class PivotPoses:
         )
 
     def twist(self, pose: Place, angles: Joints) -> float:
-        """The tool turns freely about the pivot, and stays as it was found."""
+        """The tool's present angle, which is kept: the tool turns freely about the pivot."""
         del angles
         return pose.t_rad if isinstance(pose, Pose) else 0.0
 
     def workspace(self, reach: Reach) -> None:
-        """No more than the limits of the joints: a set-point outside is refused by the controller itself."""
+        """No check beyond the joints' limits: the controller itself refuses set-points outside."""
         del reach
 
 
@@ -84,10 +84,10 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         self.poses = PivotPoses.of(config)
         self.guards = _guard_limits(config, self.poses)
         if config.rig.vertical == "float":
-            self.free = (AXES.index("z"),)  # commanded is the slide's stop
+            self.free = (AXES.index("z"),)  # the command is the slide's lower stop, not the height
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
-        """With its smoother, without which it knows nothing; there are no stored outlines."""
+        """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = pivot_rig(self._config)
         smoother = PivotSmootherProcess(rig)
@@ -95,12 +95,12 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         return pivot_observer(rig, smoother), smoother
 
     def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
-        """Decided in the loop."""
+        """Explorations are decided in the loop."""
         del source
         return Dragging(setpoints)
 
     def unknown(self, t: float, observer: LiveObserver) -> PivotEstimate:
-        """Without a number."""
+        """An estimate without values."""
         nan = math.nan
         return PivotEstimate(
             t, False, observer.name, observer.object_count, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan,
@@ -108,9 +108,9 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         )  # fmt: skip
 
     def excused(self, exploring: Explores) -> Collection[str]:
-        """A gripper lifts the body off as it must; an exploration tells what leaves the pad by itself."""
+        """No contact is no fault: the gripper lifts the body on purpose, and explorations report a loss themselves."""
         del exploring
-        return _AWAY
+        return _NO_CONTACT
 
     def answered(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
@@ -121,18 +121,18 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         return PIVOT_SHAPE, messages.shape_fields(shape)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """In millimetres."""
+        """Joint positions and their limits as text, in millimetres."""
         return ", ".join(
-            f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} and {high * 1e3:g} mm"
+            f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} mm and {high * 1e3:g} mm"
             for axis, at, (low, high) in zip(AXES, angles, limits, strict=True)
         )
 
 
-_AWAY = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})
+_NO_CONTACT = frozenset({f"pad{PAD}-lifted", f"pad{PAD}-silent"})
 
 
 def _guard_limits(config: PivotConfig, poses: PivotPoses) -> GuardLimits:
-    """Of the configured gripper, whose joints are its axes (m)."""
+    """Guard limits of the configured gripper, whose joints are its axes (m)."""
     error = config.limits.following_error
     return GuardLimits(
         FollowingLimits(

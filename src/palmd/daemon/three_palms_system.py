@@ -1,4 +1,4 @@
-"""What of the daemon is three palms' in space: see `daemon.systems`."""
+"""The daemon's parts that are specific to three palms in space: see `daemon.systems`."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
 DECIDER = "palmd.daemon.body_decider:BodyDecider"
-OUTSIDE_RAD = math.radians(1.0)
-_PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
+OUTSIDE_RAD = math.radians(1.0)  # how far joints may be found outside their limits
+_PER_RAD = math.degrees(1e-3)  # metres on the line per radian: 1 µm stands for 1/1000 degree
 
 
 class TiltPoses:
-    """Of a controller that drives the joints: its x and y are β and γ2 in 1/1000 degree in place of µm, t is γ3."""
+    """Poses of a controller that drives the joints: x and y are β and γ2, 1/1000 degree per µm, and t is γ3."""
 
     def pose(self, angles: Joints, twist: float = 0.0) -> Pose:  # noqa: ARG002
-        """As the line carries these joint angles."""
+        """These joint angles as the line transmits them."""
         beta, gamma2, gamma3 = angles
         return Pose(beta * _PER_RAD, gamma2 * _PER_RAD, gamma3)
 
     def angles(self, pose: Place) -> Joints:
-        """The joint angles that the line carries."""
+        """The joint angles of a pose on the line."""
         if not isinstance(pose, Pose):
-            raise PoseError("the controller reports no place")
+            raise PoseError("the controller reports no pose")
         return (pose.x_m / _PER_RAD, pose.y_m / _PER_RAD, pose.t_rad)
 
     def twist(self, pose: Place, angles: Joints) -> float:  # noqa: ARG002
-        """There is no tool."""
+        """Always 0: there is no tool."""
         return 0.0
 
     def workspace(self, reach: Reach) -> None:
-        """No more than the limits of the joints: a set-point outside is refused by the controller itself."""
+        """No check beyond the joints' limits: the controller itself refuses set-points outside."""
         del reach
 
 
@@ -78,7 +78,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         self._latest: BodyEstimate | None = None
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[BodyObserver, BodySmootherProcess]:
-        """With its smoother, without which it knows nothing; there are no stored outlines."""
+        """The observer and its smoother; stored outlines are not supported."""
         del outlines
         rig = three_palms_rig(self._config)
         smoother = BodySmootherProcess(rig)
@@ -86,13 +86,13 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         return BodyObserver(rig, smoother), smoother
 
     def explorer(self, stack: ExitStack) -> ExplorerProcess:
-        """Who foresees motions of a body."""
+        """The process that decides explorations."""
         explorer = ExplorerProcess(three_palms_rig(self._config), DECIDER)
         stack.callback(explorer.close)
         return explorer
 
     def unknown(self, t: float, observer: LiveObserver) -> BodyEstimate:
-        """Without a number."""
+        """An estimate without values."""
         nan = (math.nan,) * 4
         return BodyEstimate(
             t, False, observer.name, observer.object_count, math.nan, values={}, quaternion=nan, attitude_sd=nan[1:],
@@ -100,7 +100,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         )  # fmt: skip
 
     def sound(self, estimate: BodyEstimate) -> bool:
-        """Whether everything named is told, with its band."""
+        """Whether all named quantities have finite values and 1σ."""
         named = (each.name for each in self.topics.estimate.quantities if each.role == "named")
         nan = math.nan
         return all(
@@ -124,8 +124,8 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         return PALM3_SHAPE, messages.shape_fields(shape, count, valid)
 
     def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """In degrees."""
+        """Joint angles and their limits as text, in degrees."""
         return ", ".join(
-            f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g} and {math.degrees(high):g}°"
+            f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g}° and {math.degrees(high):g}°"
             for joint, at, (low, high) in zip(JOINTS, angles, limits, strict=True)
         )

@@ -1,4 +1,4 @@
-"""Directions evenly spread over the sphere, with triangles between them: an icosahedron's, halved again and again."""
+"""Directions evenly spread over the sphere, with triangles between them: a subdivided icosahedron."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from palmd.system.three_palms import HALVINGS
 
 @cache
 def icosphere(halvings: int = HALVINGS) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """(unit vectors (10·4^k + 2, 3), triangles (20·4^k, 3) that go round counterclockwise seen from outside)."""
+    """(unit vectors (10·4^k + 2, 3), triangles (20·4^k, 3), counterclockwise from outside) for k = `halvings`."""
     g = (1.0 + np.sqrt(5.0)) / 2.0
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]

@@ -1,11 +1,11 @@
-"""The pivoting grasp's kernels: what the pad reads, how high the pivot is, with which force, and what torque is left.
+"""Kernels of the pivoting grasp: the pad's reading, the pivot's height, the normal force, and the residual torque.
 
-Each takes the body's motion (ψ, ω0, α0) at one instant and the constants p, and gives values with their gradient in
+Each takes the body's motion (ψ, ω0, α0) at one instant and the constants p, and returns a value and its gradient in
 (ψ, ω0, α0, p). About the pivot P the body has inertia I and mass moment M = m·(centre of mass − P), in the body's
-frame; ξ is M turned into the world. The pad vibrates along itself with amplitude V of its speed: friction alternates,
-and the normal force with it (docs/theory/vibration.md). At slip u each sign s of the sliding lasts for a share
-(1 ± σ)/2 of the time, σ = (2/π) asin(u/V), so that the mean force is that of one direction σ + λ(E[s f]/E[f] − σ) of
-friction. By the old law, for logs that were simulated by it, friction is B u/√(1 + w u²) and the normal force steady.
+frame; ξ is M in the world frame. The pad vibrates along itself with speed amplitude V: friction alternates, and the
+normal force with it (docs/theory/vibration.md). At slip u each sign s of the sliding lasts for a share (1 ± σ)/2 of the
+time, σ = (2/π) asin(u/V), so that the mean force is that of a constant direction σ + λ(E[s f]/E[f] − σ) of friction. In
+the averaged law, for logs that were simulated with it, friction is B u/√(1 + w u²) and the normal force is steady.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from palmd.system.vibration import VibrationLaw
 
 ORDER = 10  # harmonics of the outline
 MOTION = 3  # ψ, ω0, α0
-KINK = 1e-2  # ε of `mean_direction`: a body that rolls slips at nearly V, where friction tells its coefficient
+KINK = 1e-2  # ε of `mean_direction`: a rolling body slips at nearly V, where friction determines its coefficient
 BATCH = 64
 
 
 class P(IntEnum):
     """Index of each constant; SI units. DRAG is B = μ/u_d (s/m), SATURATION w = 1/u_d² (s²/m²), u_d = πV/2.
 
-    TRANSMISSION is λ, the share of the alternation of friction that the normal force follows.
+    TRANSMISSION is λ, the ripple transmission: the share of friction's alternation that the normal force follows.
 
-    The rig's are by how much it is off: the pad reads ZERO + (1 + SCALE)·place as it was LAG ago, its surface lies
-    STANDOFF too high where the arm's x is 0 and rises by SLOPE.
+    The rig's constants are errors of its description: the pad reads ZERO + (1 + SCALE)·position with a delay LAG, its
+    surface is STANDOFF too high at the arm's x = 0 and rises with SLOPE.
     """
 
     INERTIA = 0  # about P, kg m²
@@ -100,7 +100,7 @@ def _friction(p: SX) -> SX:
 
 
 def _resisting(motion: SX, p: SX, u: SX, az: SX, xi_x: SX, xi_y: SX) -> SX:
-    """Torque about P that the pad must give: I α0 + ξx (g + z̈) − ξy Ẍ + C ω0."""
+    """Torque about P that the pad must exert: I α0 + ξx (g + z̈) − ξy Ẍ + C ω0."""
     inertia = p[P.INERTIA] * motion[2] + p[P.DAMPING] * motion[1]
     return inertia + xi_x * (u[U.GRAVITY] + az) - xi_y * u[U.AX]
 
@@ -116,7 +116,7 @@ def _height(motion: SX, p: SX, u: SX) -> SX:
 
 
 def _rigid_force(motion: SX, p: SX, u: SX, law: VibrationLaw) -> SX:
-    """N/(e − μσz), N the torque about P; with λ = 1 it is N (e + σμz)/(e² − μ²z²), which is void where |e| ≤ μz."""
+    """N/(e − μσz), N the torque about P; with λ = 1 it is N (e + σμz)/(e² − μ²z²), not defined for |e| ≤ μz."""
     h, e, _, xi_x, xi_y = _body(motion, p)
     mu = _friction(p)
     sigma = _effective(_direction(motion, p, u, h, law), e + mu * h, e - mu * h, p, law)
@@ -124,7 +124,7 @@ def _rigid_force(motion: SX, p: SX, u: SX, law: VibrationLaw) -> SX:
 
 
 def _sliding(motion: SX, p: SX, u: SX, law: VibrationLaw) -> tuple[SX, SX]:
-    """(force, torque left over) under a slide of its own weight."""
+    """(force, residual torque) under a slide that rests on the body by its weight."""
     h, e, h2, xi_x, xi_y = _body(motion, p)
     mu, alpha = _friction(p), SX.sym("alpha")
 
@@ -135,7 +135,7 @@ def _sliding(motion: SX, p: SX, u: SX, law: VibrationLaw) -> tuple[SX, SX]:
         force = weight + u[U.CARRIAGE_DAMPING] * vz + xi_x * alpha0 - xi_y * motion[1] ** 2
         return force, force * (e - mu * direction * h) - _resisting(turning, p, u, az, xi_x, xi_y)
 
-    forces = []  # while the body slips forward, and backward: it turns as no torque is left then
+    forces = []  # slipping forward and backward, at the α0 with zero residual torque
     for sign in (1, -1):
         left = at(alpha, SX(sign))[1]
         still = ca.substitute(left, alpha, 0)
@@ -145,12 +145,12 @@ def _sliding(motion: SX, p: SX, u: SX, law: VibrationLaw) -> tuple[SX, SX]:
 
 @cache
 def library(law: VibrationLaw = "sign_pairs") -> Library:
-    """reading, height, rigid_force, slide_force, slide_torque, as `NAME_batch`; made once in a process."""
+    """Kernels reading, height, rigid_force, slide_force and slide_torque, as `NAME_batch`; loaded once per process."""
     return load("pivot" if law == "sign_pairs" else "pivot_averaged", lambda: _kernels(law))
 
 
 def needed(_config: object) -> list[tuple[str, Callable[[], str]]]:
-    """What a pivoting grasp takes, whatever its configuration says: as `palmd.observer.kernels.needed`."""
+    """Compiled parts for a pivoting grasp, the same for every configuration; see `palmd.observer.kernels.needed`."""
     return [("pivoting grasp", lambda: library().backend)]
 
 

@@ -1,19 +1,19 @@
-"""An object that sticks to one palm and slips along the other: where it is, and how hard it presses. Pure.
+"""An object that sticks to one palm and slips along the other: kinematics, normal forces and friction. Pure.
 
-What sticks rolls: its contact goes as far along the palm as along the outline, ṡ1 = v1 θ̇1 or ṡ2 = −v2 θ̇2. By (3.13)
-and (3.14) both can be integrated, and what stays the same while palm 1 or palm 2 is stuck to is
+A sticking contact rolls: it moves as far along the palm as along the outline, ṡ1 = v1 θ̇1 or ṡ2 = −v2 θ̇2. By (3.13)
+and (3.14) both can be integrated. While the object sticks to palm 1 or palm 2, the invariant is
 
     Q1 = (r1 cos φ2 + r2)/sin φ2 − ∫h(θ1),        Q2 = (r2 cos φ2 + r1)/sin φ2 + ∫h(θ2).
 
-So ψ follows from the palms' angles alone: no force, no inertia, no process noise. At the other palm the object slips,
-against t by dQ1/dt, along it by −dQ2/dt. About the contact that sticks it turns as the palms make it turn, and by the
-theorem of three centres
+Hence ψ follows from the palms' angles alone: no force, no inertia, no process noise. Along the other palm the object
+slips, against t at dQ1/dt, or along t at −dQ2/dt. It turns about the sticking contact as the palms prescribe; by the
+theorem of three centres (Kennedy)
 
-    u2 = ω2 s1 s2 sin φ2/(s2 − s1 cos φ2)    where palm 1 is stuck to,
-    u1 = −ω2 s1 s2 sin φ2/(s1 − s2 cos φ2)   where palm 2 is.
+    u2 = ω2 s1 s2 sin φ2/(s2 − s1 cos φ2)    if it sticks to palm 1,
+    u1 = −ω2 s1 s2 sin φ2/(s1 − s2 cos φ2)   if it sticks to palm 2.
 
-So which way it slips is the palms' doing alone. Friction there is μN; three equations (Newton, Euler) then give both
-normal forces and the friction of what sticks.
+The direction of slip thus depends on the palms' motion only. Friction at the slipping contact is μN; the three
+Newton–Euler equations then give both normal forces and the friction of the sticking contact.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from palmd.model import shape
 from palmd.system.mechanism import JOINTS, OPENING, directions, normal_directions
 
 SLIPS_SIGN = (-1.0, 1.0)
-"""Of the slip along t at palms 1 and 2 where the other palm is stuck to, in signs of ω2."""
+"""Sign of the slip along t at palms 1 and 2, relative to the sign of ω2, while the object sticks to the other palm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lying:
-    """An object between two palms at n instants: rows that map coefficients of h to h, h′, h″ and ∫h at the contacts.
+    """Rows that map coefficients of h to h, h′, h″ and ∫h at the contacts of an object with both palms, at n instants.
 
-    Each is a pair, one of (n, coefficients) for each palm; `palms` (n, 6): φ1, φ2, their rates and accelerations;
-    `theta`: the normals there (n), `k`: the harmonic of each coefficient.
+    h, slope: a pair, (n, coefficients) for each palm. palms: (n, 6), φ1, φ2, their rates and accelerations. theta: the
+    normals at the contacts, (n,) each. k: harmonic of each coefficient.
     """
 
     palms: FloatArray
@@ -48,7 +48,7 @@ class Lying:
 
     @classmethod
     def at(cls, palms: FloatArray, psi: FloatArray, order: int) -> Lying:
-        """At orientations psi (n, rad), for an outline of `order` harmonics."""
+        """Rows at orientations psi (n, rad) for an outline with `order` harmonics."""
         one, two = normal_directions(palms[:, : len(JOINTS)].T, psi)
         h = shape.basis(one, order), shape.basis(two, order)
         k = shape.harmonic_of_coefficient(order)
@@ -76,12 +76,12 @@ class Lying:
         return -(self._lever(self.slope, palm) + sign * self.h[palm])
 
     def kept_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
-        """dQ/dψ (m/rad) of the outline with these coefficients."""
+        """dQ/dψ (m/rad) of the outline `shape_of`."""
         slope: FloatArray = self.kept_turned(palm) @ shape_of
         return slope
 
     def kept_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
-        """dQ/dφ2 (m/rad) at the same φ1 and ψ, surfaces standing off from the hinge like that (m)."""
+        """dQ/dφ2 (m/rad) at constant φ1 and ψ; `standoffs`: of the palms' surfaces (m)."""
         turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
         moved = turned / np.sin(self.palms[:, OPENING, None]) + palm * self.h[1]
         opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
@@ -98,25 +98,25 @@ class Lying:
         return -(self._lever(self.slope, palm) - sign * self.bend(palm))
 
     def contact_slope(self, palm: int, shape_of: FloatArray) -> FloatArray:
-        """ds/dψ (m/rad) of the outline with these coefficients."""
+        """ds/dψ (m/rad) of the outline `shape_of`."""
         slope: FloatArray = self.contact_turned(palm) @ shape_of
         return slope
 
     def contact_opened(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
-        """ds/dφ2 (m/rad) at the same φ1 and ψ, as `kept_opened`."""
+        """ds/dφ2 (m/rad) at constant φ1 and ψ, as in `kept_opened`."""
         turned = self.slope[1] * np.cos(self.palms[:, OPENING, None]) ** palm
         moved = turned / np.sin(self.palms[:, OPENING, None]) - palm * self.bend(1)
         opened: FloatArray = moved @ shape_of - self._closing(palm, shape_of, standoffs)
         return opened
 
     def standing_off(self, palm: int) -> FloatArray:
-        """Rows (n, 2) that map the palms' standoffs (m) to what they add to Q and to s of a palm."""
+        """Rows (n, 2) that map the palms' standoffs (m) to their contribution to Q and s of a palm."""
         opening = self.palms[:, OPENING]
         own, other = np.cos(opening) / np.sin(opening), 1.0 / np.sin(opening)
         return np.stack([other, own] if palm else [own, other], axis=1)
 
     def _closing(self, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
-        """What a larger φ2 takes from (own cos φ2 + other)/sin φ2, own and other distance of the hinge lines."""
+        """−∂/∂φ2 of (own cos φ2 + other)/sin φ2, with both distances from the hinge lines held constant."""
         one, two = (rows @ shape_of + off for rows, off in zip(self.h, standoffs.tolist(), strict=True))
         own, other = (two, one) if palm else (one, two)
         opening = self.palms[:, OPENING]
@@ -133,14 +133,14 @@ def normal_forces(
     stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, h: tuple[FloatArray, FloatArray],
     slope: tuple[FloatArray, FloatArray], pull: tuple[FloatArray, FloatArray], spun: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """f1 and f2 (m/s², per unit mass) of what sticks to palm `stuck` (0 or 1) and rubs along the other, each (n).
+    """f1 and f2 (n,) per unit mass (m/s²) of an object that sticks to palm `stuck` (0 or 1) and slips on the other.
 
-    ratio: of friction to normal force there, against t. h, slope: h and h′ at both contacts (m). pull: acceleration of
-    the COM less gravity, along X and Y (m/s²). spun: ρ²α0 (m²/s²). Friction of what sticks is eliminated from
-    Σ f_i (n_i − k_i t_i) − T t = pull and Σ f_i (h_i′ − k_i h_i) − T h = ρ²α0.
+    ratio: friction over normal force at the slipping contact, against t. h, slope: h and h′ at both contacts (m). pull:
+    acceleration of the COM minus gravity, along X and Y (m/s²). spun: ρ²α0 (m²/s²). The friction T of the sticking
+    contact is eliminated from Σ f_i (n_i − k_i t_i) − T t = pull and Σ f_i (h_i′ − k_i h_i) − T h = ρ²α0.
     """
     first, second = directions(palms[:, : len(JOINTS)].T)
-    sign = np.where(stuck, -1.0, 1.0)  # of sin φ2 seen from the other palm
+    sign = np.where(stuck, -1.0, 1.0)  # sign of sin φ2 as seen from the other palm
     cos, sin = np.cos(palms[:, OPENING]), sign * np.sin(palms[:, OPENING])
     angle = np.where(stuck, second + math.pi, first)
     along, across = (
@@ -160,11 +160,11 @@ def friction_asked(
     stuck: npt.NDArray[np.intp], ratio: FloatArray, palms: FloatArray, pull: tuple[FloatArray, FloatArray],
     forces: tuple[FloatArray, FloatArray],
 ) -> FloatArray:  # fmt: skip
-    """Friction over normal force of what sticks, against t: t·(Σ f F − pull)/f."""
+    """Friction over normal force that the sticking contact needs, against t: t·(Σ f F − pull)/f."""
     first, second = directions(palms[:, : len(JOINTS)].T)
     sign = np.where(stuck, -1.0, 1.0)
     angle = np.where(stuck, second + math.pi, first)
     along = np.cos(angle) * pull[0] + np.sin(angle) * pull[1]
     own, other = np.where(stuck, forces[::-1], forces)
-    asked: FloatArray = (other * (sign * np.sin(palms[:, OPENING]) + ratio * np.cos(palms[:, OPENING])) - along) / own
-    return asked
+    needed: FloatArray = (other * (sign * np.sin(palms[:, OPENING]) + ratio * np.cos(palms[:, OPENING])) - along) / own
+    return needed

@@ -1,4 +1,4 @@
-"""Rotations (…, 3, 3) and their vectors (…, 3), vectorised; turns are in the world frame, R ← exp[δ]R."""
+"""Rotation matrices (…, 3, 3) and vectors (…, 3), vectorised; increments are in the world frame, R ← exp[δ]R."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def exp(v: FloatArray) -> FloatArray:
 
 
 def log(R: FloatArray) -> FloatArray:
-    """The vector of a rotation by less than π."""
+    """Rotation vector of a rotation by less than π."""
     axis = 0.5 * np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )
@@ -36,14 +36,14 @@ def log(R: FloatArray) -> FloatArray:
 
 
 def left_inverse(v: FloatArray) -> FloatArray:
-    """∂ log(exp[δ]exp[v])/∂δ, to third order in v; of −v it is the right one."""
+    """Inverse left Jacobian ∂ log(exp[δ]exp[v])/∂δ, to third order in v; for −v it is the inverse right Jacobian."""
     S = skew(v)
     matrix: FloatArray = np.eye(3) - 0.5 * S + S @ S / 12.0
     return matrix
 
 
 def quaternion(R: FloatArray) -> tuple[float, ...]:
-    """x, y, z, w of one rotation (3, 3), w ≥ 0."""
+    """Quaternion x, y, z, w of one rotation (3, 3), w ≥ 0."""
     # from the largest of its four squares (Shepperd 1978)
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     squares = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
@@ -57,7 +57,7 @@ def quaternion(R: FloatArray) -> tuple[float, ...]:
 
 
 def quaternions(R: FloatArray) -> FloatArray:
-    """(K, 4) x, y, z, w of rotations (K, 3, 3), continuous in sign."""
+    """(K, 4) quaternions x, y, z, w of rotations (K, 3, 3), continuous in sign."""
     from scipy.spatial.transform import Rotation
 
     q = Rotation.from_matrix(R).as_quat()

@@ -1,9 +1,9 @@
 """Support functions in real spherical harmonics, orthonormal on the unit sphere, as CasADi expressions.
 
-h(u) = Σ c_lm Y_lm(u), l = 0…L, in the order (0,0), (1,−1), (1,0), (1,1), (2,−2), …; a negative m is the sine's.
+h(u) = Σ c_lm Y_lm(u), l = 0…L, in the order (0,0), (1,−1), (1,0), (1,1), (2,−2), …; negative m are sine terms.
 H(x) = |x| h(x/|x|) is homogeneous of degree 1, so that ∇H(u) is the body's point with outward normal u, and ∇²H(u) has
-the null vector u and the two radii of curvature. With the solid harmonics S_lm, homogeneous of degree l,
-H = Σ c_lm |x|^(1−l) S_lm(x).
+the null vector u and the two radii of curvature as its other eigenvalues. With the solid harmonics S_lm, homogeneous of
+degree l, H = Σ c_lm |x|^(1−l) S_lm(x).
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from palmd.events import FloatArray
 from palmd.model.symbolic import SX, ca
 
 Y00 = 1.0 / math.sqrt(4.0 * math.pi)
-BEND_RAD = 1e-4  # of the difference that second derivatives are taken by
+DIFFERENCE_RAD = 1e-4  # step of the finite differences for second derivatives
 
 Number = TypeVar("Number", SX, FloatArray)
 
 
 def order_of(coefficients: int) -> int:
-    """The degree up to which so many coefficients go, as `count` has them."""
+    """Degree of an outline with so many coefficients; inverse of `count`."""
     return math.isqrt(coefficients) - 1
 
 
 def count(order: int) -> int:
-    """How many coefficients there are up to degree `order`."""
+    """Number of coefficients up to degree `order`."""
     return (order + 1) ** 2
 
 
 def degrees(order: int) -> FloatArray:
-    """The degree l of each coefficient."""
+    """Degree l of each coefficient."""
     return np.repeat(np.arange(order + 1.0), 2 * np.arange(order + 1) + 1)
 
 
@@ -68,10 +68,10 @@ def _solid_harmonics(x: Number, square: Number, first: Number, zero: Number, ord
 
 @cache
 def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Dx, Dy, Dz (n, n) with ∂S/∂xᵢ = Dᵢ S: those of degree l are sums of at most two harmonics of degree l − 1."""
+    """Dx, Dy, Dz (n, n) with ∂S/∂xᵢ = Dᵢ S; a derivative of degree l is a sum of at most two of degree l − 1."""
     x = SX.sym("x", 3)
     value = solid_harmonics(x, order)
-    points = np.random.default_rng(0).normal(size=(4 * order + 8, 3))  # any will do: it is solved exactly
+    points = np.random.default_rng(0).normal(size=(4 * order + 8, 3))  # arbitrary points: the fit is exact
     at, slope = ca.Function("S", [x], [value, ca.jacobian(value, x)]).map(len(points))(points.T)
     S, n = np.asarray(at), count(order)
     slopes = np.asarray(slope).reshape(n, len(points), 3)
@@ -85,7 +85,7 @@ def derivatives(order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Unit normals (T, 3) → rows of h (T, n), and of the point ∇H (T, 3, n)."""
+    """Function that maps unit normals (T, 3) to rows of h (T, n) and of the surface point ∇H (T, 3, n)."""
     outside, slopes = 1.0 - degrees(order), [each.T for each in derivatives(order)]
 
     def rows(u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -97,25 +97,29 @@ def evaluator(order: int) -> Callable[[FloatArray], tuple[FloatArray, FloatArray
     return rows
 
 
-def bends(order: int, u: FloatArray) -> FloatArray:
-    """(T, 2, 2, n) rows of ∇²H along two axes across each unit normal u (T, 3), by differences; symmetric to those."""
+def hessian_rows(order: int, u: FloatArray) -> FloatArray:
+    """(T, 2, 2, n) rows of ∇²H in two axes normal to each unit normal u (T, 3).
+
+    By finite differences, so that it is symmetric to their accuracy only.
+    """
     rows = evaluator(order)
     one = np.cross(u, np.eye(3)[np.abs(u).argmin(axis=1)])
     one /= np.linalg.norm(one, axis=1)[:, None]
     axes = np.stack([one, np.cross(u, one)])
     slopes = []
     for axis in axes:
-        ahead, behind = (u + sign * BEND_RAD * axis for sign in (1.0, -1.0))
+        ahead, behind = (u + sign * DIFFERENCE_RAD * axis for sign in (1.0, -1.0))
         ends = [each / np.linalg.norm(each, axis=1)[:, None] for each in (ahead, behind)]
-        slopes.append((rows(ends[0])[1] - rows(ends[1])[1]) / (2.0 * BEND_RAD))
+        slopes.append((rows(ends[0])[1] - rows(ends[1])[1]) / (2.0 * DIFFERENCE_RAD))
     return np.stack([np.stack([np.einsum("di,din->dn", axis, slope) for slope in slopes], 1) for axis in axes], 1)
 
 
 @dataclass(frozen=True, slots=True)
 class SphericalSurface:
-    """A body at the outward unit normal u, by its coefficients c (n,): columns, as CasADi expressions.
+    """A body's surface at the outward unit normal u, with coefficients c (n,); columns of CasADi expressions.
 
-    Everything is right to first order in turns of u, and of s with it. rows: what is linear in c is rows·c.
+    Derivatives by u hold for rotations of u (and s), not for changes of its length. Quantities linear in c also come as
+    rows, with value rows·c.
     """
 
     u: SX
@@ -124,24 +128,24 @@ class SphericalSurface:
 
     @property
     def harmonics(self) -> SX:
-        """Rows (n,) of h."""
+        """Rows (n,) of h: the harmonics at u."""
         return solid_harmonics(self.u, self.order)
 
     def terms(self) -> HarmonicTerms:
-        """What all else is made of."""
+        """Terms that `point` and `curvature` share."""
         S = self.harmonics
         D = [ca.sparsify(ca.DM(matrix)) for matrix in derivatives(self.order)]
         G = [each @ S for each in D]
         outside = ca.DM(1.0 - degrees(self.order))
-        off = outside * self.c
+        scaled = outside * self.c
         return HarmonicTerms(
-            D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(off, S), [ca.dot(off, g) for g in G]
+            D, S, G, [each.T @ self.c for each in D], outside * S, ca.dot(scaled, S), [ca.dot(scaled, g) for g in G]
         )
 
 
 @dataclass(frozen=True, slots=True)
 class HarmonicTerms:
-    """Matrices D, harmonics S, gradients G; c differentiated; (1 − l)S, its sum with c, and that one's slope."""
+    """D: derivative matrices; S: harmonics; G: D S; c_slopes: Dᵀc; outside: (1 − l)S; level: its product with c."""
 
     D: list[ca.DM]
     S: SX
@@ -156,7 +160,7 @@ def point(surface: SphericalSurface, terms: HarmonicTerms) -> tuple[SX, SX, SX]:
     """(x = ∇H(u), ∂x/∂u (3, 3), its rows (3, n))."""
     u = surface.u
     rows = ca.vertcat(*((g + terms.outside * u[i]).T for i, g in enumerate(terms.G)))
-    return rows @ surface.c, _bend(terms) + u @ ca.horzcat(*terms.level_slopes), rows
+    return rows @ surface.c, _hessian(terms) + u @ ca.horzcat(*terms.level_slopes), rows
 
 
 def curvature(surface: SphericalSurface, terms: HarmonicTerms, s: SX) -> tuple[SX, SX, SX, SX]:
@@ -168,10 +172,10 @@ def curvature(surface: SphericalSurface, terms: HarmonicTerms, s: SX) -> tuple[S
     by_u = ca.horzcat(
         *(ca.dot(c, twice) + square * slope for c, slope in zip(terms.c_slopes, terms.level_slopes, strict=True))
     )
-    return rows @ surface.c, by_u, 2 * (_bend(terms) @ s).T, rows
+    return rows @ surface.c, by_u, 2 * (_hessian(terms) @ s).T, rows
 
 
-def _bend(terms: HarmonicTerms) -> SX:
+def _hessian(terms: HarmonicTerms) -> SX:
     """∇²H on the plane ⟂ u."""
     second = ca.vertcat(*(ca.horzcat(*(ca.dot(c, g) for g in terms.G)) for c in terms.c_slopes))
     return second + terms.level * SX.eye(3)

@@ -1,13 +1,13 @@
-"""The surface of all stable poses over the palms' angles (CMU-CS-01-107, section 3.2, figure 3.6), and what it shows of
-the outline.
+"""The surface of all stable poses over the palms' angles (CMU-CS-01-107, section 3.2, figure 3.6), and which normals of
+the outline it reaches.
 
-Its points are the stable poses of a grid of palm poses. Two neighbours are joined when a step of the palms leads from
-one to the other *and back*; a fall into another pose does not come back. The step is taken at once, so that about one
-link in a thousand, next to a boundary, is wrong. The surface ends inside the limits where a minimum vanishes, (3.23)
-and (3.24) both zero. It ends at the limits of the palm angles and where a contact leaves its pad.
+Its points are the stable poses on a grid of palm poses. Two neighbours are linked if a step of the palms leads from one
+to the other *and back*; a fall into another pose is not reversible. The step is taken at once, so that about one link
+in a thousand, next to a boundary, is wrong. The surface ends where a minimum vanishes, (3.23) and (3.24) both zero, at
+the limits of the palm angles, and where a contact leaves its pad.
 
-On palms that are arcs the grid is one of their tangents, between which an object balances as between flat palms
-(`model.stable_on_arcs`): its poses are mapped to the palms', and those that are not stable there are left out.
+For arc-shaped palms the grid is one of their tangents, between which an object balances as between flat palms
+(`model.stable_on_arcs`): poses are mapped to the palms, and those that are not stable there are left out.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from palmd.system.mechanism import normal_directions
 PHI1_COUNT = 60
 PHI2_COUNT = 50
 NORMAL_BINS = 72
-_LEVEL = 0.02  # rad: tangents that lie flatter hold nothing
+_LEVEL = 0.02  # rad: flatter tangents hold no object
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceLimits:
-    """Which poses count: palm angles from low to high (rad), φ12 below its limit (rad), contacts on the pads (m).
+    """Allowed poses: ranges of the palm angles (rad), limit of φ12 (rad), contacts on the pads (m).
 
     A contact is on its pad from `margin` to `pad_length` − `margin` from the hinge. curvatures: of the palms (1/m).
     """
@@ -51,20 +51,20 @@ class SurfaceLimits:
     curvatures: tuple[float, ...] = FLAT
 
     def on_pads(self, s1: FloatArray, s2: FloatArray) -> BoolArray:
-        """Whether both contacts, s1 and s2 from the hinge (m), are on their pads."""
+        """Whether both contacts, at s1 and s2 from the hinge (m), are on their pads."""
         low, high = self.margin, self.pad_length - self.margin
         return (s1 >= low) & (s1 <= high) & (s2 >= low) & (s2 <= high)
 
     def hold(self, phi1: FloatArray, phi2: FloatArray) -> BoolArray:
-        """Whether the palms may stand at these angles (rad)."""
+        """Whether these palm angles (rad) are allowed."""
         (low1, high1), (low2, high2) = self.phi1, self.phi2
         inside = (phi1 >= low1) & (phi1 <= high1) & (phi2 >= low2) & (phi2 <= high2)
         return inside & (phi1 + phi2 < self.phi12_max)
 
     def of_tangents(self) -> tuple[tuple[float, float], tuple[float, float], float]:
-        """What β1 and the opening of the tangents can be within them, and what β2 stays below (rad).
+        """Ranges of β1 and of the tangents' opening, and the upper limit of β2 (rad), that cover all allowed poses.
 
-        On flat palms the same, but for tangents that lie too flat to hold anything.
+        For flat palms these are the limits themselves, except for tangents too flat to hold an object.
         """
         if not any(self.curvatures):
             return (max(self.phi1[0], _LEVEL), self.phi1[1]), self.phi2, self.phi12_max
@@ -78,11 +78,11 @@ class SurfaceLimits:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """All P allowed stable poses on a grid of palm angles, and what of the outline they reach.
+    """All P allowed stable poses on a grid of palm angles, and the normals of the outline that they reach.
 
-    Points: phi1, phi2, psi (rad, ψ in [0, 2π)) and s1, s2 (m); all (P,). On arcs φ1 and φ2 are those of the palms, the
-    grid is one of the tangents. links: (L, 2), neighbouring points that lead to each other. reach: (bins,), which of
-    the evenly spaced bins of outward normals, bin 0 beginning at θ = 0, a palm touches (3.1).
+    Points: phi1, phi2, psi (rad, ψ in [0, 2π)) and s1, s2 (m); all (P,). For arcs φ1 and φ2 are those of the palms,
+    while the grid is one of the tangents. links: (L, 2), neighbouring points that lead to each other. reach: (bins,),
+    which of the evenly spaced bins of outward normals, bin 0 beginning at θ = 0, a palm touches (3.1).
     """
 
     phi1: FloatArray
@@ -102,11 +102,11 @@ def stable_surface(
     phi2_count: int = PHI2_COUNT,
     bins: int = NORMAL_BINS,
 ) -> Surface:
-    """The surface of stable poses of the outline with these Fourier coefficients (m) about its centre of mass.
+    """Compute the surface of stable poses of an outline with these Fourier coefficients (m) about its centre of mass.
 
-    A grid step of 0.05 rad or less follows the surface well. Fast enough for a thread beside the loop, not for the
-    loop. A circle about its centre of mass balances everywhere and has no such surface: it is empty. Raises ValueError
-    when the limits leave no palm pose.
+    Grid steps of 0.05 rad or less resolve the surface well. Fast enough for a thread beside the loop, not for the loop.
+    The surface is empty for a circle about its centre of mass, which balances everywhere. Raises ValueError if the
+    limits leave no palm pose.
     """
     limits = limits or SurfaceLimits()
     first, second, top = limits.of_tangents()
@@ -117,7 +117,7 @@ def stable_surface(
     row, column = np.nonzero(open_)
     extrema = _on_grid(basins(coefficients, grid1[row], grid2[column]), open_)
 
-    # every stable pose gets a number; only those with both contacts on the pads stay in the surface
+    # number all stable poses; only those with both contacts on the pads stay in the surface
     i, j, k = np.nonzero(np.isfinite(extrema.minima))
     beta1, opening, psi = grid1[i], grid2[j], extrema.minima[i, j, k]
     contacts = touch(coefficients, beta1, opening, psi)
@@ -139,7 +139,7 @@ def stable_surface(
 
 
 def _on_grid(found: Basins, open_: BoolArray) -> Basins:
-    """Extrema of the open palm poses laid out on the whole grid, NaN elsewhere."""
+    """Scatter the extrema of allowed palm poses to the whole grid; NaN elsewhere."""
     minima = np.full((*open_.shape, found.minima.shape[-1]), np.nan)
     maxima = minima.copy()
     minima[open_], maxima[open_] = found.minima, found.maxima
@@ -147,7 +147,7 @@ def _on_grid(found: Basins, open_: BoolArray) -> Basins:
 
 
 def _links(extrema: Basins, number: IntArray) -> IntArray:
-    """Pairs of numbers of neighbouring stable poses that lead to each other, (L, 2)."""
+    """(L, 2) numbers of neighbouring stable poses that lead to each other."""
     return np.concatenate([_links_between(extrema, number, *pair) for pair in _NEIGHBOURS])
 
 
@@ -157,13 +157,13 @@ _NEIGHBOURS = (
     ((slice(None, -1), slice(None, -1)), (slice(1, None), slice(1, None))),
     ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))),
 )
-"""The grid's sides and diagonals, without which narrow necks look torn: palm poses, and the one next to each."""
+"""Neighbours along the grid's sides and diagonals; without diagonals narrow necks of the surface look torn."""
 
 
 def _links_between(
     extrema: Basins, number: IntArray, here: tuple[slice, slice], there: tuple[slice, slice]
 ) -> IntArray:
-    """Those between `here` and `there`, which are as many palm poses."""
+    """Links between `here` and `there`, two shifted slices of the grid."""
     one, two = extrema.at(here), extrema.at(there)
     forth, back = two.index(one.minima), one.index(two.minima)
     own = np.arange(forth.shape[-1])
@@ -174,7 +174,7 @@ def _links_between(
 
 
 def _reach(theta: tuple[FloatArray, ...], links: IntArray, bins: int) -> BoolArray:
-    """Bins of normals between both ends of each link, and those of each point, (bins,)."""
+    """(bins,) bins of normals at each point and between both ends of each link."""
     width = 2 * np.pi / bins
     ends = np.concatenate([links, np.repeat(np.arange(len(theta[0])), 2).reshape(-1, 2)])
     steps = np.zeros(2 * bins + 1)

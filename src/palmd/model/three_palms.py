@@ -1,9 +1,9 @@
 """Three palms and a convex body in space as generated C: accelerations and readings with their sensitivities.
 
-State (R, ω): body to world, and the angular velocity in the world. The centre of mass follows from the rotation,
-N p = h(u) with uᵢ = −Rᵀnᵢ. Everything is per unit mass. Keeping the contacts' own motion out leaves three linear
-equations in the normal forces (docs/theory/three-palms.md), singular only where the palms' normals are coplanar.
-Variations of R are turns δ in the world frame, R ← exp[δ]R.
+State (R, ω): rotation from body to world, and angular velocity in the world. The centre of mass p follows from the
+rotation, N p = h(u) with uᵢ = −Rᵀnᵢ. Everything is per unit mass. Eliminating the contacts' own motion leaves three
+linear equations in the normal forces (docs/theory/three-palms.md), singular only if the palms' normals are coplanar.
+Variations of R are rotation vectors δ in the world frame, R ← exp[δ]R.
 
 Parameters p = (c_lm, λ, damping, μ, ln u_d): `count(order)` + `BODY`. The second moment M = ΛΛᵀ per unit mass, with
 Λ = `MOMENT`·c_00·Y_00·(lower triangle of λ, exp on its diagonal), gives the inertia tr(M)1 − M.
@@ -23,9 +23,9 @@ from palmd.model.symbolic import SX, ca
 from palmd.system.vibration import VibrationLaw
 
 MOMENT = 0.42
-"""Λ of a body of radius 1 whose λ is 0: between a shell's 0.577 and what is dense inside; a full sphere has 0.447."""
+"""Scale of Λ for radius 1 and λ = 0: a shell has 0.577, a homogeneous sphere 0.447, a denser core less."""
 BODY = 9
-"""λ (6, rows of the lower triangle), damping (m²/s), μ, ln u_d (ln m/s)."""
+"""Number of parameters after the outline: λ (6, rows of the lower triangle), damping (m²/s), μ, ln u_d (ln m/s)."""
 PALM_INPUTS = 36
 """Normals, their first and second derivatives, spins: 3 palms × 3 each, palm by palm."""
 RIG_INPUTS = 2
@@ -36,7 +36,7 @@ Vectors = list[SX]
 
 @dataclass(frozen=True, slots=True)
 class PalmVectors:
-    """Each palm's normal, its derivatives, and its spin; columns."""
+    """Normals of the palms, their first and second derivatives, and spins; columns."""
 
     normal: Vectors
     rate: Vectors
@@ -45,36 +45,36 @@ class PalmVectors:
 
     @classmethod
     def of(cls, inputs: SX) -> PalmVectors:
-        """From the column of `PALM_INPUTS`."""
+        """Split a column of `PALM_INPUTS`."""
         kinds = [[inputs[9 * kind + 3 * i : 9 * kind + 3 * i + 3] for i in range(3)] for kind in range(4)]
         return cls(*kinds)
 
     @property
     def vibration_axes(self) -> Vectors:
-        """Along which each palm vibrates: its pad's axis a, whose sense makes no difference.
+        """Direction in which each palm vibrates: its pad's axis a, whose sense does not matter.
 
-        Palm 1 along the edge about which it tilts, the others at right angles to the axis about which they turn.
+        Palm 1 vibrates along the edge about which it tilts, the others perpendicular to the axis about which they turn.
         """
         axle, two, three = self.normal
         return [SX([1, 0, 0]), ca.cross(axle, two), ca.cross(three, axle)]
 
     @property
     def inverse(self) -> SX:
-        """N⁻¹, whose columns are the reciprocal vectors of the normals."""
+        """N⁻¹; its columns are the reciprocal vectors of the normals."""
         one, two, three = self.normal
         volume = ca.dot(one, ca.cross(two, three))
         return ca.horzcat(ca.cross(two, three), ca.cross(three, one), ca.cross(one, two)) / volume
 
 
 def _inverse(A: SX) -> SX:
-    """Of a 3 × 3 matrix."""
+    """Inverse of a 3 × 3 matrix."""
     rows = [A[i, :].T for i in range(3)]
     columns = [ca.cross(rows[1], rows[2]), ca.cross(rows[2], rows[0]), ca.cross(rows[0], rows[1])]
     return ca.horzcat(*columns) / ca.dot(rows[0], columns[0])
 
 
 def _inertia(scale: SX, lam: SX) -> SX:
-    """In the body's frame (m²), for a body of radius `scale`."""
+    """Inertia in the body's frame (m²) of a body of radius `scale`."""
     L = SX(3, 3)
     index = 0
     for i in range(3):
@@ -88,11 +88,11 @@ def _inertia(scale: SX, lam: SX) -> SX:
 def _newton_euler(
     palms: PalmVectors, r: Vectors, p_rate: SX, omega: SX, a: SX, J: SX, body: SX, rig: SX, law: VibrationLaw
 ) -> tuple[SX, SX]:
-    """(ω̇, normal forces f per unit mass) where nᵢ·p̈ + (rᵢ×nᵢ)·ω̇ = aᵢ; body: damping, μ, ln u_d with u_d = πV/2.
+    """(ω̇, normal forces f per unit mass) for nᵢ·p̈ + (rᵢ×nᵢ)·ω̇ = aᵢ; body: damping, μ, ln u_d with u_d = πV/2.
 
-    The palms vibrate independently, each along its `vibration_axes`. At slip uᵢ palm i pushes by f (n − μ s), where
-    s = σ + λμΣk, with σ and Σ of `planar_friction` and k the answer of its own normal force to friction: the diagonal
-    of A⁻¹B where A f = b + μ B s f. Exact to order μ². With the old law s = u/√(u² + u_d²).
+    The palms vibrate independently, each along its `vibration_axes`. At slip uᵢ palm i exerts f (n − μ s), where
+    s = σ + λμΣk, with σ and Σ of `planar_friction` and k the response of its own normal force to friction: the diagonal
+    of A⁻¹B where A f = b + μ B s f. Exact to order μ². In the averaged law s = u/√(u² + u_d²).
     """
     damping, mu, speed = body[0], body[1], ca.exp(body[2]) * (2 / math.pi)
     p = palms.inverse @ ca.vertcat(*(-ca.dot(n, each) for n, each in zip(palms.normal, r, strict=True)))
@@ -111,8 +111,8 @@ def _newton_euler(
             direction = averaged_direction(*ratio)
         else:
             (along, across), (first, mixed, second) = direction_moments(*ratio)
-            answer = A_inverse[i, :]
-            k = [answer @ (N @ axis + turning @ ca.cross(each, axis)) for axis in axes]
+            response = A_inverse[i, :]
+            k = [response @ (N @ axis + turning @ ca.cross(each, axis)) for axis in axes]
             ripple = rig[1] * mu
             direction = (
                 along + ripple * (first * k[0] + mixed * k[1]),
@@ -130,7 +130,8 @@ def _newton_euler(
 def newton_function(law: VibrationLaw) -> ca.Function:
     """(R, ω, xᵢ, κᵢ, [radius, body], palms, rig) → (ω̇, f, and ω̇'s Jacobian in δ, ω, x, κ, [radius, body]).
 
-    x: the contacts in the body's frame, palm by palm; κᵢ = sᵢᵀR∇²H(uᵢ)Rᵀsᵢ, sᵢ = ω×nᵢ − ṅᵢ. The Jacobian keeps x and κ.
+    x: contacts in the body's frame, palm by palm; κᵢ = sᵢᵀR∇²H(uᵢ)Rᵀsᵢ, sᵢ = ω×nᵢ − ṅᵢ. The Jacobian treats x and κ as
+    independent of δ and ω.
     """
     R, omega, x, kappa = SX.sym("R", 3, 3), SX.sym("omega", 3), SX.sym("x", 9), SX.sym("kappa", 3)
     body, inputs, rig = SX.sym("body", 1 + BODY), SX.sym("palms", PALM_INPUTS), SX.sym("rig", RIG_INPUTS)
@@ -213,9 +214,9 @@ def acceleration_function(order: int, law: VibrationLaw) -> ca.Function:
 
 
 def reading_function(order: int) -> ca.Function:
-    """(R, [n of the pad's own palm and the two next, N⁻¹ by columns alike, its axes a, b]; c) → (y, ∂y/∂δ, ∂y/∂c).
+    """(R, [n of the pad's palm and the two next, columns of N⁻¹ in this order, axes a, b]; c) → (y, ∂y/∂δ, ∂y/∂c).
 
-    y = (a, b), what the pad reads: eᵀ(p + R x(u)).
+    y = (a, b): the pad's reading eᵀ(p + R x(u)).
     """
     n = count(order)
     R, geometry, c = ca.MX.sym("R", 3, 3), ca.MX.sym("geometry", 24), ca.MX.sym("c", n)
@@ -240,8 +241,8 @@ def reading_function(order: int) -> ca.Function:
 def driven_function(law: VibrationLaw) -> ca.Function:
     """([p, ω], palms, [cᵢ, ċᵢ]; [ln radius of gyration, damping, ln μ, ln u_d], rig) → (rates, ∂/∂state, ∂/∂constants).
 
-    The same equations with the contacts and how they move given, instead of a shape: what a ball-like body, inertia
-    ρ²·1, must do for its contacts to be there. rᵢ = cᵢ − p.
+    The same equations for a ball-like body, inertia ρ²·1, with given contacts and their velocities instead of a shape.
+    rᵢ = cᵢ − p.
     """
     state, inputs, contacts = SX.sym("state", 6), SX.sym("palms", PALM_INPUTS), SX.sym("contacts", 18)
     constants, rig = SX.sym("constants", 4), SX.sym("rig", RIG_INPUTS)
@@ -269,14 +270,14 @@ def driven_function(law: VibrationLaw) -> ca.Function:
 
 
 def _of_motion(function: ca.Function) -> ca.Function:
-    """The same without its last output, what the parameters change: for who looks for the motion alone."""
+    """The same without its last output, the parameter Jacobian, for fits of the motion alone."""
     inputs, name = function.mx_in(), f"{function.name()}_of_motion"
     names = [function.name_in(i) for i in range(function.n_in())]
     return ca.Function(name, inputs, function.call(inputs)[:-1], names, function.name_out()[:-1])
 
 
 def _over_block(function: ca.Function, shared: int) -> Kernel:
-    """`function` on instants side by side, all with the same last `shared` inputs."""
+    """`function` for many instants side by side, which share the last `shared` inputs."""
     names = function.name_in()
     return of_columns(function, f"{function.name()}_block", names[len(names) - shared :])
 
@@ -295,7 +296,7 @@ def library(order: int, law: VibrationLaw = "sign_pairs") -> Library:
 
 @cache
 def filter_library(order: int, law: VibrationLaw, written: str) -> Library:
-    """`acceleration` and `reading` for one instant, and what the file `written` computes with them."""
+    """`acceleration` and `reading` for one instant, and the functions of the C file `written` that call them."""
     return load(
         f"three_palms_filter{order}{_SUFFIX[law]}",
         lambda: [single(acceleration_function(order, law)), single(reading_function(order))],
@@ -310,4 +311,4 @@ def driven_library(law: VibrationLaw = "sign_pairs") -> Library:
 
 
 _SUFFIX: dict[VibrationLaw, str] = {"sign_pairs": "", "averaged": "_averaged"}
-"""Of a library's name, by the law of friction."""
+"""Suffix of a library's name for each law of friction."""

@@ -1,4 +1,4 @@
-"""What a pivoting gripper may do, and its plans: the pivot's place x along the pad and z over it are the joints (m)."""
+"""Limits and plans of a pivoting gripper; its joints are the pivot's position x along the pad and z over it (m)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from palmd.system.pivot import AXES, SYSTEM
 
 @dataclass(frozen=True, slots=True)
 class PivotLimits(JointLimits):
-    """Of the pivot's place: `angles` are the ranges of x and z (m), rate and acceleration in m/s.
+    """Limits of the pivot's position: `angles` are the ranges of x and z (m), rate in m/s, acceleration in m/s².
 
-    force: what the body may press on the pad (N). slides: the arm has but the lower stop of a slide, over which the
-    pivot is carried by what it stands on.
+    force: limit of the body's force on the pad (N). slides: the arm commands only the lower stop of a slide; the body
+    carries the pivot above it.
     """
 
     system: ClassVar[str] = SYSTEM
@@ -44,13 +44,13 @@ class PivotLimits(JointLimits):
 
     @classmethod
     def of(cls, config: PivotConfig) -> PivotLimits:
-        """The configured limits in SI."""
+        """Configured limits in SI units."""
         over_pad = cls.over(config.limits, config.pads.palm1.length_mm)
         return replace(over_pad, slides=config.rig.vertical == "float")
 
     @classmethod
     def over(cls, limits: PivotLimitsConfig, pad_length_mm: float) -> PivotLimits:
-        """The limits in SI over a pad of this length."""
+        """Limits in SI units over a pad of this length."""
         stop = limits.stop_deceleration_mm_s2
         return cls(
             angles=tuple((low * 1e-3, high * 1e-3) for low, high in limits.ranges_mm),
@@ -63,28 +63,28 @@ class PivotLimits(JointLimits):
 
 
 def pivot_home(limits: MotionLimits) -> Angles:
-    """Where a plan is taken to begin while nobody knows: in the middle over the pad, as high as may be."""
+    """Start of a plan if the pose is not known: over the middle of the pad, as high as possible."""
     (x0, x1), (_, z1) = limits.angles
     return (0.5 * (x0 + x1), z1)
 
 
 def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles | None = None) -> Trajectory:
-    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
+    """Compile a plan to a trajectory that begins at `start`; raises PlanError with all violations of the limits.
 
-    It begins where the gripper stands. A move rises before it goes along, and goes along before it sinks: a body that
-    is raised straight trails its friction, and what is dragged sideways might wedge.
+    A move goes up before it goes along, and along before it goes down: a body that is raised straight trails behind its
+    friction, and one that is dragged sideways might wedge.
     """
-    stands = start if start is not None else pivot_home(limits)
-    begin = pose = limits.clamp_step(PalmMotion.at_rest(stands), PalmMotion.at_rest(stands), math.inf).angles
-    found: list[tuple[Loc, str]] = []
+    pose_now = start if start is not None else pivot_home(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(pose_now), PalmMotion.at_rest(pose_now), math.inf).angles
+    violations: list[tuple[Loc, str]] = []
     segments: list[MotionSegment] = []
     labels: list[str] = []
     for index, each in enumerate(spec.segments):
         count = len(segments)
         if isinstance(each, PivotExploreSpec):
             if index != len(spec.segments) - 1:
-                text = "where an exploration ends is not known beforehand: it must be the last segment"
-                found.append((("segments", index), text))
+                text = "an exploration must be the last segment: its end is not known beforehand"
+                violations.append((("segments", index), text))
             segments.append(Exploration(pose, each.explore))
         elif isinstance(each, PivotHoldSpec):
             segments.append(Hold(pose, each.hold_s))
@@ -95,26 +95,26 @@ def compile_pivot_plan(spec: PivotPlanSpec, limits: PivotLimits, start: Angles |
         labels += [_label(each)] * (len(segments) - count)
         for segment in segments[count:]:
             extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
-            found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
-    if found:
-        raise PlanError(list(dict.fromkeys(found)))
+            violations += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+    if violations:
+        raise PlanError(list(dict.fromkeys(violations)))
     whole = Round.of(segments)
     return Trajectory(spec.name, begin, 0.0, whole.duration, tuple(labels), (whole,), None)
 
 
 def _legs(start: Angles, end: Angles, duration: float) -> list[Move]:
-    """Up, along, or along, down, in so much time together, shared by their lengths; no leg that leads nowhere."""
+    """Legs up and along, or along and down; `duration` is shared in proportion to length; empty legs are left out."""
     corner = (start[0], end[1]) if end[1] > start[1] else (end[0], start[1])
-    ways = [max(abs(a - b) for a, b in zip(*leg, strict=True)) for leg in ((start, corner), (corner, end))]
-    if not sum(ways):
+    lengths = [max(abs(a - b) for a, b in zip(*leg, strict=True)) for leg in ((start, corner), (corner, end))]
+    if not sum(lengths):
         return [Move(start, end, duration)]
-    each = zip(((start, corner), (corner, end)), ways, strict=True)
-    return [Move(a, b, duration * way / sum(ways)) for (a, b), way in each if way]
+    each = zip(((start, corner), (corner, end)), lengths, strict=True)
+    return [Move(a, b, duration * length / sum(lengths)) for (a, b), length in each if length]
 
 
 def _target(place: PivotPlace, pose: Angles) -> Angles:
-    wanted = (place.x_mm, place.z_mm)
-    return tuple(here if mm is None else mm * 1e-3 for mm, here in zip(wanted, pose, strict=True))
+    target = (place.x_mm, place.z_mm)
+    return tuple(here if mm is None else mm * 1e-3 for mm, here in zip(target, pose, strict=True))
 
 
 def _label(spec: PivotMoveSpec | PivotHoldSpec | PivotExploreSpec) -> str:
@@ -122,4 +122,4 @@ def _label(spec: PivotMoveSpec | PivotHoldSpec | PivotExploreSpec) -> str:
 
 
 PLANS = PlanForm(PivotPlanSpec, PivotLimitsConfig, PivotLimits.of, PivotLimits.over, compile_pivot_plan)
-"""Of a pivoting grasp."""
+"""Plans of a pivoting grasp."""

@@ -1,4 +1,4 @@
-"""What three palms in space may do, and their plans: the joints are β, γ2 and γ3 (rad)."""
+"""Limits and plans of three palms in space; the joints are β, γ2 and γ3 (rad)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from palmd.system.three_palms import JOINTS, SYSTEM
 
 @dataclass(frozen=True, slots=True)
 class TiltLimits(JointLimits):
-    """Of the three joints."""
+    """Limits of the three joints."""
 
     system: ClassVar[str] = SYSTEM
     names: ClassVar[tuple[str, ...]] = JOINTS
@@ -37,12 +37,12 @@ class TiltLimits(JointLimits):
 
     @classmethod
     def of(cls, config: ThreePalmsConfig) -> TiltLimits:
-        """The configured limits in SI."""
+        """Configured limits in SI units."""
         return cls.over(config.limits, config.pads.palm1.length_mm)
 
     @classmethod
     def over(cls, limits: ThreePalmsLimitsConfig, pad_length_mm: float) -> TiltLimits:
-        """The limits in SI over pads of this length."""
+        """Limits in SI units with pads of this length."""
         stop = limits.stop_deceleration_deg_s2
         return cls(
             angles=tuple((math.radians(low), math.radians(high)) for low, high in limits.ranges_deg),
@@ -54,18 +54,15 @@ class TiltLimits(JointLimits):
 
 
 def middle_of(limits: MotionLimits) -> Angles:
-    """Where a plan is taken to begin while nobody knows."""
+    """Start of a plan if the pose is not known: the middle of all ranges."""
     return tuple(0.5 * (low + high) for low, high in limits.angles)
 
 
 def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | None = None) -> Trajectory:
-    """The plan as a trajectory within the limits; raises PlanError with everything that stands against it.
-
-    It begins where the palms stand.
-    """
-    stands = start if start is not None else middle_of(limits)
-    begin = pose = limits.clamp_step(PalmMotion.at_rest(stands), PalmMotion.at_rest(stands), math.inf).angles
-    found: list[tuple[Loc, str]] = []
+    """Compile a plan to a trajectory that begins at `start`; raises PlanError with all violations of the limits."""
+    pose_now = start if start is not None else middle_of(limits)
+    begin = pose = limits.clamp_step(PalmMotion.at_rest(pose_now), PalmMotion.at_rest(pose_now), math.inf).angles
+    violations: list[tuple[Loc, str]] = []
     segments: list[MotionSegment] = []
     for index, each in enumerate(spec.segments):
         segment: MotionSegment
@@ -77,8 +74,8 @@ def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | No
         elif isinstance(each, TiltExploreSpec):
             segment = Exploration(pose, each.explore)
             if index != len(spec.segments) - 1:
-                text = "where an exploration ends is not known beforehand: it must be the last segment"
-                found.append((("segments", index), text))
+                text = "an exploration must be the last segment: its end is not known beforehand"
+                violations.append((("segments", index), text))
         else:
             segment = Sine(
                 pose,
@@ -88,19 +85,19 @@ def compile_tilt_plan(spec: TiltPlanSpec, limits: TiltLimits, start: Angles | No
                 each.duration_s,
             )
         extremes = ranges(limits.values(segment.at(t)) for t in segment.sample_times())
-        found += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
+        violations += [(("segments", index), text) for _, text in problems(limits.bounds, extremes)]
         segments.append(segment)
-    if found:
-        raise PlanError(list(dict.fromkeys(found)))
+    if violations:
+        raise PlanError(list(dict.fromkeys(violations)))
     whole = Round.of(segments)
     labels = tuple(next(iter(type(each).model_fields)) for each in spec.segments)
     return Trajectory(spec.name, begin, 0.0, whole.duration, labels, (whole,), None)
 
 
 def _target(angles: TiltAngles, pose: Angles) -> Angles:
-    wanted = zip(angles.each(), pose, strict=True)
-    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in wanted)
+    targets = zip(angles.each(), pose, strict=True)
+    return tuple(here if degrees is None else math.radians(degrees) for degrees, here in targets)
 
 
 PLANS = PlanForm(TiltPlanSpec, ThreePalmsLimitsConfig, TiltLimits.of, TiltLimits.over, compile_tilt_plan)
-"""Of three palms in space."""
+"""Plans of three palms in space."""

@@ -1,8 +1,8 @@
-"""The pivoting grasp: an object held where it turns freely about a pivot P, and dragged by an arm over one pad.
+"""The pivoting grasp: an object that turns freely about a pivot P in a gripper, dragged by an arm over one pad.
 
-The pad lies along world x at height 0; P is at (X, z), e is how far ahead of P the pad is touched. ψ is the body's
-orientation, θ = −π/2 − ψ the outward normal that touches in the body's frame, h_P the support function about P: then
-z = h_P(θ), e = h_P′(θ). SI units.
+The pad lies along world x at height 0; P is at (X, z), the contact is at X + e. ψ is the body's orientation,
+θ = −π/2 − ψ the outward normal at the contact in the body's frame, h_P the support function about P: z = h_P(θ),
+e = h_P′(θ). SI units.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ Vertical = Literal["rigid", "float"]
 
 @dataclass(frozen=True, slots=True)
 class GripperSample:
-    """Where the pivot is as measured: x from the pad's zero, z over the pad (m); z None where it is not measured.
+    """Measured position of the pivot: x from the pad's zero, z over the pad (m); z is None if it is not measured.
 
-    Velocities (m/s) and accelerations (m/s²) are the motion plan's, None where no plan tells them.
+    Velocities (m/s) and accelerations (m/s²) are the motion plan's, None without a plan.
     """
 
     t_sample: float
@@ -41,11 +41,12 @@ PivotEvent = PadSample | GripperSample
 
 @dataclass(frozen=True, slots=True)
 class PivotRig:
-    """What an observer must know of the rig.
+    """The rig as an observer knows it.
 
-    vertical: whether the gripper is `rigid` in height or slides, a carriage of `carriage_mass` (kg) with
-    `carriage_damping` (N s/m) under its own weight. arm_noise: of each measured position (m). angle_sd: of the pad's
-    slope along x (rad); `pad` has the other constants' one-sigma. vibration: of the pad along itself.
+    vertical: `rigid` if the gripper's height is commanded; `float` if it is on a vertical slide, a carriage of
+    `carriage_mass` (kg) with `carriage_damping` (N s/m) that rests on the body by its weight. arm_noise: 1σ of a
+    measured position (m). angle_sd: 1σ of the pad's slope along x (rad); `pad` has the 1σ of the other constants.
+    vibration: of the pad along itself.
     """
 
     gravity: float = 9.81
@@ -59,33 +60,33 @@ class PivotRig:
     vibration: Vibration = INDEPENDENT
 
     def known_to(self, sds: Mapping[str, float]) -> PivotRig:
-        """The same rig with these `_sd`, as in `RigDescription.known_to`; those that it has no place for are left."""
+        """The same rig with these `_sd`, as in `RigDescription.known_to`; unknown names are ignored."""
         of_pad = {name: sd for name, sd in sds.items() if hasattr(PadSensor, name)}
         return replace(self, pad=replace(self.pad, **of_pad), angle_sd=sds.get("angle_sd", self.angle_sd))
 
 
 def normal_of(psi: FloatArray) -> FloatArray:
-    """θ: the outward normal, in the body's frame, of the point that touches the pad at orientation ψ (rad)."""
+    """θ: direction of the outward normal at the contact, in the body's frame, at orientation ψ (rad)."""
     normal: FloatArray = -0.5 * math.pi - psi
     return normal
 
 
 SYSTEM = "pivot"
 AXES = ("x", "z")
-"""What the gripper's joints are called: along the pad and over it, both measured in metres."""
+"""Names of the gripper's joints: along the pad and over it, both in metres."""
 PAD = 1
-"""The number of the one pad."""
+"""Number of the only pad."""
 NAMING = Naming(AXES, "m", (PAD,))
 
 
 @dataclass(frozen=True, slots=True)
 class PivotEstimate(LiveEstimate):
-    """What is known of a pivoting grasp at one instant `t`; SI units, NaN for no value.
+    """Estimate of a pivoting grasp at one instant `t`; SI units, NaN for no value.
 
-    x, z: of the pivot. s: where the pad is touched; e = s − x. psi, omega0: the body's orientation, 0 at the first
-    reading that was used, and its rate. f: the pad's force. moment: mass times distance of the centre of mass from the
-    pivot (kg m). side: the sign of e, 0 while nothing is touched. touched: share of all normals that were felt.
-    reason: why it is not valid, in words. sd: one-sigma of each field it names.
+    x, z: of the pivot. s: contact on the pad; e = s − x. psi, omega0: the body's orientation, 0 at the first reading
+    that was used, and its rate. f: the pad's normal force. moment: mass times distance of the centre of mass from the
+    pivot (kg m). side: the sign of e, 0 without contact. touched: fraction of all normals that were touched. reason:
+    why it is not valid, in words. sd: 1σ of each field that it names.
     """
 
     x: float
@@ -104,14 +105,14 @@ class PivotEstimate(LiveEstimate):
 
 @dataclass(frozen=True, slots=True)
 class PivotAnswer:
-    """A smoother's belief about all that was felt until `t` (s), or in `reason` why it claims nothing.
+    """A smoother's estimate from all readings until `t` (s), if `accepted`; else `reason` says why not.
 
-    p: (CONSTANTS,) of `model.pivot`, covariance of the same. psi: the orientation at `t` (rad). h_sd: (360,) one-sigma
-    of the outline, its gauge left out, and `touched` (360,) where it was felt. Empty arrays where nothing is claimed.
+    p: (CONSTANTS,) of `model.pivot`, with covariance. psi: the orientation at `t` (rad). h_sd: (360,) 1σ of the outline
+    without its gauge, and `touched` (360,). Arrays are empty if it is not accepted.
     """
 
     t: float
-    claimed: bool
+    accepted: bool
     reason: str
     psi: float
     p: FloatArray
@@ -122,10 +123,11 @@ class PivotAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Touching:
-    """What a gripper that drags must go by at `t` (s), measured and without any model.
+    """Measured contact at `t` (s), without a model, for planning drags.
 
-    x, z: where the pivot is (m). e: how far ahead of it the pad is touched (m) and force (N), means over some tens of
-    milliseconds; NaN while untouched. band: RMS one-sigma of the outline where felt (m), NaN while nothing is claimed.
+    x, z: position of the pivot (m). e: contact ahead of the pivot (m), and force (N), means over some tens of
+    milliseconds; NaN without contact. touched: fraction of normals touched, and band: RMS 1σ of the outline there (m);
+    both NaN without an accepted outline.
     """
 
     t: float

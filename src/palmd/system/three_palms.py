@@ -1,8 +1,8 @@
 """Three flat palms in space: the mechanism of the paper's figure 1.2 (`edge-axis`), and the rig as observers know it.
 
-World frame: the apex O of the three palms at the origin, gravity along −z. Palm 1 tilts by β about its bottom edge X
-through O; palms 2 and 3 are carried by it and turn by γ2 and γ3 about the axis through O along its normal n1. All three
-pass through O, so that a point c on palm i has nᵢ·c = 0. Pure.
+World frame: the apex O of the three palms is the origin, gravity acts along −z. Palm 1 tilts by β about its bottom edge
+X through O; palms 2 and 3 are carried by it and turn by γ2 and γ3 about the axis through O along its normal n1. All
+three pass through O, so that a point c on palm i has nᵢ·c = 0. Pure.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ MECHANISM: Literal["edge-axis"] = "edge-axis"
 PALMS = (1, 2, 3)
 """The palms' numbers; palm i carries pad i."""
 JOINTS = ("beta", "gamma2", "gamma3")
-"""What the joint angles are called, in the order of every joint vector."""
+"""Names of the joint angles, in the order of every joint vector."""
 NAMING = Naming(JOINTS, "rad", PALMS, along="b", across="a")
 RELATIONS: tuple[Relation, ...] = ("independent", "none")
-"""Between the palms' vibrations, of those that there are."""
+"""Supported relations between the palms' vibrations."""
 GAP_S = 0.15
-"""Without a reading of a pad or a report of the joints, after which nothing is known to go on."""
+"""Gap in a pad's readings or the joints' reports after which an estimate is not continued."""
 _TURNS: FloatArray = np.array([[0.0], [1.0], [-1.0]])
-"""How palms turn about n1 with their joint's angle."""
+"""Sense in which each palm turns about n1 with its joint's angle."""
 _MIDDLES: FloatArray = np.array([[0.0, 0.5], [0.5, 0.5], [0.5, 0.5]])
-"""Of the pads, along both of their axes, in sides."""
+"""Middles of the pads along both axes, in units of their side."""
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 HALVINGS = 4
-"""How often the icosahedron is halved whose corners are the directions of a published surface: 2,562 of them."""
+"""Subdivisions of the icosahedron whose vertices are the directions of a published surface: 2,562 of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class PadPlane:
     """A pad that reads both coordinates of the contact: its side, noise and resolution (m), noise of force readings.
 
-    `force_scale_std` is relative, of each reading by itself.
+    `force_scale_std` is relative, and independent for each reading.
     """
 
     side: float = 0.075
@@ -52,13 +52,13 @@ class PadPlane:
 
     @property
     def reading_variance(self) -> float:
-        """Of one coordinate: its noise and what rounding to the resolution adds (m²)."""
+        """Variance of one coordinate: noise plus rounding to the resolution (m²)."""
         return self.noise**2 + self.resolution**2 / 12
 
 
 @dataclass(frozen=True, slots=True)
 class ThreePalmsRig:
-    """What an observer knows of the rig: gravity (m/s²), the pads, one-sigma of a joint angle (rad), vibration."""
+    """The rig as an observer knows it: gravity (m/s²), the pads, 1σ of a joint angle (rad), vibration."""
 
     gravity: float = 9.81
     pad: PadPlane = PadPlane()
@@ -66,18 +66,18 @@ class ThreePalmsRig:
     vibration: Vibration = INDEPENDENT
 
     @property
-    def acting(self) -> FloatArray:
-        """What the kernels take of it: gravity (m/s²) and λ of the palms' vibration, 1 where it is not known."""
+    def kernel_constants(self) -> FloatArray:
+        """Kernel inputs: gravity (m/s²) and ripple transmission λ of the palms' vibration, 1 if it is not known."""
         known = self.vibration.transmission
         return np.array([self.gravity, 1.0 if known is None else known])
 
 
 @dataclass(frozen=True, slots=True)
 class PalmPlanes:
-    """Where the palms are and how they turn at T instants; arrays (T, 3 palms, 3), SI, world frame.
+    """Pose and motion of the palms at T instants; arrays (T, 3 palms, 3), SI, world frame.
 
     normal: unit normals towards the object, with their first and second time derivatives. spin: angular velocity of
-    each palm. axis_a, axis_b: the pad's axes, so that readings (a, b) mean the contact a·axis_a + b·axis_b.
+    each palm. axis_a, axis_b: the pad's axes; a reading (a, b) is the contact a·axis_a + b·axis_b.
     """
 
     normal: FloatArray
@@ -115,7 +115,7 @@ def palms_at(angle: FloatArray, rate: FloatArray, acceleration: FloatArray) -> P
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a × b over the last axis: NumPy's, which is general, takes ten times as long for a few."""
+    """a × b over the last axis; ten times as fast as NumPy's for few vectors."""
     return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT], np.float64)
 
 
@@ -126,12 +126,12 @@ def contact_points(palms: PalmPlanes, a: FloatArray, b: FloatArray) -> FloatArra
 
 
 def readings_of(palms: PalmPlanes, points: FloatArray) -> FloatArray:
-    """(T, 3 palms, 2) what each pad reads of contacts (T, 3 palms, 3) (m, world)."""
+    """(T, 3 palms, 2) readings of contacts (T, 3 palms, 3) (m, world)."""
     return np.stack([(points * palms.axis_a).sum(-1), (points * palms.axis_b).sum(-1)], axis=-1)
 
 
 def room_on_pads(readings: FloatArray, side: float) -> FloatArray:
-    """(…, 3 palms, 2) how far readings lie within the edges of pads with this `side` (m), negative beyond.
+    """(…, 3 palms, 2) distance of readings from the edges of pads with this `side` (m); negative outside.
 
     Palm 1's pad is centred on the edge along its first axis and begins there along its second; the others begin there
     along both.
@@ -142,11 +142,11 @@ def room_on_pads(readings: FloatArray, side: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class BodyEstimate(LiveEstimate):
-    """What is known of a body between three palms at one instant `t`, by the names and units of `palm3/estimate`.
+    """Estimate of a body between three palms at one instant `t`, with the names and units of `palm3/estimate`.
 
-    values: NaN for no value; `sd` has the one-sigma of those that it names. quaternion: x, y, z, w, body to world, or
-    NaN; attitude_sd: of turns about the world's axes (rad). touched: share of all directions that were felt.
-    hypotheses: how many motions explain the readings. reason: why it is not valid, in words.
+    values: NaN for no value; `sd`: 1σ of the values that it names. quaternion: x, y, z, w, body to world, or NaN;
+    attitude_sd: 1σ of turns about the world's axes (rad). touched: fraction of all directions that were touched.
+    hypotheses: number of motions that explain the readings. reason: why it is not valid, in words.
     """
 
     values: Mapping[str, float]
@@ -159,46 +159,46 @@ class BodyEstimate(LiveEstimate):
 
 @dataclass(frozen=True, slots=True)
 class BodyPlanningBelief:
-    """What is known of a body at time `t` (s), for choosing motions.
+    """Belief about a body at time `t` (s) for planning.
 
-    R: (3, 3) body to world, omega (3,) (rad/s), p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m)
-    of turns in the world, omega and p. touched: which of the directions lie within 4 degrees of where a palm has been
-    until the smoother's answer; since: (K, 3 palms, 3) outward normals in the body where it has been touched after
-    that. `begun` (s) tells records of the body apart. Each has its own frame, in which all is told here; `turn` (3, 3)
-    leads from it into that of the first record whose `frame` is the same: by where two of them say it lies. What is
-    not `claimed`, or contradicted a little since, is not known to be right. mass: kg, NaN where no force was read.
+    record_start: (s), identifies the record. accepted: whether the smoother's answer was accepted and is not
+    contradicted since. mass: kg, NaN without force readings. R: (3, 3) body to world, omega (3,) (rad/s), p: (m,)
+    parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the world, omega and p. touched: which
+    directions lie within 4 degrees of a contact before the smoother's answer; normals_since: (K, 3 palms, 3) outward
+    normals in the body's frame of contacts since then. Each record has its own body frame, in which everything here is
+    given; turn (3, 3) rotates it to the frame of the first record with the same number `frame`.
     """
 
     t: float
     object_count: int
-    begun: float
-    claimed: bool
+    record_start: float
+    accepted: bool
     mass: float
     R: FloatArray
     omega: FloatArray
     p: FloatArray
     covariance: FloatArray
     touched: npt.NDArray[np.bool_]
-    since: FloatArray
+    normals_since: FloatArray
     frame: int
     turn: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class BodyAnswer:
-    """A smoother's belief about all that was felt until `t` (s), or in `reason` why it claims nothing.
+    """A smoother's estimate from all readings until `t` (s).
 
-    begun: where its record begins (s), another after a palm has been let go. R: (3, 3) body to world, omega (3,)
-    (rad/s) at `t`, p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the world, omega
-    and p. h, h_sd: the surface (m), its one-sigma, and `touched`, for each of the directions. inertia_sd: (9,) per unit
-    mass (m²). mass, mass_sd: kg, NaN where no force was read. rough: what a reading misses all that by besides its
-    noise (m), one-sigma: what harmonics leave out. Arrays are empty where no motion is known; where one is but is not
-    `claimed`, the belief is told and is not to be believed.
+    record_start: start of the record (s); a new one begins after a palm lost contact. accepted: whether the estimate
+    passed all tests; if not, `reason` says why, and the estimate is given for information. R: (3, 3) body to world,
+    omega (3,) (rad/s) at `t`, p: (m,) parameters of `model.three_palms`; covariance: (6 + m, 6 + m) of turns in the
+    world, omega and p. h, h_sd: support function and its 1σ (m), and `touched`, for each direction. inertia_sd: (9,)
+    per unit mass (m²). mass, mass_sd: kg, NaN without force readings. unexplained_sd: 1σ of the readings' errors beyond
+    their noise, from truncated harmonics (m). Arrays are empty if no motion is known.
     """
 
     t: float
-    begun: float
-    claimed: bool
+    record_start: float
+    accepted: bool
     reason: str
     hypotheses: int
     R: FloatArray
@@ -211,4 +211,4 @@ class BodyAnswer:
     inertia_sd: FloatArray
     mass: float
     mass_sd: float
-    rough: float = 0.0
+    unexplained_sd: float = 0.0

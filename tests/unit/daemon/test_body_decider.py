@@ -31,7 +31,7 @@ STANDING = UnderWay(Move(REST, REST, 0.0), 0.0)
 
 
 @pytest.fixture(scope="module")
-def planning_belief():
+def belief():
     stand = BodyStand(SEED, RIG.gravity)
     (R,), (omega,) = stand.bearings
     p = known_parameters(stand.plant.body, stand.plant.rubbing)
@@ -58,7 +58,7 @@ def test_a_known_body_is_moved_on_from_where_the_move_under_way_ends(belief):
     assert answer.decision.move.start == end
     assert answer.decision.then.start == answer.decision.move.end
     assert math.isfinite(answer.decision.coverage)
-    believed = BodyDecider(RIG).answer(question(dataclasses.replace(belief, claimed=False)))
+    believed = BodyDecider(RIG).answer(question(dataclasses.replace(belief, accepted=False)))
     assert (believed.decision.kind, believed.decision.then) == ("move", None)  # one by one, until it is claimed
 
 
@@ -75,7 +75,7 @@ def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over
     answer = decider.answer(question(seen, coverage=0.8)).decision
     assert (answer.kind, answer.reachable) == ("done", 1.0)
     assert answer.coverage > 0.8
-    assert decider.answer(question(dataclasses.replace(seen, claimed=False), coverage=0.8)).decision.kind != "done"
+    assert decider.answer(question(dataclasses.replace(seen, accepted=False), coverage=0.8)).decision.kind != "done"
     late = decider.answer(question(belief, t=75.0, time_limit_s=60)).decision
     assert (late.kind, late.reason) == ("done", "the time limit of 60 s is over")
 
@@ -83,34 +83,34 @@ def test_it_is_done_when_enough_of_a_claimed_body_is_touched_or_the_time_is_over
 def test_what_was_felt_since_the_answer_counts_too(belief):
     decider = BodyDecider(RIG)
     bare = decider.answer(question(belief, choose=False)).decision.coverage
-    felt = dataclasses.replace(belief, since=np.tile(np.eye(3), (5, 1, 1)))
+    felt = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
     share = decider.answer(question(felt, choose=False)).decision.coverage
     assert bare == 0.0
     assert share == np.mean((icosphere(body_decider.HALVINGS)[0] > math.cos(math.radians(10.0))).any(axis=1))
 
 
 def test_what_was_felt_while_it_was_claimed_counts_on(belief):
-    felt = dataclasses.replace(belief, since=np.tile(np.eye(3), (5, 1, 1)))
+    felt = dataclasses.replace(belief, normals_since=np.tile(np.eye(3), (5, 1, 1)))
 
-    def shares(*outlooks):
+    def shares(*beliefs):
         decider = BodyDecider(RIG)
-        return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks]
+        return [decider.answer(question(each, choose=False)).decision.coverage for each in beliefs]
 
-    share, on, elsewhere = shares(felt, belief, dataclasses.replace(belief, begun=3.0, frame=2))
+    share, on, elsewhere = shares(felt, belief, dataclasses.replace(belief, record_start=3.0, frame=2))
     assert on == share > elsewhere == 0.0  # in another frame it is elsewhere
-    assert shares(dataclasses.replace(felt, claimed=False), belief) == [share, 0.0]
+    assert shares(dataclasses.replace(felt, accepted=False), belief) == [share, 0.0]
 
 
 def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_next_record(belief):
     one, turn = np.array([0.0, 0.0, 1.0]), exp(np.array([0.0, 1.1, 0.0]))
-    felt = dataclasses.replace(belief, since=np.tile(one, (1, 3, 1)))
-    again = dataclasses.replace(belief, begun=3.0, turn=turn)  # what was touched lies there at turn.T @ one
-    there = dataclasses.replace(again, since=np.tile(turn.T @ one, (1, 3, 1)))
-    elsewhere = dataclasses.replace(again, since=np.tile(one, (1, 3, 1)))
+    felt = dataclasses.replace(belief, normals_since=np.tile(one, (1, 3, 1)))
+    again = dataclasses.replace(belief, record_start=3.0, turn=turn)  # what was touched lies there at turn.T @ one
+    there = dataclasses.replace(again, normals_since=np.tile(turn.T @ one, (1, 3, 1)))
+    elsewhere = dataclasses.replace(again, normals_since=np.tile(one, (1, 3, 1)))
 
-    def share(*outlooks):
+    def share(*beliefs):
         decider = BodyDecider(RIG)
-        return [decider.answer(question(each, choose=False)).decision.coverage for each in outlooks][-1]
+        return [decider.answer(question(each, choose=False)).decision.coverage for each in beliefs][-1]
 
     once = share(felt)
     assert share(felt, again) == pytest.approx(once, rel=0.25)
@@ -121,7 +121,7 @@ def test_what_was_felt_while_it_was_claimed_is_carried_into_the_frame_of_the_nex
 
 def test_a_body_that_stands_though_nothing_is_safe_is_swung_unless_it_is_claimed(belief, monkeypatch):
     monkeypatch.setattr(body_decider.BodyExplorer, "decide", lambda *_, **__: None)
-    believed, late = dataclasses.replace(belief, claimed=False), 10.1 + body_decider.STOOD_S
+    believed, late = dataclasses.replace(belief, accepted=False), 10.1 + body_decider.REST_LIMIT_S
     decider = BodyDecider(RIG)
     assert decider.answer(question(believed)).decision.kind == "wait"
     swing = decider.answer(question(believed, t=late)).decision
@@ -146,9 +146,9 @@ def test_a_light_body_is_pressed_harder_so_that_the_pads_go_on_to_feel_it(belief
     for mass in (0.02, 10.0, math.nan):
         decision = decider.answer(question(dataclasses.replace(belief, mass=mass))).decision
         assert (decision.kind, decision.reason) == ("wait", "no safe motion found yet")
-    assert asked == [body_decider.FELT_N / 0.02, LEAST_FORCE, LEAST_FORCE]
-    decider.answer(question(dataclasses.replace(belief, claimed=False)))
-    assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.FELT_N / 0.08)
+    assert asked == [body_decider.DETECTABLE_N / 0.02, LEAST_FORCE, LEAST_FORCE]
+    decider.answer(question(dataclasses.replace(belief, accepted=False)))
+    assert asked[-1] == 2.0 * max(LEAST_FORCE, body_decider.DETECTABLE_N / 0.08)
 
 
 def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(belief, monkeypatch):
@@ -158,16 +158,18 @@ def test_strides_are_short_until_a_body_is_claimed_and_hold_all_that_it_may_be(b
     )
     decider = BodyDecider(RIG)
     for claimed in (False, True, False):
-        decider.answer(question(dataclasses.replace(belief, claimed=claimed)))
-    decider.answer(question(dataclasses.replace(belief, claimed=False, begun=3.0)))  # in another frame
+        decider.answer(question(dataclasses.replace(belief, accepted=claimed)))
+    decider.answer(question(dataclasses.replace(belief, accepted=False, record_start=3.0)))  # in another frame
     short, stride, slower = body_decider.SHORT_RAD_S, body_decider.STRIDE_RAD_S, body_decider.SLOWER_RAD_S
     assert [most for most, _ in asked] == [short, stride, slower, short]
     assert all(np.abs(drawn.p - belief.p).max() < 1e-6 for _, drawn in asked)
 
 
 def test_no_move_is_over_before_the_next_can_be_decided(belief, monkeypatch):
-    made, grown = [], body_explorer.BodyExplorer._grown
-    monkeypatch.setattr(body_explorer.BodyExplorer, "_grown", lambda *args: made.extend(grown(*args)) or made[-48:])
+    made, grown = [], body_explorer.BodyExplorer._extended_randomly
+    monkeypatch.setattr(
+        body_explorer.BodyExplorer, "_extended_randomly", lambda *args: made.extend(grown(*args)) or made[-48:]
+    )
     assert BodyDecider(RIG).answer(question(belief)).decision.move.duration >= body_decider.SHORTEST_S
     assert min(move.duration for each in made for move in each.moves) == body_decider.SHORTEST_S
 
@@ -180,7 +182,7 @@ def test_another_frame_of_the_body_begins_anew(belief, monkeypatch):
     for each in (
         belief,
         belief,
-        dataclasses.replace(belief, begun=3.0),
+        dataclasses.replace(belief, record_start=3.0),
         dataclasses.replace(belief, object_count=2),
     ):
         decider.answer(question(each, choose=False))
@@ -194,4 +196,4 @@ def test_what_was_never_felt_is_foreseen_as_convex(belief):
     wide[6 : 6 + n, 6 : 6 + n] += 1e-7 * np.eye(n)
     assert least_radii(hollow[:n])[0].min() < 0.0
     decider.answer(question(dataclasses.replace(belief, p=hollow, covariance=wide), choose=False))
-    assert least_radii(decider._foresight.known[:n])[0].min() > 0.0
+    assert least_radii(decider._predictor.parameters[:n])[0].min() > 0.0

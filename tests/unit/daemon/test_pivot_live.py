@@ -124,7 +124,7 @@ def test_every_message_is_as_its_table_says(lived):
 
 def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
     answers = {fields["t_tick_s"]: says.answer_of(fields) for fields in lived.told("palm/pivot_answer")}
-    assert any(answer.claimed for answer in answers.values())
+    assert any(answer.accepted for answer in answers.values())
 
     class Recorded:
         def submit(self, t, events):

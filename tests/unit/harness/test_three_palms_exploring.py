@@ -60,7 +60,7 @@ def explored():
 def test_it_swings_until_the_body_is_known_and_then_shows_more_of_it(explored):
     rig, coverage, said = explored
     reasons = [reason for _, reason in said]
-    assert "swings the body until it is known where it is" in reasons
+    assert "swings the body until its pose is known" in reasons
     assert reasons[-1] == ""
     assert rig.core.state is State.TRACKING
     assert rig.world.contact_losses == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from curvature import curvatures
 
-from palmd.model.convex_bodies import LEAST_RADIUS, convex, least_radii
+from palmd.model.convex_bodies import LEAST_RADIUS, least_radii, nearest_convex
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
@@ -47,7 +47,7 @@ def test_what_was_never_felt_is_made_convex_and_what_was_felt_stays(felt):
     cap, rows, mean, covariance = felt
     c = drawn(mean, covariance)
     assert least_radii(c)[0].min() < -0.5 * RADIUS  # as a Gaussian belief draws it
-    made = convex(c, covariance, SHAPE)
+    made = nearest_convex(c, covariance, SHAPE)
     assert least_radii(made)[0].min() > 0.0
     np.testing.assert_allclose(rows @ made, rows @ c, atol=2e-5)
     elsewhere = evaluator(ORDER)(DIRECTIONS[~cap])[0]
@@ -57,7 +57,7 @@ def test_what_was_never_felt_is_made_convex_and_what_was_felt_stays(felt):
 def test_what_is_convex_stays_to_the_last_bit(felt):
     _, _, mean, covariance = felt
     assert least_radii(mean)[0].min() > LEAST_RADIUS * RADIUS
-    assert np.array_equal(convex(mean, covariance, SHAPE), mean)
+    assert np.array_equal(nearest_convex(mean, covariance, SHAPE), mean)
 
 
 def test_bodies_that_are_drawn_of_a_belief_are_convex(felt):

@@ -14,7 +14,7 @@ from palmd.model.icosphere import icosphere
 from palmd.model.spherical import count
 from palmd.model.three_palms import BODY
 from palmd.motion import body_explorer
-from palmd.motion.body_explorer import BODIES, DECISION_S, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
+from palmd.motion.body_explorer import DECISION_S, DRAWN_BODIES, LEAST_SHARE, BodyDraws, BodyExplorer, weight_shares
 from palmd.motion.body_prediction import COLUMNS, Bearings, BodyPredictor
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
@@ -51,7 +51,7 @@ def integrated(move, R, omega, p, h=5e-4):
         at = move.at(t)
         each = (np.array([getattr(at, name)]) for name in ("angles", "rates", "accelerations"))
         planes = palms_at(*each)
-        out = acceleration((by_columns(R[None]), omega[None], palm_inputs(planes)), (p, RIG.acting))
+        out = acceleration((by_columns(R[None]), omega[None], palm_inputs(planes)), (p, RIG.kernel_constants))
         return out[0][0], -planes.normal[0] @ R
 
     for k in range(round(move.duration / h)):
@@ -85,9 +85,9 @@ def test_what_is_foreseen_of_a_move_does_not_depend_on_the_others_beside_it():
     ends = REST_POSE + random.uniform(-0.1, 0.1, (COLUMNS, 3))
     durations = random.uniform(0.05, 0.6, COLUMNS)
     p = stand()[1] * random.uniform(0.98, 1.02, (COLUMNS, 1))
-    together = foresight.of(bearings(COLUMNS, SPIN), ends, durations, 0.01, 0.02, p)
+    together = foresight.predict(bearings(COLUMNS, SPIN), ends, durations, 0.01, 0.02, p)
     for k in (int(durations.argmin()), int(durations.argmax()), 5):
-        alone = foresight.of(bearings(1, SPIN), ends[k : k + 1], durations[k : k + 1], 0.01, 0.02, p[k])
+        alone = foresight.predict(bearings(1, SPIN), ends[k : k + 1], durations[k : k + 1], 0.01, 0.02, p[k])
         for name in ("least_force", "room", "spin"):
             assert getattr(together, name)[k] == getattr(alone, name)[0]
         np.testing.assert_array_equal(together.after.some(np.array([k])).R, alone.after.R)
@@ -121,24 +121,24 @@ def test_moves_keep_the_limits_and_end_where_all_palms_bear_the_body():
     for t in np.linspace(0.0, move.duration, 50):
         values = LIMITS.values(move.at(t))
         assert all(bound.problem(value, value) is None for bound, value in zip(LIMITS.bounds, values, strict=True))
-    ends = who._drawn(np.tile(REST_POSE, (COLUMNS, 1)))
+    ends = who._random_ends(np.tile(REST_POSE, (COLUMNS, 1)))
     assert weight_shares(ends).min() > 0.8 * LEAST_SHARE
 
 
 def rooted(who, touched):
     begin = bearings(1)
-    who._been.append(begin.R[0])
+    who._visited.append(begin.R[0])
     return body_explorer._MoveSequence(begin, touched, 0.0, (), 0.0, -math.inf)
 
 
 def test_what_has_been_touched_is_worth_nothing_more():
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
     root = rooted(who, none)
-    fresh = [each for _ in range(body_explorer.ROUNDS) for each in who._grown([root] * COLUMNS, root)]
+    fresh = [each for _ in range(body_explorer.ROUNDS) for each in who._extended_randomly([root] * COLUMNS, root)]
     assert max(each.gain for each in fresh) > 2 * body_explorer.NOVELTY
     assert all(each.gain == each.touched.mean() for each in fresh)
     full = dataclasses.replace(root, touched=~none)
-    again = who._grown([full] * COLUMNS, full)
+    again = who._extended_randomly([full] * COLUMNS, full)
     assert max(each.gain for each in again) == 0.0
     assert max(each.value * (each.seconds + DECISION_S) for each in again) <= body_explorer.NOVELTY  # of new places
 
@@ -147,28 +147,32 @@ def test_the_rest_of_the_best_sequences_is_gone_on_with():
     who, none = explorer(), np.zeros(len(icosphere(2)[0]), np.bool_)
     move = who.decide(bearings(1), none)
     assert who._plans
-    there = who._rough.of(bearings(1), np.array([move.end]), np.array([move.duration])).after  # as the tree has it
+    there = who._coarse.predict(
+        bearings(1), np.array([move.end]), np.array([move.duration])
+    ).after  # as the tree has it
     root = body_explorer._MoveSequence(there, none, 0.0, (), 0.0, 0.0)
-    again = who._followed(root)
+    again = who._continued(root)
     assert {plan for plan in who._plans if plan} <= {each.moves for each in again}
     ends = {each.moves[-1].end: each for each in again}
     for each in again:  # each goes on from where its own beginning leads
         parent = root if len(each.moves) == 1 else ends[each.moves[-2].end]
         assert each.seconds == pytest.approx(parent.seconds + each.moves[-1].duration)
-        after = who._rough.of(parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration]))
+        after = who._coarse.predict(
+            parent.bearings, np.array([each.moves[-1].end]), np.array([each.moves[-1].duration])
+        )
         np.testing.assert_allclose(after.after.R, each.bearings.R, atol=1e-12)
     elsewhere = dataclasses.replace(root, bearings=bearings(1))
-    assert who._followed(elsewhere) == []
+    assert who._continued(elsewhere) == []
 
 
 def test_what_goes_on_is_what_shows_most_what_is_farthest_round_and_what_faces_the_untouched():
     who, directions = explorer(), icosphere(2)[0]
     root = rooted(who, np.zeros(len(directions), np.bool_))
-    grown = who._grown([root] * COLUMNS, root)
-    sought = who._foresight.of(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[0, 0, 1]
+    grown = who._extended_randomly([root] * COLUMNS, root)
+    sought = who._predictor.predict(bearings(1), np.array([grown[0].moves[0].end]), np.array([0.6])).normals[0, 0, 1]
     parents = who._parents([root, *grown], sought[None])
     half, quarter = COLUMNS // 2, COLUMNS // 4
-    ranked = sorted([root, *grown], key=lambda each: -each.gained)[: body_explorer.LIKELY]
+    ranked = sorted([root, *grown], key=lambda each: -each.gain_rate)[: body_explorer.BEST_SEQUENCES]
     assert set(map(id, parents[:half])) == set(map(id, ranked))
     far = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in parents[half : half + quarter]]
     all_of_them = [body_explorer._chords(each.bearings.R, root.bearings.R)[0] for each in grown]
@@ -190,46 +194,51 @@ def test_where_every_move_might_lose_the_body_there_is_none():
 def test_a_move_that_would_throw_the_body_gives_way_to_the_next(monkeypatch):
     rest = tuple(REST_POSE.tolist())
     thrown, gentle = Move(rest, (1.2, 0.5, 1.0), 0.06), Move(rest, (0.95, 0.78, 0.8), 0.5)
-    who, known = explorer(), body_explorer._sure(stand()[1])
-    assert who._surest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
-    assert who._surest(bearings(1), [(thrown,)], known) == ()
-    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 60.0)  # it may be spinning wildly
-    assert who._surest(bearings(1), [(gentle,)], known) == ()
+    who, known = explorer(), body_explorer._exact_draws(stand()[1])
+    assert who._safest(bearings(1), [(thrown,), (gentle,)], known) == (gentle,)
+    assert who._safest(bearings(1), [(thrown,)], known) == ()
+    monkeypatch.setattr(body_explorer, "ERROR_RAD_S", 60.0)  # it may be spinning wildly
+    assert who._safest(bearings(1), [(gentle,)], known) == ()
 
 
 def test_what_is_gone_on_with_is_to_be_sure_too_if_anything_is():
     rest, gentle = tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8)
     first, other = Move(rest, gentle, 0.5), Move(rest, (0.88, 0.82, 0.8), 0.5)
     thrown, back = Move(gentle, (1.2, 0.5, 1.0), 0.06), Move(gentle, rest, 0.5)
-    who, known = explorer(), body_explorer._sure(stand()[1])
-    assert who._held(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [1, 2, 1, 0]
-    assert who._surest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
-    assert who._surest(bearings(1), [(first, thrown), (other,)], known) == (other,)
-    assert who._surest(bearings(1), [(first, thrown)], known) == (first,)
+    who, known = explorer(), body_explorer._exact_draws(stand()[1])
+    assert who._safe_moves(bearings(1), [(first, thrown), (first, back), (first,), (thrown, back)], known) == [
+        1,
+        2,
+        1,
+        0,
+    ]
+    assert who._safest(bearings(1), [(first, thrown), (first, back)], known) == (first, back)
+    assert who._safest(bearings(1), [(first, thrown), (other,)], known) == (other,)
+    assert who._safest(bearings(1), [(first, thrown)], known) == (first,)
 
 
 def test_the_known_body_is_to_be_held_as_safely_as_a_move_is_to_be_and_others_half_so():
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
-    who, known = explorer(), body_explorer._sure(stand()[1])
+    who, known = explorer(), body_explorer._exact_draws(stand()[1])
     end, duration = np.array([gentle.end]), np.array([gentle.duration])
-    force = who._foresight.of(bearings(1), end, duration, stand=body_explorer.STAND_S).least_force[0]
+    force = who._predictor.predict(bearings(1), end, duration, rest=body_explorer.REST_S).least_force[0]
     who._least_force = 0.98 * force
-    assert who._held(bearings(1), [(gentle,)], known) == [1]
+    assert who._safe_moves(bearings(1), [(gentle,)], known) == [1]
     who._least_force = 1.02 * force
-    assert who._held(bearings(1), [(gentle,)], known) == [0]
+    assert who._safe_moves(bearings(1), [(gentle,)], known) == [0]
 
 
 def test_a_rough_foresight_comes_near_the_exact_one_and_follows_what_is_learnt():
     who, p = explorer(), stand()[1].copy()
     ends, durations = np.array([[1.05, 0.7, 0.9], [0.8, 0.9, 0.75]]), np.array([0.3, 0.24])
-    rough, exact = (each.of(bearings(2, SPIN), ends, durations) for each in (who._rough, who._foresight))
+    rough, exact = (each.of(bearings(2, SPIN), ends, durations) for each in (who._coarse, who._predictor))
     turned = body_explorer._chords(exact.after.R, bearings(2).R)
     assert (body_explorer._chords(rough.after.R, exact.after.R) < 0.2 * turned).all()
     assert np.isfinite(rough.normals[0, :, 0, 0]).sum() == np.isfinite(exact.normals[0, :, 0, 0]).sum()
     p[1:] *= 0.5
-    who._foresight.learn(p)
+    who._predictor.set_parameters(p)
     who.decide(bearings(1), np.zeros(len(icosphere(2)[0]), np.bool_))
-    np.testing.assert_array_equal(who._rough.known, np.concatenate([p[: count(ROUGH_ORDER)], p[-BODY:]]))
+    np.testing.assert_array_equal(who._coarse.parameters, np.concatenate([p[: count(ROUGH_ORDER)], p[-BODY:]]))
 
 
 def test_a_body_is_to_be_held_however_it_may_be():
@@ -237,32 +246,32 @@ def test_a_body_is_to_be_held_however_it_may_be():
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     variance = np.full(6 + len(p), 1e-14)
     little = BodyDraws.of(p, np.diag(variance), np.random.default_rng(0))
-    assert who._held(bearings(1), [(gentle,)], little) == [1]
-    last = np.arange(BODIES) == BODIES - 1  # one of them is enough
+    assert who._safe_moves(bearings(1), [(gentle,)], little) == [1]
+    last = np.arange(DRAWN_BODIES) == DRAWN_BODIES - 1  # one of them is enough
     wild = dataclasses.replace(little, spin=np.where(last[:, None], (60.0, 40.0, 0.0), 0.0))
-    assert who._held(bearings(1), [(gentle,)], wild) == [0]
+    assert who._safe_moves(bearings(1), [(gentle,)], wild) == [0]
     large = dataclasses.replace(little, p=little.p * np.where(last, 4.0, 1.0)[:, None])
-    assert who._held(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
-    there, here = (each._foresight.of(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
+    assert who._safe_moves(bearings(1), [(gentle,)], large) == [0]  # it would reach beyond the pads
+    there, here = (each._predictor.predict(bearings(1), REST_POSE[None], np.array([0.1])) for each in (who, explorer()))
     np.testing.assert_array_equal(there.after.R, here.after.R)  # what was supposed is not what is known
 
 
 def test_one_body_that_is_drawn_may_spin_and_no_more(monkeypatch):
-    monkeypatch.setattr(body_explorer, "OFF_RAD_S", 0.0)
+    monkeypatch.setattr(body_explorer, "ERROR_RAD_S", 0.0)
     who, p = explorer(), stand()[1]
     gentle = Move(tuple(REST_POSE.tolist()), (0.95, 0.78, 0.8), 0.5)
     known = BodyDraws.of(p, np.diag(np.full(6 + len(p), 1e-14)), np.random.default_rng(0))
     who._most_rad_s = 0.5  # and any of those that are drawn by 1.9 at its most
     held = []
     for spinning in range(3):
-        fast = np.arange(BODIES) >= BODIES - spinning
+        fast = np.arange(DRAWN_BODIES) >= DRAWN_BODIES - spinning
         draws = dataclasses.replace(known, spin=np.where(fast[:, None], (2.5, 0.0, 0.0), 0.0))
-        held += who._held(bearings(1), [(gentle,)], draws)
+        held += who._safe_moves(bearings(1), [(gentle,)], draws)
     assert held == [1, 1, 0]
 
 
 def test_drawn_bodies_are_spread_as_they_are_believed_to_be(monkeypatch):
-    monkeypatch.setattr(body_explorer, "BODIES", 4000)
+    monkeypatch.setattr(body_explorer, "DRAWN_BODIES", 4000)
     p = np.zeros(count(1) + BODY)
     p[0] = 1e3  # a ball, which none of them makes hollow
     root = np.random.default_rng(1).normal(size=(6 + len(p), 6 + len(p)))
@@ -279,28 +288,28 @@ def test_strides_turn_a_body_no_faster_than_they_may(monkeypatch):
 
     def fastest(most, peak):
         who._most_rad_s = most
-        monkeypatch.setattr(body_explorer, "PEAK", peak)
-        found = who._grown([root] * COLUMNS, root)
+        monkeypatch.setattr(body_explorer, "PEAK_SPIN", peak)
+        found = who._extended_randomly([root] * COLUMNS, root)
         return max(body_explorer._chords(each.bearings.R, begin.R)[0] / (each.seconds + DECISION_S) for each in found)
 
     assert fastest(math.inf, 1.0) > 0.6
     assert fastest(0.3, 1e3) < 0.3
-    monkeypatch.setattr(body_explorer, "PEAK", 2.0)
+    monkeypatch.setattr(body_explorer, "PEAK_SPIN", 2.0)
     move = who.decide(begin, none, most_rad_s=0.3)
-    assert who._foresight.of(begin, np.array([move.end]), np.array([move.duration])).spin[0] < 0.6
+    assert who._predictor.predict(begin, np.array([move.end]), np.array([move.duration])).spin[0] < 0.6
 
 
 def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
     foresight, rest = BodyPredictor(stand()[1], RIG), REST_POSE[None]
     end, duration = np.array([[1.05, 0.7, 0.9]]), np.array([0.3])
-    first = foresight.of(bearings(1, SPIN), end, duration)
-    standing = foresight.of(first.after, end, np.array([0.1]))
-    whole = foresight.of(bearings(1, SPIN), end, duration, stand=0.1)
+    first = foresight.predict(bearings(1, SPIN), end, duration)
+    standing = foresight.predict(first.after, end, np.array([0.1]))
+    whole = foresight.predict(bearings(1, SPIN), end, duration, rest=0.1)
     np.testing.assert_allclose(whole.after.R, standing.after.R, atol=1e-12)
     assert whole.least_force[0] == min(first.least_force[0], standing.least_force[0])
-    halfway = foresight.of(bearings(1, SPIN), end, np.array([0.15]), elapsed=0.0)  # a quicker move: another path
-    late = foresight.of(Bearings(halfway.after.R, halfway.after.omega, rest), end, duration, elapsed=0.3, stand=0.1)
-    np.testing.assert_allclose(late.after.R, foresight.of(halfway.after, end, np.array([0.1])).after.R, atol=1e-12)
+    halfway = foresight.predict(bearings(1, SPIN), end, np.array([0.15]), elapsed=0.0)  # a quicker move: another path
+    late = foresight.predict(Bearings(halfway.after.R, halfway.after.omega, rest), end, duration, elapsed=0.3, rest=0.1)
+    np.testing.assert_allclose(late.after.R, foresight.predict(halfway.after, end, np.array([0.1])).after.R, atol=1e-12)
 
 
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():

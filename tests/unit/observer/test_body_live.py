@@ -18,15 +18,15 @@ from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import MOMENT
 from palmd.observer.three_palms import beliefs, incremental, live, propagation, reconstruct
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.body import FINER_LIVE, ORDER, inertia
+from palmd.observer.three_palms.body import FINER_ORDERS_LIVE, ORDER, inertia
 from palmd.observer.three_palms.body_filter import BodyFilter, PlaneReading
 from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.incremental import IncrementalBodySmoother
 from palmd.observer.three_palms.joint_track import JointTrack
 from palmd.observer.three_palms.live import BodyObserver
-from palmd.observer.three_palms.propagation import Grown, advanced, raced
+from palmd.observer.three_palms.propagation import BodyHypothesis, propagate, propagate_and_prune
 from palmd.observer.three_palms.smoother import BodySmoother
-from palmd.observer.three_palms.touched_outline import felt_outline, near
+from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms
 from palmd.rig.three_palms.plant import BodyStates, Rubbing
@@ -118,7 +118,7 @@ def tracked():
 
 
 def carried(filtered, readings, until):
-    filtered.carry(readings, until, tracked())
+    filtered.propagate(readings, until, tracked())
 
 
 def test_a_step_keeps_to_the_motion_of_a_body_in_six_degrees_of_freedom(rolled):
@@ -151,18 +151,18 @@ def test_readings_that_are_missed_by_more_than_their_noise_surprise_as_little_wh
     readings = [
         PlaneReading(t, k % 3, *(rolled.read[k][k % 3] + sd * rng.normal(size=2))) for k, t in enumerate(rolled.t)
     ]
-    told, untold = (BodyFilter(replace(rolled.belief(), rough=each), RIG) for each in (rough, 0.0))
+    told, untold = (BodyFilter(replace(rolled.belief(), unexplained_sd=each), RIG) for each in (rough, 0.0))
     for each in (told, untold):
         carried(each, readings[:-1], rolled.t[-1])
     assert 0.7 < told.nis < 1.3 < untold.nis
-    assert told._does is untold._does  # nothing is kept of each answer
+    assert told._compiled is untold._compiled  # nothing is kept of each answer
 
 
 def test_what_is_compiled_is_its_twin_in_numpy(rolled):
     rng = np.random.default_rng(4)
     width = 6 + len(rolled.p)
     root = rng.normal(size=(width, width)) * np.array([1e-3] * 3 + [0.1] * 3 + [1e-4] * (width - 6))[:, None]
-    belief = replace(rolled.belief(spin_off=0.1), covariance=root @ root.T / width, rough=7e-5)
+    belief = replace(rolled.belief(spin_off=0.1), covariance=root @ root.T / width, unexplained_sd=7e-5)
     readings = [
         PlaneReading(rolled.t[k], k % 3, *(rolled.read[k][k % 3] + 1e-4 * rng.normal(size=2))) for k in range(3, 60)
     ]
@@ -177,7 +177,7 @@ def test_what_is_compiled_is_its_twin_in_numpy(rolled):
     assert np.abs((compiled.P - twin.P) / np.outer(sd, sd)).max() < 1e-7
     assert (compiled.P == compiled.P.T).all()
     assert compiled.nis == pytest.approx(twin.nis, rel=1e-7)
-    one, other = compiled.seen(tracked(), 0.15), twin.seen(tracked(), 0.15)
+    one, other = compiled.outputs(tracked(), 0.15), twin.outputs(tracked(), 0.15)
     for name in ("contacts", "centre", "heights"):
         for mine, its in zip(getattr(one, name), getattr(other, name), strict=True):
             assert mine == pytest.approx(its, rel=1e-6, abs=1e-9)
@@ -188,7 +188,7 @@ def test_contacts_centre_heights_and_forces_are_the_plants(rolled):
     k = 100
     R, omega = rolled.states[k][6:15].reshape(3, 3), rolled.states[k][15:]
     filtered = BodyFilter(replace(rolled.belief(), t=rolled.t[k], R=R, omega=omega), RIG)
-    seen = filtered.seen(tracked(), rolled.t[k])
+    seen = filtered.outputs(tracked(), rolled.t[k])
     assert np.abs(seen.contacts[0] - rolled.read[k]).max() < 2e-6
     assert np.abs(seen.centre[0] - rolled.states[k][:3]).max() < 1e-6
     assert np.abs(seen.heights[0] - planes(rolled.t[k]).normal[0] @ rolled.states[k][:3]).max() < 1e-6
@@ -264,8 +264,8 @@ class Lived:
         read = readings_of(palms_at(*swung(self.t)), np.stack([points[0], *points]))
         self.events = self._said(read, np.stack([force[0], *force]), rng)
         with pytest.MonkeyPatch.context() as led:
-            led.setattr(incremental, "anew", lambda task, record, _: self._right(task, record))
-            led.setattr(incremental, "raced", self._followed)
+            led.setattr(incremental, "fit_blind_starts", lambda task, record, _: self._right(task, record))
+            led.setattr(incremental, "propagate_and_prune", self._followed)
             smoother = self.smoother = IncrementalBodySmoother(self.rig)
             smoother.add([event for event in self.events if event.t_sample < self.FIRST])
             self.first = smoother.answer()
@@ -300,7 +300,7 @@ class Lived:
         return np.array([np.interp(t, self.t, column) for column in self.states.T])
 
     def _followed(self, task, running, *how, **ways):
-        ended = raced(task, running, *how, **ways)
+        ended = propagate_and_prune(task, running, *how, **ways)
         self.raced = task, [replace(each, confirmed=each.intervals) for each in ended]
         return self.raced[1]
 
@@ -313,7 +313,7 @@ class Lived:
         prior = beliefs.prior(Y00 * p[0], ORDER, task.spin_sd)
         smoother = BodySmoother(record, prior, task.noise, self.rig)
         fit = smoother.fit(BodyMotion(R @ R[0].T, omega, p), 12)
-        now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
+        now = BodyHypothesis(prior, record, fit.motion, smoother.end_belief(fit), fit.cost, fit)
         return [now]
 
     def told(self, observer, stub, until, answer_at):
@@ -338,7 +338,7 @@ def lived():
 
 def test_the_smoother_goes_on_with_what_it_has(lived):
     assert lived.first is not None
-    assert lived.answer.claimed, lived.answer.reason
+    assert lived.answer.accepted, lived.answer.reason
     assert lived.answer.t == pytest.approx(lived.END, abs=0.05)
     assert lived.answer.t > lived.first.t + 0.4
 
@@ -348,40 +348,42 @@ def test_where_all_of_a_record_tells_nothing_it_is_tried_with_more_then_short_st
     smoother, sought, numbers = IncrementalBodySmoother(lived.rig), [], 2 * len(first.record.readings.t)
     dear, strange = (replace(first, cost=share * numbers) for share in (1.4, 1.1))
     told = []
-    monkeypatch.setattr(incremental, "anew", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told)
-    monkeypatch.setattr(incremental, "rivals", lambda _, seconds: sought.append(seconds) or [])
-    monkeypatch.setattr(incremental, "begun_in_ways", lambda _, found, **__: found)
-    monkeypatch.setattr(smoother, "_begin_anew", lambda _: sought.append("anew"))
-    assert not smoother._try(task)  # all were given up
+    monkeypatch.setattr(
+        incremental, "fit_blind_starts", lambda _, record, __: sought.append(record.t[-1] - record.t[0]) or told
+    )
+    monkeypatch.setattr(incremental, "start_candidates", lambda _, seconds: sought.append(seconds) or [])
+    monkeypatch.setattr(incremental, "branch_starts", lambda _, found, **__: found)
+    monkeypatch.setattr(smoother, "_restart_record", lambda _: sought.append("anew"))
+    assert not smoother._start_search(task)  # all were given up
     told = [dear]
-    assert not any(smoother._try(task) for _ in range(2))
+    assert not any(smoother._start_search(task) for _ in range(2))
     whole = pytest.approx(task.end - task.start, abs=0.03)
-    assert sought == [whole, whole, incremental.START_S, "anew"]
+    assert sought == [whole, whole, incremental.SHORT_START_S, "anew"]
     told = [strange]
-    assert not smoother._try(task)  # some more may lead elsewhere
-    assert smoother._try(task)
-    assert smoother._running == [strange]
-    monkeypatch.setattr(incremental, "rivals", lambda *_: [first, dear, replace(first, cost=math.inf)])
-    assert smoother._try(task)  # of so short a record more is followed
-    assert smoother._running == [first, dear]
+    assert not smoother._start_search(task)  # some more may lead elsewhere
+    assert smoother._start_search(task)
+    assert smoother._hypotheses == [strange]
+    monkeypatch.setattr(incremental, "start_candidates", lambda *_: [first, dear, replace(first, cost=math.inf)])
+    assert smoother._start_search(task)  # of so short a record more is followed
+    assert smoother._hypotheses == [first, dear]
 
 
 def test_what_two_starts_of_all_of_a_record_have_met_in_is_found_twice_at_once(lived, monkeypatch):
     task, (first, *_) = lived.raced
     met = replace(first, confirmed=first.intervals)
-    monkeypatch.setattr(incremental, "anew", lambda *_: [replace(first, confirmed=0)])
-    monkeypatch.setattr(incremental, "found_again", lambda *_: [met, replace(first, confirmed=0)])
+    monkeypatch.setattr(incremental, "fit_blind_starts", lambda *_: [replace(first, confirmed=0)])
+    monkeypatch.setattr(incremental, "confirm_by_restarts", lambda *_: [met, replace(first, confirmed=0)])
     smoother = IncrementalBodySmoother(lived.rig)
-    assert smoother._try(task)
-    assert [each.found_twice for each in smoother._running] == [True, False]
+    assert smoother._start_search(task)
+    assert [each.is_confirmed for each in smoother._hypotheses] == [True, False]
 
 
 def test_what_was_found_but_once_is_not_claimed(lived):
     task, (first, *_) = lived.raced
     enough = -(-2 * first.intervals // 3)
-    assert lived.smoother._answer(task, [replace(first, confirmed=enough)]).claimed
-    said = lived.smoother._answer(task, [replace(first, confirmed=enough - 1)])
-    assert (said.claimed, said.reason) == (False, "no second start has come to the same motion yet")
+    assert lived.smoother._make_answer(task, [replace(first, confirmed=enough)]).accepted
+    said = lived.smoother._make_answer(task, [replace(first, confirmed=enough - 1)])
+    assert (said.accepted, said.reason) == (False, "no second start has come to the same motion yet")
 
 
 def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
@@ -413,7 +415,7 @@ def test_the_filter_comes_to_the_present_and_is_right_within_its_bands(lived):
 
 def test_contacts_and_spin_are_told_as_roughly_as_readings_are_missed(lived):
     def told(rough):
-        lived.answer, kept = replace(lived.answer, rough=rough), lived.answer
+        lived.answer, kept = replace(lived.answer, unexplained_sd=rough), lived.answer
         said = lived.told(BodyObserver(lived.rig, stub := Stub()), stub, lived.END + 0.2, lived.END + 0.05)[-1]
         lived.answer = kept
         return said.sd
@@ -483,21 +485,21 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     assert observer.foresees
     told = observer.planning_belief(lived.END + 0.4)
     R = lived.truth(told.t)[6:15].reshape(3, 3)
-    assert (told.claimed, told.begun) == (True, lived.answer.begun)
+    assert (told.accepted, told.record_start) == (True, lived.answer.record_start)
     assert np.abs(told.R - R @ lived.gauge).max() < 0.02
     assert told.covariance.shape == lived.answer.covariance.shape
     assert told.touched.tolist() == (lived.answer.touched > 0).tolist()
-    since = (lived.END + 0.4 - lived.answer.t) / live.SEEN_S
-    assert len(told.since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
+    since = (lived.END + 0.4 - lived.answer.t) / live.NORMALS_EVERY_S
+    assert len(told.normals_since) == pytest.approx(since, abs=12)  # it has caught up meanwhile
     normal = palms_at(*swung(np.array([lived.END + 0.4]))).normal[0]
-    assert np.abs(told.since[-1] - -normal @ told.R).max() < 0.1
-    observer._filter._body[12] = 1.1 * live.NIS_MOST  # what was claimed is contradicted a little
+    assert np.abs(told.normals_since[-1] - -normal @ told.R).max() < 0.1
+    observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # what was claimed is contradicted a little
     assert observer.foresees
-    assert not observer.planning_belief(lived.END + 0.4).claimed
-    stub.next = replace(lived.answer, claimed=False, reason="the readings tell too little of the shape")
+    assert not observer.planning_belief(lived.END + 0.4).accepted
+    stub.next = replace(lived.answer, accepted=False, reason="the readings tell too little of the shape")
     said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
-    assert (said.valid, observer.foresees, observer.planning_belief(lived.END + 0.45).claimed) == (False, True, False)
-    stub.next = replace(lived.answer, hypotheses=0, claimed=False)
+    assert (said.valid, observer.foresees, observer.planning_belief(lived.END + 0.45).accepted) == (False, True, False)
+    stub.next = replace(lived.answer, hypotheses=0, accepted=False)
     go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
     assert not observer.foresees
 
@@ -509,12 +511,12 @@ def turned(answer, G, begun):
     p = parameters(lambda u: h_of(u @ G.T)[0] @ answer.p[:n], G.T @ inertia(answer.p) @ G, ORDER)
     p[n + 6 :] = answer.p[n + 6 :]
     sd = np.array([1e-3] * 3 + [0.02] * 3 + [1e-6] * len(p))
-    return replace(answer, R=answer.R @ G, p=p, covariance=np.diag(sd**2), begun=begun)
+    return replace(answer, R=answer.R @ G, p=p, covariance=np.diag(sd**2), record_start=begun)
 
 
 def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_that_foretells(lived):
     at, G = lived.END + 0.2, exp(np.array([0.4, -0.9, 0.3]))
-    lost = replace(lived.answer, hypotheses=0, claimed=False, reason="what explained the readings does so no more")
+    lost = replace(lived.answer, hypotheses=0, accepted=False, reason="what explained the readings does so no more")
     for foretells in (True, False):
         observer = BodyObserver(lived.rig, stub := Stub())
         lived.told(observer, stub, at, lived.END + 0.05)
@@ -523,19 +525,19 @@ def test_the_frame_of_the_next_record_is_known_by_what_was_given_up_as_long_as_t
         said = go_on(lived, observer, at, at + 0.05)
         assert (said.valid, said.reason, observer.planning_belief(at + 0.05)) == (False, lost.reason, None)
         if not foretells:
-            observer._before._body[12] = 1.1 * live.NIS_FORESEEN
-        stub.next = turned(lived.answer, G, lived.answer.begun + 1.0)
+            observer._previous._body[12] = 1.1 * live.NIS_PREDICTIVE
+        stub.next = turned(lived.answer, G, lived.answer.record_start + 1.0)
         go_on(lived, observer, at + 0.05, at + 0.06)
         assert observer.planning_belief(at + 0.06) is None  # not of one record by the filter of another
         ticked(lived, observer, at + 0.06, at + 0.16)
         told = observer.planning_belief(at + 0.16)
-        assert told.begun > first.begun
+        assert told.record_start > first.record_start
         assert told.frame - first.frame == (0 if foretells else 1)
         assert np.abs(told.turn - (G if foretells else np.eye(3))).max() < 5e-3
-    stub.next = turned(lived.answer, np.eye(3), lived.answer.begun + 2.0)  # one follows the other at once
+    stub.next = turned(lived.answer, np.eye(3), lived.answer.record_start + 2.0)  # one follows the other at once
     ticked(lived, observer, at + 0.16, at + 0.3)
     again = observer.planning_belief(at + 0.3)
-    assert (again.frame, again.begun) == (told.frame, lived.answer.begun + 2.0)
+    assert (again.frame, again.record_start) == (told.frame, lived.answer.record_start + 2.0)
     assert np.abs(again.turn - G.T).max() < 5e-3
 
 
@@ -543,19 +545,19 @@ def test_what_an_earlier_answer_took_to_be_touched_is_not_unless_it_is(lived):
     task, ended = lived.raced
     motion = ended[0].motion
     erring = replace(ended[0], motion=replace(motion, R=motion.R @ exp(np.array([1.0, 0.5, 0.0]))))
-    lived.smoother._answer(task, [erring])
-    told = lived.smoother._answer(task, ended)
-    assert (told.touched > 0).tolist() == near(ended[0].felt).tolist()
+    lived.smoother._make_answer(task, [erring])
+    told = lived.smoother._make_answer(task, ended)
+    assert (told.touched > 0).tolist() == directions_near(ended[0].touched_normals).tolist()
 
 
 def test_the_loop_is_told_an_outline_of_the_usual_degree_as_what_was_felt_tells_it(lived):
     task, (first, *_) = lived.raced
-    p, ahead = beliefs.raised(first.motion.p, 16), beliefs.raised_belief(first.ahead, 16)
-    finer = replace(first, motion=replace(first.motion, p=p), ahead=ahead)
-    told = lived.smoother._answer(task, [finer])
+    p, ahead = beliefs.with_order(first.motion.p, 16), beliefs.belief_with_order(first.end_belief, 16)
+    finer = replace(first, motion=replace(first.motion, p=p), end_belief=ahead)
+    told = lived.smoother._make_answer(task, [finer])
     assert len(told.p) == len(first.motion.p)
     touched = told.touched > 0
-    mean, covariance = felt_outline(ahead.mean, np.linalg.inv(ahead.information), touched, ORDER)
+    mean, covariance = touched_outline(ahead.mean, np.linalg.inv(ahead.information), touched, ORDER)
     np.testing.assert_allclose(told.p, mean, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(np.diagonal(told.covariance)[10:], np.diagonal(covariance)[10:], rtol=1e-4)
     rows = evaluator(ORDER)(icosphere()[0])[0]
@@ -566,8 +568,10 @@ def test_the_loop_is_told_an_outline_of_the_usual_degree_as_what_was_felt_tells_
 def test_what_is_not_explained_widens_what_is_told_of_the_centre_of_mass(lived):
     task, ended = lived.raced
     costing = ([replace(ended[0], cost=share * ended[0].record.numbers)] for share in (1.0, 1.2))
-    explained, unexplained = (lived.smoother._answer(task, each) for each in costing)
-    assert (explained.rough, unexplained.rough) == pytest.approx((0.0, math.sqrt(0.2) * task.noise.reading))
+    explained, unexplained = (lived.smoother._make_answer(task, each) for each in costing)
+    assert (explained.unexplained_sd, unexplained.unexplained_sd) == pytest.approx(
+        (0.0, math.sqrt(0.2) * task.noise.reading)
+    )
     variance = (0.2 - math.sqrt(2.0 / ended[0].record.numbers)) * task.noise.reading**2
     np.testing.assert_allclose(unexplained.h_sd**2 - explained.h_sd**2, variance, rtol=1e-6)
     wider = np.diag(unexplained.covariance - explained.covariance)
@@ -579,39 +583,41 @@ def test_what_was_found_twice_and_has_foretold_for_long_may_cost_what_truncation
     task, ended = lived.raced
     costly = [replace(ended[0], cost=1.2 * 2 * len(ended[0].record.readings.t))]
     smoother = lived.smoother
-    monkeypatch.setattr(smoother, "_believed", False)
-    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - incremental.PROVEN_S + 0.1)
-    assert not smoother._answer(task, costly).claimed
-    assert not smoother._believed
-    assert smoother._answer(task, ended).claimed  # from now on
-    assert smoother._believed
-    assert not smoother._answer(task, costly).claimed
-    monkeypatch.setattr(smoother, "_met_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
-    assert smoother._answer(task, costly).claimed
-    worse = [replace(ended[0], cost=1.1 * reconstruct.PROVEN * ended[0].record.numbers)]
-    assert smoother._answer(task, worse).reason == "no motion by the equations explains the readings"
+    monkeypatch.setattr(smoother, "_accepted", False)
+    monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S + 0.1)
+    assert not smoother._make_answer(task, costly).accepted
+    assert not smoother._accepted
+    assert smoother._make_answer(task, ended).accepted  # from now on
+    assert smoother._accepted
+    assert not smoother._make_answer(task, costly).accepted
+    monkeypatch.setattr(smoother, "_confirmed_since", ended[0].record.t[-1] - incremental.PROVEN_S - 0.1)
+    assert smoother._make_answer(task, costly).accepted
+    worse = [replace(ended[0], cost=1.1 * reconstruct.PROVEN_COST * ended[0].record.numbers)]
+    assert smoother._make_answer(task, worse).reason == "no motion by the equations explains the readings"
 
 
 def test_what_has_tumbled_may_cost_no_more_than_its_noise(lived):
     task, (first, *_) = lived.raced
     tumbled = replace(first.motion, omega=np.full_like(first.motion.omega, 9.0))
     costly = replace(first, motion=tumbled, cost=1.2 * first.record.numbers)
-    assert reconstruct.answer(task, [costly], 0.0).reason == "no motion by the equations explains the readings"
+    assert (
+        reconstruct.reconstruction_of(task, [costly], 0.0).reason == "no motion by the equations explains the readings"
+    )
 
 
 def test_a_start_of_a_whole_record_that_leads_nowhere_is_given_up(lived, monkeypatch):
     task, _ = lived.raced
-    record, (way, *_) = task.record(1.5), beliefs.hypotheses()
-    assert propagation.anew(task, record, [way])
-    monkeypatch.setattr(propagation, "HOPELESS_WHOLE", 0.1)
-    assert propagation.anew(task, record, [way]) == []
+    record, (way, *_) = task.record(1.5), beliefs.start_assumptions()
+    assert propagation.fit_blind_starts(task, record, [way])
+    monkeypatch.setattr(propagation, "START_COST_LIMIT", 0.1)
+    assert propagation.fit_blind_starts(task, record, [way]) == []
 
 
 def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smoothed(lived, monkeypatch):
     def unsmoothed(task, running, **_):
-        return [advanced(task, running[0], task.intervals(task.end - task.start))]
+        return [propagate(task, running[0], task.intervals(task.end - task.start))]
 
-    monkeypatch.setattr(incremental, "raced", unsmoothed)
+    monkeypatch.setattr(incremental, "propagate_and_prune", unsmoothed)
     lived.smoother.add([event for event in lived.events if event.t_sample >= lived.END])
     answer = lived.smoother.answer()
     assert answer is not None
@@ -621,17 +627,19 @@ def test_who_was_given_up_before_it_was_smoothed_and_is_the_cheapest_then_is_smo
 
 def test_who_is_found_twice_may_have_finer_harmonics_and_nobody_else(lived, monkeypatch):
     def lived_again(twice, task, running, **__):
-        return [replace(each, confirmed=twice * each.intervals) for each in raced(task, running)]
+        return [replace(each, confirmed=twice * each.intervals) for each in propagate_and_prune(task, running)]
 
     asked = []
-    monkeypatch.setattr(incremental, "anew", lambda task, record, _: lived._right(task, record))
-    monkeypatch.setattr(incremental, "finer", lambda _, now, orders: asked.append((now.found_twice, orders)) or now)
+    monkeypatch.setattr(incremental, "fit_blind_starts", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(
+        incremental, "refine_outline", lambda _, now, orders: asked.append((now.is_confirmed, orders)) or now
+    )
     for twice in (False, True):
         smoother = IncrementalBodySmoother(lived.rig)
         smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
-        monkeypatch.setattr(incremental, "raced", partial(lived_again, twice))
+        monkeypatch.setattr(incremental, "propagate_and_prune", partial(lived_again, twice))
         smoother.answer()
-    assert asked == [(True, FINER_LIVE)]
+    assert asked == [(True, FINER_ORDERS_LIVE)]
 
 
 @pytest.mark.parametrize("innovation_test", [2.9, 3.1])
@@ -641,22 +649,22 @@ def test_what_goes_on_after_a_surprise_is_to_be_found_again(lived, monkeypatch, 
     smoother = IncrementalBodySmoother(lived.rig)
     on = replace(first, windows=(*first.windows, (5, innovation_test)), confirmed=first.intervals)
     monkeypatch.setattr(smoother, "_task", lambda: task)
-    monkeypatch.setattr(smoother, "_running", [replace(first, record=task.whole.first(first.intervals - 5))])
-    monkeypatch.setattr(smoother, "_found_again", lambda _, ended: ended)
-    monkeypatch.setattr(smoother, "_met_since", -math.inf)
-    monkeypatch.setattr(propagation, "TUMBLES_RAD_S", 0.0)
-    monkeypatch.setattr(incremental, "raced", lambda *_, **__: [on])
+    monkeypatch.setattr(smoother, "_hypotheses", [replace(first, record=task.full_record.first(first.intervals - 5))])
+    monkeypatch.setattr(smoother, "_confirm", lambda _, ended: ended)
+    monkeypatch.setattr(smoother, "_confirmed_since", -math.inf)
+    monkeypatch.setattr(propagation, "TUMBLE_RAD_S", 0.0)
+    monkeypatch.setattr(incremental, "propagate_and_prune", lambda *_, **__: [on])
     said = smoother.answer()
-    assert smoother._running[0].found_twice is (innovation_test < 3.0)
-    assert (said.reason == reconstruct.ALONE) is (innovation_test > 3.0)
-    assert (smoother._met_since == math.inf) is (innovation_test > 3.0)
+    assert smoother._hypotheses[0].is_confirmed is (innovation_test < 3.0)
+    assert (said.reason == reconstruct.UNCONFIRMED) is (innovation_test > 3.0)
+    assert (smoother._confirmed_since == math.inf) is (innovation_test > 3.0)
 
 
 def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is_told_of_the_centre(lived, monkeypatch):
     def bent(_, now, __):
-        p = beliefs.raised(now.motion.p, 16)
-        ahead = beliefs.raised_belief(now.ahead, 16)
-        return replace(now, motion=replace(now.motion, p=p), ahead=ahead, cost=now.record.numbers)
+        p = beliefs.with_order(now.motion.p, 16)
+        ahead = beliefs.belief_with_order(now.end_belief, 16)
+        return replace(now, motion=replace(now.motion, p=p), end_belief=ahead, cost=now.record.numbers)
 
     def dear(_, running, **__):
         return [replace(each, cost=1.2 * each.record.numbers, confirmed=each.intervals) for each in running]
@@ -664,24 +672,24 @@ def test_what_was_not_explained_before_finer_harmonics_bent_to_it_widens_what_is
     def told(finer):
         smoother = IncrementalBodySmoother(lived.rig)
         smoother.add([event for event in lived.events if event.t_sample < lived.FIRST])
-        monkeypatch.setattr(incremental, "finer", finer)
+        monkeypatch.setattr(incremental, "refine_outline", finer)
         smoother.answer()
-        return smoother._bent / smoother._running[0].record.numbers
+        return smoother._hidden_cost / smoother._hypotheses[0].record.numbers
 
-    monkeypatch.setattr(incremental, "anew", lambda task, record, _: lived._right(task, record))
-    monkeypatch.setattr(incremental, "raced", dear)
+    monkeypatch.setattr(incremental, "fit_blind_starts", lambda task, record, _: lived._right(task, record))
+    monkeypatch.setattr(incremental, "propagate_and_prune", dear)
     assert told(lambda _, now, __: now) == 0.0
     assert told(bent) == pytest.approx(0.2)
 
 
 def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(lived, monkeypatch):
     task, ended = lived.raced
-    said = lived.smoother._answer(task, ended)
-    monkeypatch.setattr(lived.smoother, "_bent", 0.1 * ended[0].record.numbers)
-    hidden = lived.smoother._answer(task, ended)
+    said = lived.smoother._make_answer(task, ended)
+    monkeypatch.setattr(lived.smoother, "_hidden_cost", 0.1 * ended[0].record.numbers)
+    hidden = lived.smoother._make_answer(task, ended)
     assert (hidden.h_sd**2 - said.h_sd**2).min() > 0.5 * 0.1 * task.noise.reading**2
-    long = replace(ended[0], folded=(9 * ended[0].record.numbers, 9.0 * ended[0].record.numbers))
-    later = lived.smoother._answer(task, [long])  # spread over what was read since
+    long = replace(ended[0], marginalised=(9 * ended[0].record.numbers, 9.0 * ended[0].record.numbers))
+    later = lived.smoother._make_answer(task, [long])  # spread over what was read since
     assert (later.h_sd**2 - said.h_sd**2).max() < 0.2 * 0.1 * task.noise.reading**2
     assert (np.diagonal(hidden.covariance)[7:10] > np.diagonal(said.covariance)[7:10]).all()
 
@@ -689,41 +697,43 @@ def test_what_finer_harmonics_may_hide_of_the_centre_of_mass_is_in_its_band(live
 def test_what_bends_further_is_found_again_by_starts_that_may_as_well(lived, monkeypatch):
     task, (first, *_) = lived.raced
     asked = []
-    monkeypatch.setattr(propagation, "anew", lambda *given: asked.append(given[-1]) or [first])
-    monkeypatch.setattr(propagation, "finer", lambda _, now, orders: asked.append(orders) or now)
-    assert propagation.found_again(task, [replace(first, confirmed=0)], [None])[0].found_twice
+    monkeypatch.setattr(propagation, "fit_blind_starts", lambda *given: asked.append(given[-1]) or [first])
+    monkeypatch.setattr(propagation, "refine_outline", lambda _, now, orders: asked.append(orders) or now)
+    assert propagation.confirm_by_restarts(task, [replace(first, confirmed=0)], [None])[0].is_confirmed
     assert asked == [first.cost, ()]
     asked.clear()
-    p = beliefs.raised(first.motion.p, 16)
-    propagation.found_again(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
+    p = beliefs.with_order(first.motion.p, 16)
+    propagation.confirm_by_restarts(task, [replace(first, motion=replace(first.motion, p=p), confirmed=0)], [None])
     assert asked == [math.inf, (16,)]  # it costs more until it has been bent
 
 
 def test_short_starts_of_a_strange_motion_wait_for_the_next_lap_and_its_claim_for_them(lived, monkeypatch):
     task, (first, *_) = lived.raced
     smoother, tried = lived.smoother, []
-    for name in ("_owed", "_looked", "_folded", "_believed", "_met_since"):
+    for name in ("_short_starts_due", "_restarts_tried_at", "_marginalised", "_accepted", "_confirmed_since"):
         monkeypatch.setattr(smoother, name, getattr(smoother, name))
     cheaper = replace(first, cost=first.cost - 50.0, confirmed=0)
-    monkeypatch.setattr(incremental, "CHANCE", -math.inf)
-    monkeypatch.setattr(incremental, "found_again", lambda _, together, __, **___: tried.append("whole") or together)
-    monkeypatch.setattr(incremental, "rivals", lambda *_: tried.append("short"))
-    monkeypatch.setattr(incremental, "begun_in_ways", lambda *_, **__: [])
-    monkeypatch.setattr(incremental, "raced", lambda *_: found)
-    smoother._looked = 0
-    assert smoother._found_again(task, [first]) == [first]
+    monkeypatch.setattr(incremental, "CHANCE_SD", -math.inf)
+    monkeypatch.setattr(
+        incremental, "confirm_by_restarts", lambda _, together, __, **___: tried.append("whole") or together
+    )
+    monkeypatch.setattr(incremental, "start_candidates", lambda *_: tried.append("short"))
+    monkeypatch.setattr(incremental, "branch_starts", lambda *_, **__: [])
+    monkeypatch.setattr(incremental, "propagate_and_prune", lambda *_: found)
+    smoother._restarts_tried_at = 0
+    assert smoother._confirm(task, [first]) == [first]
     assert tried == ["whole"]
-    said = smoother._answer(task, [first])
-    assert (said.claimed, "other starts" in said.reason) == (False, True)
+    said = smoother._make_answer(task, [first])
+    assert (said.accepted, "other starts" in said.reason) == (False, True)
     found = []  # nothing else
-    assert smoother._found_again(task, [first])[0] is first
+    assert smoother._confirm(task, [first])[0] is first
     assert tried == ["whole", "short"]
-    assert smoother._answer(task, [first]).claimed
-    assert smoother._found_again(task, [first]) == [first]
+    assert smoother._make_answer(task, [first]).accepted
+    assert smoother._confirm(task, [first]) == [first]
     assert tried == ["whole", "short"]  # neither again until there is more
-    found, smoother._looked = [cheaper], 0
-    smoother._found_again(task, [first])
-    assert smoother._found_again(task, [first])[0] is cheaper
+    found, smoother._restarts_tried_at = [cheaper], 0
+    smoother._confirm(task, [first])
+    assert smoother._confirm(task, [first])[0] is cheaper
     assert tried == ["whole", "short", "whole", "short", "whole"]  # which is to be found twice, too
 
 
@@ -733,14 +743,14 @@ def test_a_minimum_beside_a_believed_one_is_of_its_motion_and_another_motion_is_
     def found(off, *, believed):
         omega = first.motion.omega + off
         beside = replace(first, motion=replace(first.motion, omega=omega), cost=first.cost - 80.0, confirmed=0)
-        monkeypatch.setattr(propagation, "anew", lambda *_: [beside])
-        monkeypatch.setattr(propagation, "_tightened", lambda *_: first)
-        return propagation.found_again(task, [replace(first, confirmed=0)], [None], believed=believed)[0]
+        monkeypatch.setattr(propagation, "fit_blind_starts", lambda *_: [beside])
+        monkeypatch.setattr(propagation, "_fitted_from", lambda *_: first)
+        return propagation.confirm_by_restarts(task, [replace(first, confirmed=0)], [None], accepted=believed)[0]
 
-    assert found(0.03, believed=True).found_twice
-    assert found(0.03, believed=True).cost == first.cost - 80.0
-    assert not found(0.03, believed=False).found_twice
-    assert not found(0.2, believed=True).found_twice
+    assert found(0.03, accepted=True).is_confirmed
+    assert found(0.03, accepted=True).cost == first.cost - 80.0
+    assert not found(0.03, accepted=False).is_confirmed
+    assert not found(0.2, accepted=True).is_confirmed
 
 
 @pytest.mark.parametrize(("off", "twice"), [(0.03, True), (0.2, False)])
@@ -749,28 +759,30 @@ def test_what_goes_on_from_a_fold_is_found_again_by_who_moves_alike_and_goes_on_
 ):
     task, (first, *_) = lived.raced
     smoother = IncrementalBodySmoother(lived.rig)
-    smoother._folded = True
+    smoother._marginalised = True
     alone, turn = replace(first, confirmed=0), exp(np.array([0.3, -0.4, 0.2]))
     motion = replace(first.motion, R=first.motion.R @ turn, omega=first.motion.omega + off)
-    monkeypatch.setattr(propagation, "anew", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)])
-    (again,) = smoother._found_again(task, [alone])
+    monkeypatch.setattr(
+        propagation, "fit_blind_starts", lambda *_: [replace(first, motion=motion, cost=first.cost - 80.0)]
+    )
+    (again,) = smoother._confirm(task, [alone])
     assert again == (replace(first, confirmed=first.intervals) if twice else alone)
-    monkeypatch.setattr(propagation, "anew", None)
-    assert smoother._found_again(task, [again]) == [again]  # not again until there is more
+    monkeypatch.setattr(propagation, "fit_blind_starts", None)
+    assert smoother._confirm(task, [again]) == [again]  # not again until there is more
 
 
 def test_who_costs_more_than_is_enough_is_followed_no_further_and_forked_no_more_than_it_may(lived, monkeypatch):
     task, _ = lived.raced
     (early,) = lived._right(task, task.record(2.0))
-    assert raced(task, [early], early.cost - 1.0)[0].intervals == early.intervals
+    assert propagate_and_prune(task, [early], early.cost - 1.0)[0].intervals == early.intervals
     forked = []
     monkeypatch.setattr(
-        propagation, "_forked", lambda *it: forked.append(it) or propagation._window(*it[:2], 0.4, it[2])
+        propagation, "_best_branch", lambda *it: forked.append(it) or propagation._extended(*it[:2], 0.4, it[2])
     )
-    monkeypatch.setattr(propagation, "FORKED", 0.0)  # every window is foretold badly
+    monkeypatch.setattr(propagation, "BRANCH_COST_GATE", 0.0)  # every window is foretold badly
     for forks in (0, 1):
         forked.clear()
-        further = advanced(task, early, early.intervals + 45, forks=forks)
+        further = propagate(task, early, early.intervals + 45, branchings=forks)
         assert further.intervals == early.intervals + 45
         assert len(forked) == forks
 

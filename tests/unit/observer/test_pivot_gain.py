@@ -8,8 +8,8 @@ import pytest
 from palmd.observer.force_gain import BEHIND, DRIFT_S
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.fit import gain_modes
-from palmd.observer.pivot.incremental import CLAIMED_M, answer_of
-from palmd.observer.pivot.reconstruct import reconstruct, refused
+from palmd.observer.pivot.incremental import ACCEPTED_M, answer_of
+from palmd.observer.pivot.reconstruct import reconstruct, rejected
 from palmd.observer.pivot.record import PivotRecord, Rows, TouchSpan
 from palmd.system.description import PadSensor
 from palmd.system.pivot import PivotRig
@@ -60,8 +60,8 @@ def test_an_arm_that_lags_and_rounds_its_corners_is_told_so():
 
 
 def test_what_is_told_too_badly_is_not_claimed_live():
-    found = replace(reconstruct((), PivotRig()), converged=True, told_m=2.0 * CLAIMED_M)
+    found = replace(reconstruct((), PivotRig()), converged=True, outline_sd_m=2.0 * ACCEPTED_M)
     answer = answer_of(found, 1.0)
-    assert not answer.claimed
+    assert not answer.accepted
     assert answer.reason == "the outline is told to 0.10 mm so far: it is claimed from 0.05 mm on"
-    assert not answer_of(refused("why"), 1.0).claimed
+    assert not answer_of(rejected("why"), 1.0).accepted

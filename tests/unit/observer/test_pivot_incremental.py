@@ -8,8 +8,8 @@ import pytest
 from palmd.events import PadSample, PalmSample
 from palmd.observer.outline import directions
 from palmd.observer.pivot import incremental
-from palmd.observer.pivot.incremental import AGREE_S, IncrementalPivotSmoother, as_logged
-from palmd.observer.pivot.reconstruct import refused
+from palmd.observer.pivot.incremental import AGREE_S, IncrementalPivotSmoother, to_log_event
+from palmd.observer.pivot.reconstruct import rejected
 from palmd.system.pivot import PivotRig
 
 SLIDE = PivotRig(vertical="float", carriage_mass=0.05)
@@ -17,7 +17,7 @@ THETA = directions()
 ROUND = 0.02 + 1e-3 * np.cos(2 * THETA)
 OTHER = ROUND + 4e-4 * np.cos(3 * THETA)
 FOUND = replace(
-    refused(""), converged=True, h=ROUND, h_sd=np.full(360, 1e-5), touched=np.ones(360, dtype=bool), told_m=1e-5,
+    rejected(""), converged=True, h=ROUND, h_sd=np.full(360, 1e-5), touched=np.ones(360, dtype=bool), outline_sd_m=1e-5,
     p=np.zeros(33), covariance=np.eye(33), t=np.array([1.0]), psi=np.array([0.0]),
 )  # fmt: skip
 
@@ -45,9 +45,9 @@ def test_an_outline_is_claimed_when_it_comes_again_from_more_readings(smoother):
     smoother.add(felt(0.0, 4.0))
     assert "when more readings tell the same" in smoother.answer().reason
     smoother.add(felt(4.0, 4.0 + AGREE_S / 2))
-    assert not smoother.answer().claimed
+    assert not smoother.answer().accepted
     smoother.add(felt(4.0 + AGREE_S / 2, 4.1 + AGREE_S))
-    assert smoother.answer().claimed
+    assert smoother.answer().accepted
 
 
 def test_another_outline_begins_anew(smoother):
@@ -55,10 +55,10 @@ def test_another_outline_begins_anew(smoother):
     smoother.answer()
     smoother.finds = replace(FOUND, h=OTHER)
     smoother.add(felt(4.0, 9.0))
-    assert not smoother.answer().claimed
+    assert not smoother.answer().accepted
     smoother.finds = replace(FOUND, h=np.roll(OTHER, 30))  # counted from elsewhere, it is the same
     smoother.add(felt(9.0, 14.0))
-    assert smoother.answer().claimed
+    assert smoother.answer().accepted
 
 
 def test_what_was_felt_before_it_was_set_down_is_forgotten(smoother):
@@ -69,5 +69,5 @@ def test_what_was_felt_before_it_was_set_down_is_forgotten(smoother):
 
 def test_the_stop_is_not_taken_for_the_pivot():
     sample = PalmSample(1.0, (0.02, 0.03), (0.01, -0.02), (0.1, 0.2))
-    assert (as_logged(sample, slides=False).vz, as_logged(sample, slides=True).vz) == (-0.02, None)
-    assert as_logged(sample, slides=True).vx == 0.01
+    assert (to_log_event(sample, slides=False).vz, to_log_event(sample, slides=True).vz) == (-0.02, None)
+    assert to_log_event(sample, slides=True).vx == 0.01

@@ -11,7 +11,7 @@ from palmd.model.pivot import P
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.reconstruct import reconstruct
 from palmd.observer.pivot.record import TouchSpan, arm_motion, lay_out
-from palmd.observer.pivot.starts import believed, outline_through, rigid_starts, side_of, turned
+from palmd.observer.pivot.starts import outline_through, prior_of, rigid_starts, side_of, turned
 from palmd.record.systems.pivot import PivotForm
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample
@@ -173,7 +173,7 @@ def test_a_side_is_known_from_its_readings_alone(tilt):
     off = side.theta + psi
     assert np.abs(off - np.median(off)).max() < 0.05
     assert side.side == np.sign(truth["e_m"][10])
-    cost, coefficients = outline_through(side.theta, side.h, side.e, believed(record))
+    cost, coefficients = outline_through(side.theta, side.h, side.e, prior_of(record))
     assert cost < 300.0
     assert 0.01 < coefficients[0] < 0.03
 
@@ -181,7 +181,7 @@ def test_a_side_is_known_from_its_readings_alone(tilt):
 def test_the_best_start_has_the_sides_turned_aright(tilt):
     rig, events, truth = tilt
     record = lay_out(events, arm_motion(events, rig), rig)
-    known = believed(record)
+    known = prior_of(record)
     start = rigid_starts(record, known, [side_of(record, touch) for touch in record.touches])[0]
     psi = record.motion(start.c, record.readings)[:, 0]
     off = (psi - np.interp(record.readings.t, truth["t"], truth["psi_rad"]) + math.pi) % math.tau - math.pi

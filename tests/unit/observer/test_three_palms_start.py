@@ -6,10 +6,10 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from palmd.observer.three_palms import kernels
-from palmd.observer.three_palms.driven import ContactCurves, ball_of, smoothing_spline
+from palmd.observer.three_palms.driven import ContactCurves, nearest_balls, smoothing_spline
 from palmd.observer.three_palms.kernels import palm_inputs
 from palmd.observer.three_palms.reconstruct import longest_stretch
-from palmd.observer.three_palms.search import Task, rivals
+from palmd.observer.three_palms.search import Task, start_candidates
 from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.system.three_palms import palms_at
 from tools.studies.space_logs import simulate
@@ -21,7 +21,7 @@ def test_a_ball_is_found_by_its_contacts():
     angle = np.array([[0.9, 0.8, 0.7]])
     normal = palms_at(angle, 0 * angle, 0 * angle).normal
     centre, radius = np.array([0.001, 0.02, 0.03]), 0.02
-    found, radii = ball_of(centre - radius * normal, normal)
+    found, radii = nearest_balls(centre - radius * normal, normal)
     np.testing.assert_allclose(found, [centre], atol=1e-15)
     np.testing.assert_allclose(radii, radius, atol=1e-15)
 
@@ -48,7 +48,7 @@ def test_given_contacts_tell_how_centre_and_spin_go_on():
     gyration = math.sqrt(np.trace(truth["inertia_m2"]) / 3)
     constants = np.array([math.log(gyration), 0.0, math.log(truth["mu"]), math.log(truth["dither_m_s"])])
     given = (state, palm_inputs(path.palms(t)), ContactCurves.smoothed(readings).at(path, t))
-    rates = kernels.driven()(given, (constants, rig.acting))[0]
+    rates = kernels.driven()(given, (constants, rig.kernel_constants))[0]
     off = (rates - np.gradient(state, t, axis=0))[5:-5]
     assert np.sqrt(np.mean(off[:, :3] ** 2)) < 1e-4  # m/s
     assert np.sqrt(np.mean(off[:, 3:] ** 2)) < 5.0  # rad/s²: 40 µm of a contact are 4
@@ -61,8 +61,8 @@ def test_a_body_that_nothing_rubs_is_found_blindly():
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig))
     path, readings = laid_out(SYSTEM.log(rig, events, ()))
     start, end = longest_stretch(path, readings)
-    first, *_ = rivals(Task(path, readings, ContactCurves.smoothed(readings), rig, start, end), 1.5)
+    first, *_ = start_candidates(Task(path, readings, ContactCurves.smoothed(readings), rig, start, end), 1.5)
     nodes = np.searchsorted(run.truth["t"], first.record.t - 0.5 * SPACING)
     off = np.sqrt(np.mean((first.fit.motion.omega - np.array(run.truth["omega_rad_s"])[nodes]) ** 2))
-    assert first.per_number < 1.05
+    assert first.cost_per_number < 1.05
     assert off < 0.15  # rad/s

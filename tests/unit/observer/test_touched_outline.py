@@ -8,10 +8,10 @@ import pytest
 from palmd.model.icosphere import icosphere
 from palmd.model.spherical import Y00, count, evaluator
 from palmd.model.three_palms import BODY
-from palmd.observer.three_palms.beliefs import beyond_sd, shape_variance
+from palmd.observer.three_palms.beliefs import shape_variance, truncation_sd
 from palmd.observer.three_palms.body import ORDER, inertia
 from palmd.observer.three_palms.smoother import BodyPrior
-from palmd.observer.three_palms.touched_outline import felt_outline, foretelling, near
+from palmd.observer.three_palms.touched_outline import directions_near, predictive_belief, touched_outline
 
 RADIUS, TRUE_ORDER = 0.028, 20
 N = count(ORDER)
@@ -54,11 +54,11 @@ def test_what_was_never_felt_is_told_better_and_within_its_bands():
     before, after, sigmas, kept = [], [], [], []
     for seed in range(8):
         heights, p, covariance = fitted(seed)
-        q, known = felt_outline(p, covariance, TOUCHED)
+        q, known = touched_outline(p, covariance, TOUCHED)
         before.append(rms((told(p) - heights)[UNTOUCHED]))
         after.append(rms((told(q) - heights)[UNTOUCHED]))
         sigmas.append(rms(((told(q) - heights) / bands(known))[UNTOUCHED]))
-        kept.append(rms((told(q) - told(p))[TOUCHED]) / beyond_sd(RADIUS, ORDER, TOUCHED).min())
+        kept.append(rms((told(q) - told(p))[TOUCHED]) / truncation_sd(RADIUS, ORDER, TOUCHED).min())
     assert np.median(after) < 0.7 * np.median(before)
     assert rms(sigmas) < 1.5
     assert rms(((told(p) - heights) / bands(covariance))[UNTOUCHED]) > 2.0  # as the fit has it
@@ -69,7 +69,7 @@ def test_what_heights_are_off_by_together_is_not_forgotten():
     """As where the centre of mass is hardly known: all heights are told from there."""
     _, p, covariance = fitted(4)
     covariance[7:10, 7:10] += 4.0 * np.pi / 3.0 * (2e-4) ** 2 * np.eye(3)
-    _, known = felt_outline(p, covariance, TOUCHED)
+    _, known = touched_outline(p, covariance, TOUCHED)
     before, after = (np.median(bands(each)[TOUCHED]) for each in (covariance, known))
     assert before > 1e-4
     assert 0.9 * before < after < 1.1 * before
@@ -81,7 +81,7 @@ def test_the_inertia_is_the_same_and_as_well_known():
     covariance[6, 6 + N : 12 + N] = covariance[6 + N : 12 + N, 6] = (
         1e-3 * random.normal(size=6) * covariance[6, 6] ** 0.5
     )
-    q, known = felt_outline(p, covariance, TOUCHED)
+    q, known = touched_outline(p, covariance, TOUCHED)
     assert q[0] != p[0]
     np.testing.assert_allclose(inertia(q), inertia(p), rtol=1e-12)
 
@@ -104,7 +104,7 @@ def test_a_fit_that_tells_a_negative_radius_ends_nothing():
     rows = evaluator(ORDER)(DIRECTIONS)[0]
     p[:N] = np.linalg.lstsq(rows, RADIUS * (4.0 * DIRECTIONS[:, 2] - 1.0), rcond=None)[0]  # above 0 where it was felt
     assert p[0] < 0.0
-    q, known = felt_outline(p, covariance, TOUCHED)
+    q, known = touched_outline(p, covariance, TOUCHED)
     assert q[0] > 0.0
     np.testing.assert_allclose(inertia(q), inertia(p), rtol=1e-12)
     assert np.isfinite(known).all()
@@ -113,7 +113,7 @@ def test_a_fit_that_tells_a_negative_radius_ends_nothing():
 def test_turn_spin_and_friction_stay_as_they_are_believed():
     _, p, covariance = fitted(1)
     covariance[0, 3] = covariance[3, 0] = 5e-5
-    q, known = felt_outline(p, covariance, TOUCHED)
+    q, known = touched_outline(p, covariance, TOUCHED)
     np.testing.assert_array_equal(q[-3:], p[-3:])
     np.testing.assert_array_equal(known[:6, :6], covariance[:6, :6])
     np.testing.assert_array_equal(known[-3:, -3:], covariance[-3:, -3:])
@@ -126,7 +126,7 @@ def test_a_finer_outline_is_told_by_fewer_degrees():
     c[0] = RADIUS / Y00
     p = np.concatenate([c, np.zeros(BODY)])
     everywhere = np.ones(len(DIRECTIONS), np.bool_)
-    q, known = felt_outline(p, 1e-14 * np.eye(6 + n + BODY), everywhere, ORDER)
+    q, known = touched_outline(p, 1e-14 * np.eye(6 + n + BODY), everywhere, ORDER)
     assert (len(q), known.shape) == (N + BODY, (6 + N + BODY,) * 2)
     off = rms(told(q) - evaluator(16)(DIRECTIONS)[0] @ c)
     assert off < 1.3 * rms(evaluator(16)(DIRECTIONS)[0][:, N:] @ c[N:])  # no more than the degrees that are left out
@@ -135,14 +135,14 @@ def test_a_finer_outline_is_told_by_fewer_degrees():
 def test_a_record_goes_on_with_it_and_with_what_cannot_be_told_as_it_is():
     _, p, covariance = fitted(2)
     ahead = BodyPrior(np.eye(3), np.zeros(3), p, np.linalg.inv(covariance))
-    q, known = felt_outline(p, covariance, TOUCHED)
-    goes_on = foretelling(ahead, TOUCHED)
+    q, known = touched_outline(p, covariance, TOUCHED)
+    goes_on = predictive_belief(ahead, TOUCHED)
     np.testing.assert_allclose(goes_on.mean, q, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(np.linalg.inv(goes_on.information), known, rtol=1e-3, atol=1e-12)
     nothing = BodyPrior(np.eye(3), np.zeros(3), p, np.zeros_like(covariance))
-    assert foretelling(nothing, TOUCHED) is nothing
+    assert predictive_belief(nothing, TOUCHED) is nothing
 
 
 def test_near_is_within_four_degrees():
     felt = np.array([[0.0, 0.0, 1.0]])
-    assert near(felt) == pytest.approx(DIRECTIONS[:, 2] >= math.cos(math.radians(4.0)))
+    assert directions_near(felt) == pytest.approx(DIRECTIONS[:, 2] >= math.cos(math.radians(4.0)))

@@ -1,1 +1,1 @@
-"""The pivoting grasp seen from its end: outline about the pivot, motion, friction, and what its weight tells."""
+"""Estimators of the pivoting grasp: outline about the pivot, motion, friction, and mass where it is observable."""

@@ -1,4 +1,4 @@
-"""Where the arm had the pivot: measured positions smoothed by the velocities of the plan. Pure."""
+"""Path of the pivot: measured positions smoothed with the velocities of the motion plan. Pure."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from scipy.interpolate import BSpline, CubicHermiteSpline, PPoly, make_lsq_splin
 
 from palmd.events import FloatArray
 
-WINDOW_S = 0.5  # over which the arm may stray from its plan
-STRAY_S = 1.0  # cells of the spline that it then strays by: finer ones would follow the noise
-STRAYED = 3.0  # of the windows' mean squares, in sigmas of what noise gives
+WINDOW_S = 0.5  # window of the means by which a deviation from the plan is detected
+DEVIATION_CELL_S = 1.0  # cell of the spline that then models the deviation; a finer one would follow the noise
+DEVIATION_SD = 3.0  # standard deviations of the windows' mean square above its expectation from noise
 LEAST_SAMPLES = 8
-TOLD = 25.0  # squared sigmas, from which measurements tell how the arm follows its plan
-OUTLIER = 4.0
-GAP = 4.0  # of the usual time between samples
+LAG_CHI2 = 25.0  # χ² above which the arm's lag behind its plan is applied
+OUTLIER = 4.0  # standard deviations
+GAP = 4.0  # in median sampling intervals
 
 
 @dataclass(frozen=True, slots=True)
 class AxisPath:
-    """Position, velocity and acceleration along one axis as functions of time, and the position's one-sigma (m)."""
+    """Position, velocity and acceleration along one axis as functions of time, and the position's 1σ (m)."""
 
     position: CubicHermiteSpline | PPoly
     velocity: CubicHermiteSpline | PPoly
@@ -38,9 +38,10 @@ class AxisPath:
 def axis_path(
     t: FloatArray, measured: FloatArray, rate: Sequence[float | None], second: Sequence[float | None], noise: float
 ) -> AxisPath:
-    """The path through positions `measured` (m) with this `noise`; rates and accelerations: the plan's, where it tells.
+    """Path through positions `measured` (m) with this `noise`.
 
-    t: strictly increasing (s), of `LEAST_SAMPLES` samples at least.
+    t: strictly increasing (s), at least `LEAST_SAMPLES`. rate, second: velocities and accelerations of the plan; if any
+    is None, the positions are smoothed without a plan.
     """
     if any(each is None for each in (*rate, *second)):
         path = PPoly.from_spline(make_smoothing_spline(t, measured))
@@ -51,41 +52,41 @@ def axis_path(
     planned = np.concatenate([[0.0], np.cumsum(steps)])
     position = np.empty_like(planned)
     sd = noise / math.sqrt(len(t))
-    for piece in _pieces(t):  # over a gap nobody has told the velocity
-        off = measured[piece] - planned[piece]
-        middle = float(np.median(off))
-        off = np.clip(off, middle - OUTLIER * noise, middle + OUTLIER * noise)
-        if _strays(t[piece], off - off.mean(), noise):
-            astray = _evenly(t[piece], measured[piece] - planned[piece])
-            position[piece] = planned[piece] + astray(t[piece])
-            v[piece] += astray(t[piece], 1)
-            a[piece] += astray(t[piece], 2)
-            sd = max(sd, noise / math.sqrt(STRAY_S / float(np.median(dt))))
+    for piece in _pieces(t):  # the velocity in a gap is not known
+        deviation = measured[piece] - planned[piece]
+        middle = float(np.median(deviation))
+        deviation = np.clip(deviation, middle - OUTLIER * noise, middle + OUTLIER * noise)
+        if _deviates(t[piece], deviation - deviation.mean(), noise):
+            deviation_spline = _uniform_spline(t[piece], measured[piece] - planned[piece])
+            position[piece] = planned[piece] + deviation_spline(t[piece])
+            v[piece] += deviation_spline(t[piece], 1)
+            a[piece] += deviation_spline(t[piece], 2)
+            sd = max(sd, noise / math.sqrt(DEVIATION_CELL_S / float(np.median(dt))))
         else:
-            position[piece] = planned[piece] + off.mean()
-    _follow(t, measured, position, v, a, noise)
+            position[piece] = planned[piece] + deviation.mean()
+    _apply_servo_lag(t, measured, position, v, a, noise)
     velocity = CubicHermiteSpline(t, v, a)
     return AxisPath(CubicHermiteSpline(t, position, v), velocity, velocity.derivative(), sd)
 
 
-def _follow(
+def _apply_servo_lag(
     t: FloatArray, measured: FloatArray, position: FloatArray, v: FloatArray, a: FloatArray, noise: float
 ) -> None:
-    """Let the plan (in place) be followed as servos do: later, and its corners rounded, by how much measurements tell.
+    """Correct the plan (in place) for the servo's lag and rounding, estimated from the measurements.
 
-    To first order what a servo makes of x(t) is x − τ v + β a.
+    To first order a servo follows x(t) with x − τ v + β a.
     """
-    off = np.clip(measured - position, -OUTLIER * noise, OUTLIER * noise)
+    deviation = np.clip(measured - position, -OUTLIER * noise, OUTLIER * noise)
     plan = np.stack([v, a], axis=1)
-    share = np.linalg.lstsq(plan, off, rcond=None)[0]
-    moved = plan @ share
-    if float(moved @ moved) < TOLD * noise**2:
+    coefficients = np.linalg.lstsq(plan, deviation, rcond=None)[0]
+    correction = plan @ coefficients
+    if float(correction @ correction) < LAG_CHI2 * noise**2:
         return
-    position += moved
+    position += correction
     for piece in _pieces(t):
         if piece.stop - piece.start < LEAST_SAMPLES:
             continue
-        v[piece] += share[0] * a[piece] + share[1] * np.gradient(a[piece], t[piece])
+        v[piece] += coefficients[0] * a[piece] + coefficients[1] * np.gradient(a[piece], t[piece])
         a[piece] = np.gradient(v[piece], t[piece])
 
 
@@ -95,17 +96,17 @@ def _pieces(t: FloatArray) -> list[slice]:
     return [slice(begin, end) for begin, end in itertools.pairwise(cuts)]
 
 
-def _evenly(t: FloatArray, values: FloatArray) -> BSpline:
-    """The cubic spline of even cells of `STRAY_S` that comes nearest to the values."""
-    cells = max(round((t[-1] - t[0]) / STRAY_S), 1)
+def _uniform_spline(t: FloatArray, values: FloatArray) -> BSpline:
+    """Least-squares cubic spline through the values, with uniform cells of about `DEVIATION_CELL_S`."""
+    cells = max(round((t[-1] - t[0]) / DEVIATION_CELL_S), 1)
     knots = np.linspace(t[0], t[-1], cells + 1)
     return make_lsq_spline(t, values, np.concatenate([[t[0]] * 3, knots, [t[-1]] * 3]))
 
 
-def _strays(t: FloatArray, off: FloatArray, noise: float) -> bool:
-    """Whether positions go by the plan no better than their means over `WINDOW_S` show: the arm lags or is pushed."""
+def _deviates(t: FloatArray, deviation: FloatArray, noise: float) -> bool:
+    """Whether means over `WINDOW_S` deviate from the plan by more than noise: the arm lags or is pushed."""
     window = np.floor((t - t[0]) / WINDOW_S).astype(int)
     count = np.bincount(window)
-    means = np.bincount(window, off)[count > 0] / count[count > 0]
-    strayed = float(np.mean((means / noise) ** 2 * count[count > 0]))
-    return len(t) >= LEAST_SAMPLES and len(means) > 1 and strayed > 1 + STRAYED * math.sqrt(2 / len(means))
+    means = np.bincount(window, deviation)[count > 0] / count[count > 0]
+    mean_square = float(np.mean((means / noise) ** 2 * count[count > 0]))
+    return len(t) >= LEAST_SAMPLES and len(means) > 1 and mean_square > 1 + DEVIATION_SD * math.sqrt(2 / len(means))

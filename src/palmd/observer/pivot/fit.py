@@ -1,6 +1,6 @@
-"""Levenberg–Marquardt over a whole run of the pivoting grasp: the orientation's splines and the constants at once.
+"""Levenberg–Marquardt over a whole run of the pivoting grasp: splines of the orientation and constants together.
 
-The normal matrix is banded in the splines' coefficients with a dense border for the constants, and is factored so.
+The normal matrix is banded in the splines' coefficients, with a dense border for the constants, and is factored so.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
 from palmd.system.pivot import normal_of
 
 MAX_ITERATIONS = 60
-NEGLIGIBLE = 0.02
+NEGLIGIBLE = 0.02  # decrease of the cost below which the iteration has converged
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-3, 1e-10, 1e8
-CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # of the splines alone, unless the cost falls by a tenth at once
-GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
-WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, and how much narrower it must come
-# What most bodies are like: how far the centre of mass is off the outline's middle, and the radius of gyration in mean
-# radii with its relative one-sigma (a uniform convex body has 0.70 to 0.72, a ring 1).
+CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # most extra steps of the splines alone; none if the cost falls by a tenth at once
+GATE = 16.0  # squared normalised residual above which a row's weight falls off: 4σ
+WIDE, NARROWER = 1.5, 0.7  # spread of the residuals above which the gate is wider; factor by which it must narrow
+# Prior of a body: 1σ of the centre of mass from the outline's middle; radius of gyration in mean radii and its relative
+# 1σ (a uniform convex body has 0.70 to 0.72, a ring 1).
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
-STRAY_M, STRAY_READINGS, LEAST_SQUARE_M2 = 2.5e-6, 60, 1e-8
+# 1σ of a rigid gripper's height error, number of readings that share it, least e² in its effect on the force
+HEIGHT_ERROR_M, HEIGHT_ERROR_READINGS, LEAST_LEVER_SQUARE_M2 = 2.5e-6, 60, 1e-8
 _READINGS, _HEIGHTS, _FORCES = range(3)  # kinds of rows, in the order of the kernels
 _PSI_SCALE = 0.05
 _GAUGE_SD = 1e-5  # of ψ at the first reading, which is 0 by definition
@@ -37,8 +38,8 @@ _UNSOLVABLE = (np.linalg.LinAlgError, ValueError)
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What is believed of the constants beforehand: means and one-sigmas (CONSTANTS)."""
+class ConstantsPrior:
+    """Prior of the constants: means and 1σ (CONSTANTS,)."""
 
     mean: FloatArray
     sd: FloatArray
@@ -46,7 +47,7 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Softening:
-    """Factors on the one-sigmas of readings, heights, forces and torques: an early fit sees through a soft lens."""
+    """Factors on the 1σ of readings, heights, forces and torques, for graduated optimisation."""
 
     readings: float = 1.0
     heights: float = 1.0
@@ -54,14 +55,15 @@ class Softening:
     torques: float = 1.0
 
 
-SHARP = Softening()
+UNSOFTENED = Softening()
 
 
 @dataclass(frozen=True, slots=True)
 class PivotFit:
-    """A minimum: spline coefficients c, constants p, its cost, robust χ² of each kind, and how the iteration ended.
+    """A minimum: spline coefficients c, constants p, cost, χ² of each kind without outliers, state of the iteration.
 
-    outliers: share of the pad's readings beyond the gate. gain: of the modes of the pad's gain, in one-sigmas.
+    outliers: fraction of the pad's readings above the gate. prior_cost: the prior's part of the cost. gain: amplitudes
+    of the pad's gain modes, in their 1σ.
     """
 
     c: FloatArray
@@ -72,9 +74,9 @@ class PivotFit:
     force_chi2: float
     torque_chi2: float
     outliers: float
-    strain: float
+    prior_cost: float
     iterations: int
-    settled: bool
+    converged: bool
     gain: FloatArray
 
 
@@ -83,7 +85,7 @@ class _Normal:
     cost: float
     chi2: tuple[float, float, float, float]
     outliers: float
-    strain: float
+    prior_cost: float
     banded: FloatArray
     border: FloatArray
     corner: FloatArray
@@ -92,17 +94,17 @@ class _Normal:
 
 
 class Problem:
-    """The least-squares problem of one record; `fit` may be called with many starts."""
+    """The least-squares problem of one record; `fit` may be called from many starts."""
 
-    def __init__(self, library: Library, record: PivotRecord, known: Known, felt: FloatArray | None = None):
-        """`felt`: the forces as a fit had them, from which it follows how far the pad falls behind them."""
+    def __init__(self, library: Library, record: PivotRecord, prior: ConstantsPrior, forces: FloatArray | None = None):
+        """`forces`: of an earlier fit, from which the pad's hysteresis is computed."""
         self.record = record
-        self.known = known
+        self.prior = prior
         force = "rigid_force" if record.rig.vertical == "rigid" else "slide_force"
-        gain = gain_modes(record, felt)
+        gain = gain_modes(record, forces)
         self._x = np.zeros(CONSTANTS + gain.shape[1])  # constants, and modes of the gain
         self._mean, self._sd = np.zeros_like(self._x), np.ones_like(self._x)
-        self._mean[:CONSTANTS], self._sd[:CONSTANTS] = known.mean, known.sd
+        self._mean[:CONSTANTS], self._sd[:CONSTANTS] = prior.mean, prior.sd
         kinds = (("reading", record.readings), ("height", record.heights), (force, record.forces))
         self._kernels = [
             _Kernel(library, name, rows, self._x, gain if name == force else None)
@@ -112,57 +114,59 @@ class Problem:
         columns = np.concatenate([(each.first[:, None] + np.arange(TAPS)).ravel() for each in rows])
         self._pattern = (columns, np.arange(0, len(columns) + 1, TAPS))
 
-    def fit(self, c: FloatArray, p: FloatArray, soft: Softening = SHARP, iterations: int = MAX_ITERATIONS) -> PivotFit:
-        """Iterate until nothing moves any more; the result may be a local minimum."""
+    def fit(
+        self, c: FloatArray, p: FloatArray, soft: Softening = UNSOFTENED, iterations: int = MAX_ITERATIONS
+    ) -> PivotFit:
+        """Iterate to convergence; the result may be a local minimum."""
         x = np.concatenate([p, np.zeros(len(self._x) - CONSTANTS)])
         self._open_gates(c, x, soft)
         now = self.linearised(c, x, soft)
-        damping, count, settled = FIRST_DAMPING, 0, False
-        while count < iterations and damping < MAX_DAMPING and not settled and math.isfinite(now.cost):
+        damping, count, converged = FIRST_DAMPING, 0, False
+        while count < iterations and damping < MAX_DAMPING and not converged and math.isfinite(now.cost):
             count += 1
             step = self._step(now, damping)
             if step is None:
                 damping *= 8.0
                 continue
-            promise = float(now.c_side @ step[0] + now.p_side @ step[1])
-            if damping <= FIRST_DAMPING and promise < NEGLIGIBLE:
-                settled = True
+            predicted = float(now.c_side @ step[0] + now.p_side @ step[1])
+            if damping <= FIRST_DAMPING and predicted < NEGLIGIBLE:
+                converged = True
                 break
             trial = c + step[0], x + step[1]
             then = self.linearised(*trial, soft) if _sane(trial[1]) else None
-            for _ in range(CORRECTIONS):  # the splines bend where the constants go straight
+            for _ in range(CORRECTIONS):  # the splines are non-linear along a step of the constants
                 if then is None or not math.isfinite(then.cost) or then.cost < GOOD_ENOUGH * now.cost:
                     break
-                better = self._splines_again(then, trial, soft)
+                better = self._resolve_splines(then, trial, soft)
                 if better is None or not better[1].cost < 0.999 * then.cost:
                     break
                 trial, then = better
             if then is None or not then.cost < now.cost:
                 damping = max(damping, 1e-6) * 8.0
                 continue
-            settled = now.cost - then.cost < NEGLIGIBLE and damping <= FIRST_DAMPING
+            converged = now.cost - then.cost < NEGLIGIBLE and damping <= FIRST_DAMPING
             (c, x), now = trial, then
             if self._narrow_gates():
-                settled, now = False, self.linearised(c, x, soft)
+                converged, now = False, self.linearised(c, x, soft)
             damping = max(damping / 8.0, LEAST_DAMPING)
         constants, gain = np.split(x, [CONSTANTS])
-        return PivotFit(c, constants, now.cost, *now.chi2, now.outliers, now.strain, count, settled, gain)
+        return PivotFit(c, constants, now.cost, *now.chi2, now.outliers, now.prior_cost, count, converged, gain)
 
     def _open_gates(self, c: FloatArray, x: FloatArray, soft: Softening) -> None:
-        """Set the gates by how far all residuals are now."""
+        """Set the gates by the present spread of all residuals."""
         for kernel in self._kernels:
             kernel.gate = math.inf
         self.linearised(c, x, soft)
         self._narrow_gates()
 
     def _narrow_gates(self) -> bool:
-        """Let outliers be what stands out now, where that has become much less; else no cost would compare."""
-        narrower = [kernel for kernel in self._kernels if kernel.wanted < NARROWER * kernel.gate]
+        """Narrow gates once the spread is much smaller; returns whether any changed: costs are then not comparable."""
+        narrower = [kernel for kernel in self._kernels if kernel.wanted_gate < NARROWER * kernel.gate]
         for kernel in narrower:
-            kernel.gate = kernel.wanted
+            kernel.gate = kernel.wanted_gate
         return bool(narrower)
 
-    def _splines_again(
+    def _resolve_splines(
         self, then: _Normal, trial: tuple[FloatArray, FloatArray], soft: Softening
     ) -> tuple[tuple[FloatArray, FloatArray], _Normal] | None:
         try:
@@ -173,12 +177,12 @@ class Problem:
         return better, self.linearised(*better, soft)
 
     def predicted(self, c: FloatArray, p: FloatArray) -> list[FloatArray]:
-        """Readings, heights, forces and torques as the model has them, without the gain."""
+        """Predicted readings, heights, forces and torques, without the pad's gain."""
         self._x[:CONSTANTS] = p
         return [kernel.predicted(self.record.motion(c, kernel.rows)) for kernel in self._kernels]
 
-    def linearised(self, c: FloatArray, x: FloatArray, soft: Softening = SHARP) -> _Normal:
-        """The normal equations; the cost is infinite where they are void. x: constants, and modes of the gain."""
+    def linearised(self, c: FloatArray, x: FloatArray, soft: Softening = UNSOFTENED) -> _Normal:
+        """Normal equations at c and x, constants and modes of the gain; the cost is infinite if they are not finite."""
         self._x[:] = x
         factors = (soft.readings, soft.heights, soft.forces, soft.torques)
         with np.errstate(all="ignore"):
@@ -190,10 +194,10 @@ class Problem:
             in_p = np.concatenate([part[1] for part in parts])
             residual = np.concatenate([part[2] for part in parts])
             deviation = (x - self._mean) / self._sd
-            likely, in_likely = likely_body(x)
-            strain = float(deviation @ deviation + likely @ likely)
+            body_residual, body_jacobian = body_prior_residuals(x)
+            prior_cost = float(deviation @ deviation + body_residual @ body_residual)
             gauge_c, gauge = self._gauge(c)
-            cost = sum(part[3] for part in parts) + strain + gauge**2
+            cost = sum(part[3] for part in parts) + prior_cost + gauge**2
             if not (math.isfinite(cost) and np.isfinite(in_p).all() and np.isfinite(in_c).all()):
                 none: FloatArray = np.zeros(0)
                 return _Normal(math.inf, (math.inf,) * 4, 1.0, math.inf, none, none, none, none, none)
@@ -203,7 +207,7 @@ class Problem:
         banded = np.zeros((TAPS, len(c)))
         for k in range(TAPS):
             banded[k, : len(c) - k] = normal.diagonal(-k)
-        banded[0] += 1e-9  # what no reading sees stays where it is
+        banded[0] += 1e-9  # fixes coefficients that no row depends on
         for k in range(TAPS):
             banded[k, : TAPS - k] += gauge_c[k:] * gauge_c[: TAPS - k]
         c_side = across @ residual
@@ -212,12 +216,12 @@ class Problem:
             cost,
             (parts[0][4], parts[1][4], parts[2][4], parts[3][4]),
             parts[0][5],
-            strain,
+            prior_cost,
             banded,
             across @ in_p,
-            in_p.T @ in_p + np.diag(1 / self._sd**2) + in_likely.T @ in_likely,
+            in_p.T @ in_p + np.diag(1 / self._sd**2) + body_jacobian.T @ body_jacobian,
             c_side,
-            in_p.T @ residual - deviation / self._sd - in_likely.T @ likely,
+            in_p.T @ residual - deviation / self._sd - body_jacobian.T @ body_residual,
         )
 
     def _gauge(self, c: FloatArray) -> tuple[FloatArray, float]:
@@ -236,8 +240,8 @@ class Problem:
             return None
         return solved[:, -1] - solved[:, :-1] @ step, step
 
-    def moved(self, fit: PivotFit, kind: int, shift: FloatArray) -> FloatArray | None:
-        """By how much the constants would move if the values of a kind of rows did by so much; None: it is open."""
+    def constants_shift(self, fit: PivotFit, kind: int, shift: FloatArray) -> FloatArray | None:
+        """Change of the fitted constants for a `shift` of the values of one kind of rows; None if it is singular."""
         kernel, x = self._kernels[kind], np.concatenate([fit.p, fit.gain])
         gate, rows = kernel.gate, kernel.rows
         kernel.gate = math.inf
@@ -251,12 +255,12 @@ class Problem:
         return None if step is None else step[1][:CONSTANTS]
 
     def covariance(self, fit: PivotFit) -> FloatArray:
-        """Of the constants; raises LinAlgError where the fit is no minimum."""
+        """Covariance of the constants; raises LinAlgError if the fit is not a minimum."""
         x = np.concatenate([fit.p, fit.gain])
-        self._open_gates(fit.c, x, SHARP)
+        self._open_gates(fit.c, x, UNSOFTENED)
         now = self.linearised(fit.c, x)
         if not math.isfinite(now.cost):
-            raise np.linalg.LinAlgError("the fit is beyond all numbers")
+            raise np.linalg.LinAlgError("the cost of the fit is not finite")
         factor = cholesky_banded(now.banded, lower=True)
         solved = cho_solve_banded((factor, True), now.border)
         schur = now.corner - now.border.T @ solved
@@ -264,15 +268,15 @@ class Problem:
         inverse = np.linalg.inv(schur * np.outer(scale, scale)) * np.outer(scale, scale)
         covariance: FloatArray = ((inverse + inverse.T) / 2)[:CONSTANTS, :CONSTANTS]
         if not (np.diagonal(covariance) >= 0).all():
-            raise np.linalg.LinAlgError("the fit is no minimum")
+            raise np.linalg.LinAlgError("the fit is not a minimum")
         return covariance
 
 
-def moved_by_rig(problem: Problem, fit: PivotFit) -> FloatArray:
-    """(CONSTANTS, modes): how a fit moves where what it does not estimate of the rig is off by one sigma.
+def rig_error_modes(problem: Problem, fit: PivotFit) -> FloatArray:
+    """(CONSTANTS, modes): change of a fit for 1σ errors of rig constants that it does not estimate.
 
-    That is the bow of the pad's surface, what its readings move by with the force, and under a rigid gripper the
-    surface's height: a body is larger by as much all round.
+    These are the sagitta of the pad's surface, the dependence of its readings on force, and, for a rigid gripper, the
+    surface's height, which changes the body's size over the whole outline.
     """
     record, pad = problem.record, problem.record.rig.pad
     moves: list[FloatArray | None] = []
@@ -281,39 +285,43 @@ def moved_by_rig(problem: Problem, fit: PivotFit) -> FloatArray:
         theta = normal_of(record.motion(fit.c, record.heights)[:, 0])
         u = (x - shape.tangential_basis(theta, ORDER) @ fit.p[P.SHAPE :]) / pad.length
         slope, height = 4.0 * pad.sagitta_sd / pad.length * (1.0 - 2.0 * u), 4.0 * pad.sagitta_sd * u * u
-        moves.append(problem.moved(fit, _HEIGHTS, height + slope * x))
+        moves.append(problem.constants_shift(fit, _HEIGHTS, height + slope * x))
     if pad.force_sd and len(record.forces.t):
-        felt = problem.predicted(fit.c, fit.p)[_FORCES]
-        moves.append(problem.moved(fit, _READINGS, pad.force_sd * np.interp(record.readings.t, record.forces.t, felt)))
+        forces = problem.predicted(fit.c, fit.p)[_FORCES]
+        moves.append(
+            problem.constants_shift(
+                fit, _READINGS, pad.force_sd * np.interp(record.readings.t, record.forces.t, forces)
+            )
+        )
     if pad.standoff_sd and record.rig.vertical == "rigid":
         larger = np.zeros(CONSTANTS)
         larger[P.STANDOFF], larger[P.SHAPE] = pad.standoff_sd, -pad.standoff_sd
         moves.append(larger)
-    told = [each for each in moves if each is not None]
-    return np.array(told).T if told else np.zeros((CONSTANTS, 0))
+    determined = [each for each in moves if each is not None]
+    return np.array(determined).T if determined else np.zeros((CONSTANTS, 0))
 
 
-def gain_modes(record: PivotRecord, felt: FloatArray | None = None) -> FloatArray:
-    """(forces, modes): the share by which each mode of the pad's gain moves each force, where it is off by one sigma.
+def gain_modes(record: PivotRecord, forces: FloatArray | None = None) -> FloatArray:
+    """(forces, modes): relative change of each force for a 1σ amplitude of each mode of the pad's gain error.
 
-    The gain is off by `force_gain_std`, drifts within `DRIFT_S`, and falls behind a force that changes by `BEHIND`: as
-    a play does behind the forces `felt`, where these are known. Readings share it, and no number of them averages it
-    out; visits to one place at several times do.
+    The gain has an error of 1σ `force_gain_std`, which drifts within `DRIFT_S`, and a hysteresis of `BEHIND` behind
+    changing forces, modelled as a play operator on `forces`, if these are given. The error is common to many readings,
+    so that their number does not average it out; repeated visits to one place do.
     """
     rows, std = record.forces, record.rig.pad.force_gain_std
     if not std or not len(rows.t):
         return np.zeros((len(rows.t), 0))
     modes = modes_at(rows.t, [(touch.begin, touch.end) for touch in record.touches], std)
-    return modes if felt is None else np.column_stack([modes, BEHIND * _behind(record, felt)])
+    return modes if forces is None else np.column_stack([modes, BEHIND * _play_state(record, forces)])
 
 
-def _behind(record: PivotRecord, felt: FloatArray) -> FloatArray:
-    """Where in its play the pad is at each force, touch by touch."""
-    place: FloatArray = np.zeros(len(felt))
+def _play_state(record: PivotRecord, forces: FloatArray) -> FloatArray:
+    """State of the pad's play operator at each force, touch by touch."""
+    state: FloatArray = np.zeros(len(forces))
     for touch in record.touches:
         mine = (record.forces.t >= touch.begin) & (record.forces.t <= touch.end)
-        place[mine] = place_in_play(felt[mine])
-    return place
+        state[mine] = place_in_play(forces[mine])
+    return state
 
 
 class _Kernel:
@@ -322,7 +330,7 @@ class _Kernel:
     def __init__(self, library: Library, name: str, rows: Rows, x: FloatArray, gain: FloatArray | None):
         self.rows = rows
         self._x, self._gain = x, gain
-        self.gate = self.wanted = GATE
+        self.gate = self.wanted_gate = GATE
         n = len(rows.t)
         size = -(-max(n, 1) // BATCH) * BATCH
         self._motion, inputs = np.zeros((size, MOTION)), np.zeros((size, rows.inputs.shape[1]))
@@ -347,7 +355,7 @@ class _Kernel:
     def evaluate(
         self, motion: FloatArray, soft: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, float, float, float]:
-        """(gradients in coefficients, in constants and gain, residuals, all weighed; cost, χ², share of outliers)."""
+        """(Jacobians in coefficients, in constants and gain, residuals, all weighted; cost, χ², share of outliers)."""
         rows = self.rows
         n = len(rows.t)
         if not n:
@@ -362,9 +370,9 @@ class _Kernel:
         residual = rows.value - value
         variance = rows.variance * soft**2
         nis = residual**2 / variance
-        # far from the answer all residuals are large: only what stands out from the others is an outlier
+        # far from the minimum all residuals are large; outliers are those that exceed the others by far
         spread = float(np.median(nis)) / 0.455
-        self.wanted = GATE * spread if spread > WIDE else GATE
+        self.wanted_gate = GATE * spread if spread > WIDE else GATE
         gate = self.gate
         outlier = nis > gate
         root = np.sqrt(np.where(outlier, gate / np.maximum(nis, gate), 1.0) / variance)
@@ -374,18 +382,18 @@ class _Kernel:
         return in_c * root[:, None], in_x * root[:, None], residual * root, cost, chi2, float(outlier.mean())
 
 
-def likely_body(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """By how many sigmas a body is not as most are, and the gradient of it (3, len(p)).
+def body_prior_residuals(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normalised residuals (3,) of the prior of a body, and their Jacobian (3, len(p)).
 
-    Its centre of mass lies near the outline's middle, which the first harmonic about P tells, and its radius of
-    gyration is near that of a uniform body: so moment and inertia tell of each other.
+    The centre of mass lies near the outline's middle, which is the first harmonic about P, and the radius of gyration
+    is near that of a uniform body. This couples moment and inertia.
     """
     mass, moment, inertia = p[P.MASS], p[P.MOMENT : P.MOMENT + 2], p[P.INERTIA]
     radius, middle = p[P.SHAPE], p[P.SHAPE + 1 : P.SHAPE + 3]
     com = moment / mass
     gyration = inertia / mass - com @ com  # ρ²
-    wanted, sd = (GYRATION * radius) ** 2, 2 * GYRATION_SD * GYRATION**2 * radius**2
-    off = np.array([*((com - middle) / CENTRE_SD_M), (gyration - wanted) / sd])
+    expected, sd = (GYRATION * radius) ** 2, 2 * GYRATION_SD * GYRATION**2 * radius**2
+    residual = np.array([*((com - middle) / CENTRE_SD_M), (gyration - expected) / sd])
     J = np.zeros((3, len(p)))
     for i in range(2):
         J[i, P.MOMENT + i] = 1 / mass / CENTRE_SD_M
@@ -394,8 +402,8 @@ def likely_body(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         J[2, P.MOMENT + i] = -2 * com[i] / mass / sd
     J[2, P.INERTIA] = 1 / mass / sd
     J[2, P.MASS] = (-inertia / mass + 2 * com @ com) / mass / sd
-    J[2, P.SHAPE] = (-2 * wanted - 2 * (gyration - wanted)) / radius / sd
-    return off, J
+    J[2, P.SHAPE] = (-2 * expected - 2 * (gyration - expected)) / radius / sd
+    return residual, J
 
 
 def _sane(p: FloatArray) -> bool:
@@ -408,25 +416,27 @@ def _sane(p: FloatArray) -> bool:
     )
 
 
-def with_forces_of(problem: Problem, library: Library, fit: PivotFit) -> Problem:
-    """The same problem, each force's noise taken from the model's force instead of its neighbours'."""
+def with_model_forces(problem: Problem, library: Library, fit: PivotFit) -> Problem:
+    """The same problem, with each force's noise computed from the fit's force instead of neighbouring readings."""
     record = problem.record
     level = np.maximum(problem.predicted(fit.c, fit.p)[_FORCES], 0.05)
-    variance = np.asarray(record.rig.pad.force_variance(level)) + (level * _strayed(record, fit)) ** 2
+    variance = np.asarray(record.rig.pad.force_variance(level)) + (level * _height_error_share(record, fit)) ** 2
     forces = replace(record.forces, variance=variance)
-    return Problem(library, replace(record, forces=forces), problem.known, level)
+    return Problem(library, replace(record, forces=forces), problem.prior, level)
 
 
-def _strayed(record: PivotRecord, fit: PivotFit) -> FloatArray:
-    """The share by which each force is off where a rigid gripper is not quite where the fit takes it to be.
+def _height_error_share(record: PivotRecord, fit: PivotFit) -> FloatArray:
+    """Relative 1σ of each force from errors of a rigid gripper's height.
 
-    Off by δz, the lever e is by h_P″ δz/e, and the force by as large a share of itself as the lever. It strays by
-    `STRAY_M` and for as long as so many readings take, which therefore tell no more than one.
+    An error δz changes the lever e by h_P″ δz/e, and the force relatively as much as the lever. Its 1σ is
+    `HEIGHT_ERROR_M`; `HEIGHT_ERROR_READINGS` successive readings share it, and carry the information of one.
     """
     if record.rig.vertical != "rigid":
         return np.zeros(len(record.forces.t))
     theta, a = normal_of(record.motion(fit.c, record.forces)[:, 0]), fit.p[P.SHAPE :]
     e = -shape.tangential_basis(theta, ORDER) @ a
     bend = shape.basis(theta, ORDER) @ (-(shape.harmonic_of_coefficient(ORDER) ** 2) * a)
-    share: FloatArray = STRAY_M * math.sqrt(STRAY_READINGS) * np.abs(bend) / np.maximum(e**2, LEAST_SQUARE_M2)
+    share: FloatArray = (
+        HEIGHT_ERROR_M * math.sqrt(HEIGHT_ERROR_READINGS) * np.abs(bend) / np.maximum(e**2, LEAST_LEVER_SQUARE_M2)
+    )
     return share

@@ -1,4 +1,4 @@
-"""The smoother of a live pivoting grasp: all that was felt lately, reconstructed anew as it grows. Not for the loop."""
+"""Smoother of a live pivoting grasp: reconstructs the recent readings again as they grow. Not for the loop."""
 
 from __future__ import annotations
 
@@ -9,55 +9,57 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.events import Event, PadSample, PalmSample
-from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, refused
+from palmd.observer.pivot.reconstruct import ONE_SIDE, PivotReconstruction, reconstruct, rejected
 from palmd.observer.pivot.record import GAP_S, LEAST_READINGS
 from palmd.score import score_outline
 from palmd.system.pivot import GripperSample, PivotAnswer, PivotEvent, PivotRig
 
-WINDOW_S = {"rigid": 90.0, "float": 20.0}  # of readings, what is older is forgotten
-LEAST_S = 3.0  # of touching, before anything is tried
+WINDOW_S = {"rigid": 90.0, "float": 20.0}  # length of the readings that are kept
+LEAST_S = 3.0  # contact before anything is tried
 PERIOD_S = 1.0
-CLAIMED_M = 5e-5  # one-sigma of the outline, were the rig known, that readings must tell it to: more are to come
-LATENCY_S = 0.5  # that a simulated one takes
-AGREE_S, AGREE_M = 4.0, 1e-4  # of more readings on a slide, from which the same outline must come again
+ACCEPTED_M = 5e-5  # largest 1σ of an accepted outline on an exactly known rig; more readings improve it
+LATENCY_S = 0.5  # of a simulated smoother
+AGREE_S, AGREE_M = 4.0, 1e-4  # on a slide: time for which all outlines must agree, and their largest RMS difference
 
 
 class IncrementalPivotSmoother:
-    """Gathers events; `answer` reconstructs what there is, from the first reading of the window on."""
+    """Collects events; `answer` reconstructs those of the window."""
 
     def __init__(self, rig: PivotRig) -> None:
         self._rig, self._slides = rig, rig.vertical == "float"
         self._events: list[PivotEvent] = []
         self._pads = 0
-        self._before: tuple[float, PivotReconstruction] | None = None  # the first that all since then agree with
+        # time and result of the first reconstruction with which all later ones agree
+        self._before: tuple[float, PivotReconstruction] | None = None
 
     def add(self, events: Sequence[Event]) -> None:
-        """Events of some ticks."""
-        self._events += [each for event in events if (each := as_logged(event, slides=self._slides)) is not None]
+        """Add the events of some ticks; drop those before the window."""
+        self._events += [each for event in events if (each := to_log_event(event, slides=self._slides)) is not None]
         if self._events:
             begin = self._events[-1].t_sample - WINDOW_S[self._rig.vertical]
             if self._events[0].t_sample < begin - PERIOD_S:
                 self._events = [event for event in self._events if event.t_sample >= begin]
 
     def answer(self) -> PivotAnswer | None:
-        """What the readings tell, or why they do not; None before there is anything to say or after nothing new."""
+        """Estimate from the readings, accepted or with the reason why not; None without enough or new readings."""
         if self._slides:
-            self._set_down_last()
+            self._drop_before_set_down()
         readings = [event.t_sample for event in self._events if isinstance(event, PadSample)]
         if not readings or readings[-1] - readings[0] < LEAST_S or len(readings) == self._pads:
             return None
         self._pads = len(readings)
-        if not self._slides and (why := self._one_sided()):
-            return answer_of(refused(why), readings[-1])
+        if not self._slides and (reason := self._one_sided()):
+            return answer_of(rejected(reason), readings[-1])
         found = reconstruct(self._events, self._rig)
-        if self._slides and found.converged and not self._comes_again(found, readings[-1]):
-            found = refused("an outline was found, and is claimed when more readings tell the same")
+        if self._slides and found.converged and not self._is_confirmed(found, readings[-1]):
+            found = rejected("an outline was found, and is claimed when more readings tell the same")
         return answer_of(found, readings[-1])
 
-    def _comes_again(self, found: PivotReconstruction, t: float) -> bool:
-        """Whether all that was found for some seconds agrees: how far a body rolled is told by its friction alone.
+    def _is_confirmed(self, found: PivotReconstruction, t: float) -> bool:
+        """Whether all outlines of the last `AGREE_S` agree.
 
-        From little of a roll another outline may come that explains it as well, and does not last.
+        On a slide the distance rolled is determined by friction only: after a short roll, another outline may explain
+        the readings as well, but not for long.
         """
         before = self._before
         if before is None or not _agree(before[1], found):
@@ -65,17 +67,19 @@ class IncrementalPivotSmoother:
             return False
         return t - before[0] >= AGREE_S
 
-    def _set_down_last(self) -> None:
-        """Forget what was felt before a slide's body was set down: how it was turned meanwhile nothing tells."""
-        began = before = -math.inf
+    def _drop_before_set_down(self) -> None:
+        """Drop readings from before the body on a slide was set down: its turn meanwhile is not observable."""
+        set_down = before = -math.inf
         for event in self._events:
             if isinstance(event, PadSample):
-                began = began if event.t_sample - before < GAP_S["float"] else event.t_sample
+                set_down = set_down if event.t_sample - before < GAP_S["float"] else event.t_sample
                 before = event.t_sample
-        self._events = [event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= began]
+        self._events = [
+            event for event in self._events if not isinstance(event, PadSample) or event.t_sample >= set_down
+        ]
 
     def _one_sided(self) -> str:
-        """Why no fit is worth its time: all readings are of one side of the dead centre; empty where they are not."""
+        """`ONE_SIDE` if all readings are on one side of the dead centre, so that a fit would be rejected; else ''."""
         x, ahead = math.nan, []
         for event in self._events:
             if isinstance(event, GripperSample):
@@ -87,16 +91,16 @@ class IncrementalPivotSmoother:
 
 
 def _agree(before: PivotReconstruction, found: PivotReconstruction) -> bool:
-    """Whether an outline is found again where it was felt before, turned as it may be."""
+    """Whether two outlines agree where the first was touched, up to a rotation."""
     if before.h is None or found.h is None:
         return False
     return score_outline(found.theta, before.h, before.touched, found.h).e_h < AGREE_M
 
 
-def as_logged(event: Event, *, slides: bool) -> PivotEvent | None:
-    """An event of the daemon as logs of the pivoting grasp have it; None for the end of a contact.
+def to_log_event(event: Event, *, slides: bool) -> PivotEvent | None:
+    """Convert an event of the daemon to one of the pivoting grasp's logs; None for the end of a contact.
 
-    slides: what is planned along z is the slide's stop, and not the pivot.
+    slides: the plan along z is that of the slide's stop, not of the pivot, and is dropped.
     """
     if isinstance(event, PadSample):
         return event
@@ -107,13 +111,16 @@ def as_logged(event: Event, *, slides: bool) -> PivotEvent | None:
 
 
 def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
-    """A reconstruction of readings until `t` (s), for the loop."""
+    """Convert a reconstruction of readings until `t` (s) to an answer for the loop."""
     none = np.zeros(0)
-    if found.converged and found.told_m > CLAIMED_M:
-        why = f"the outline is told to {found.told_m * 1e3:.2f} mm so far: it is claimed from {CLAIMED_M * 1e3:g} mm on"
-        return PivotAnswer(t, False, why, math.nan, none, np.zeros((0, 0)), none, none)
-    claims = found.converged and found.h_sd is not None and found.touched is not None
-    if not claims or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
+    if found.converged and found.outline_sd_m > ACCEPTED_M:
+        reason = (
+            f"the outline is told to {found.outline_sd_m * 1e3:.2f} mm so far: "
+            f"it is claimed from {ACCEPTED_M * 1e3:g} mm on"
+        )
+        return PivotAnswer(t, False, reason, math.nan, none, np.zeros((0, 0)), none, none)
+    is_accepted = found.converged and found.h_sd is not None and found.touched is not None
+    if not is_accepted or found.p is None or found.covariance is None or found.h_sd is None or found.touched is None:
         return PivotAnswer(t, False, found.reason, math.nan, none, np.zeros((0, 0)), none, none)
     at = float(found.t[-1])
     return PivotAnswer(
@@ -122,9 +129,9 @@ def answer_of(found: PivotReconstruction, t: float) -> PivotAnswer:
 
 
 def as_fed(event: PivotEvent, *, slides: bool = False) -> Event:
-    """An event of a log as a daemon has it: the gripper's as that of two joints, x and z (m).
+    """Convert an event of a log to one of the daemon; the gripper's joints are x and z (m).
 
-    slides: no plan tells the height's rate, and a daemon's that of the stop is not gone by.
+    slides: the height follows no plan, so that its planned rate is set to 0.
     """
     if isinstance(event, PadSample):
         return event
@@ -137,23 +144,23 @@ def as_fed(event: PivotEvent, *, slides: bool = False) -> Event:
 
 
 class SimulatedSmoothing:
-    """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
+    """Simulates a smoother that runs beside the loop: an answer comes a fixed time after it was begun."""
 
     def __init__(self, rig: PivotRig, period_s: float = PERIOD_S) -> None:
-        """Begun every `period_s`; an infinite one has none."""
+        """A reconstruction begins every `period_s`; never if that is infinite."""
         self._smoother, self._period = IncrementalPivotSmoother(rig), period_s
         self._next = -math.inf if math.isfinite(period_s) else math.inf
         self._ready: tuple[float, PivotAnswer | None] | None = None
 
     def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Take the tick's events, and begin when it is time."""
+        """Add the tick's events, and begin a reconstruction when it is due."""
         self._smoother.add(events)
         if t >= self._next and self._ready is None:
             self._next = t + self._period
             self._ready = (t + LATENCY_S, self._smoother.answer())
 
     def collect(self, t: float) -> PivotAnswer | None:
-        """What was begun at least the latency ago."""
+        """The answer whose latency has passed at `t` (s), once."""
         if self._ready is None or t < self._ready[0]:
             return None
         answer, self._ready = self._ready[1], None

@@ -1,4 +1,4 @@
-"""Which live observer a pivoting grasp has."""
+"""Choose the live observer of a pivoting grasp."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from palmd.system.pivot import PivotAnswer, PivotRig
 
 
 def pivot_observer(rig: PivotRig, smoothing: SmoothingOfOne[PivotAnswer]) -> PivotObserver:
-    """By whether the gripper is rigid in height or on a slide."""
+    """The observer for a gripper that is rigid in height, or on a slide."""
     return (RollingObserver if rig.vertical == "float" else PivotObserver)(rig, smoothing)

@@ -1,4 +1,4 @@
-"""A whole run of the pivoting grasp, seen from its end: outline about the pivot and motion, or an honest refusal."""
+"""Reconstruct outline and motion from a whole run of the pivoting grasp, or reject it with a reason."""
 
 from __future__ import annotations
 
@@ -20,53 +20,52 @@ from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import (
     MAX_ITERATIONS,
-    SHARP,
-    Known,
+    UNSOFTENED,
+    ConstantsPrior,
     PivotFit,
     Problem,
     Softening,
-    moved_by_rig,
-    with_forces_of,
+    rig_error_modes,
+    with_model_forces,
 )  # fmt: skip
 from palmd.observer.pivot.record import PivotRecord, TooLittleError, arm_motion, lay_out
-from palmd.observer.pivot.starts import believed, float_starts, rigid_starts, side_of
+from palmd.observer.pivot.starts import float_starts, prior_of, rigid_starts, side_of
 from palmd.system.pivot import PivotEvent, PivotRig, normal_of
 from palmd.system.vibration import AVERAGED, INDEPENDENT
 
 STAGES = {
-    "rigid": (Softening(heights=1e3), Softening(heights=30.0), SHARP),
-    "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), SHARP),
+    "rigid": (Softening(heights=1e3), Softening(heights=30.0), UNSOFTENED),
+    "float": (Softening(2.0, 8.0, 2.0, 20.0), Softening(1.0, 2.0, 1.0, 3.0), UNSOFTENED),
 }
 EARLY_ITERATIONS = 25
-HOPELESS_START, HOPELESS = 10.0, 1.5  # times the best one's cost, from which a start, and an early fit, is left
-# Of a rigid gripper's height, and of a slide's way over the pad, below which nothing is told of the outline.
-LEAST_LIFT_M, LEAST_WAY_M = 5e-4, 3e-3
-MORE_FRICTION = (1.3, 1.8)  # times μ and V of the best fit, from which another is begun where the body rolls
-DOUBT = 9.0  # of cost, up to which a rival makes the answer ambiguous
-SAME_RAD = 3e-3  # of the orientation, within which two fits are one
-SAME_M = 3e-5  # RMS by which outlines of one body may differ
-# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
-SHARP_M = 1.5e-4
+HOPELESS_START, HOPELESS = 10.0, 1.5  # cost relative to the best, above which a start or an early fit is dropped
+# least range of a rigid gripper's height, or of a slide's path over the pad, for which the outline is observable
+LEAST_LIFT_M, LEAST_PATH_M = 5e-4, 3e-3
+FRICTION_FACTORS = (1.3, 1.8)  # factors on μ and V of the best fit, for further starts of a rolling body
+AMBIGUOUS_COST = 9.0  # cost margin below which another fit makes the result ambiguous
+SAME_RAD = 3e-3  # largest difference of orientation between duplicate fits
+SAME_M = 3e-5  # largest RMS difference between outlines of one body
+# largest RMS 1σ of the touched outline on an exactly known rig
+MOST_SD_M = 1.5e-4
 MOST_OUTLIERS = 0.2
-CHI2_SIGMAS, CHI2_SLACK = 4.0, 0.03
-FORCE_SLACK = 0.15  # the forces' noise is told to no more than this
+CHI2_SIGMAS, CHI2_TOLERANCE = 4.0, 0.03
+FORCE_CHI2_TOLERANCE = 0.15  # relative uncertainty of the forces' noise variance
 HEIGHT_CHI2 = {"rigid": 9.0, "float": 1.3}
 TORQUE_CHI2 = 4.0
-HOLLOW_M = 1e-3
-FAR_OFF_PIVOT = 3.0  # sigmas
+HOLLOW_M = 1e-3  # largest negative radius of curvature
+OUTSIDE_SIGMAS = 3.0  # standard deviations
 ONE_SIDE = "only one side of the dead centre was touched: touch it on both, and the force tells how they belong"
 
 
 @dataclass(frozen=True, slots=True)
 class PivotReconstruction:
-    """What a run tells; SI units, NaN or None where there is no value.
+    """Estimate from a run; SI units, NaN or None for no value.
 
-    theta, h, h_sd, touched: 360 normals, support function about the pivot and its one-sigma, whether it was touched
-    there. com: the centre of mass from the pivot, in the body's frame at ψ = 0, and inertia about the pivot per mass;
-    both only where the mass is told. moment, inertia_kg: the same times the mass, which force tells without it.
-    t, psi, omega0: the trajectory, while touched. reason: why not, when not `converged`. p, covariance: the constants
-    of `model.pivot`, None where there was no fit. told_m: RMS of the outline's one-sigma where touched, were the rig
-    known (m).
+    theta, h, h_sd, touched: 360 normals, support function about the pivot, its 1σ, whether it was touched there. com:
+    centre of mass from the pivot, in the body's frame at ψ = 0; inertia: about the pivot per mass; both only if the
+    mass is observable. moment, inertia_kg: the same times the mass, observable from force alone. t, psi, omega0: the
+    trajectory during contact. reason: why it was rejected; empty if `converged`. p, covariance: the constants of
+    `model.pivot`, None without a fit. outline_sd_m: RMS 1σ of the touched outline on an exactly known rig (m).
     """
 
     converged: bool
@@ -94,44 +93,44 @@ class PivotReconstruction:
     seconds: float
     p: FloatArray | None = None
     covariance: FloatArray | None = None
-    told_m: float = math.nan
+    outline_sd_m: float = math.nan
 
 
 @one_thread()
 def reconstruct(events: Sequence[PivotEvent], rig: PivotRig) -> PivotReconstruction:
-    """Fit the whole run. Deterministic; takes a few seconds. Never raises for what the readings say.
+    """Fit the whole run. Deterministic; takes a few seconds. Never raises for bad readings.
 
-    Where nothing is known of the pad's vibration, both laws of friction are hypotheses, weighed by their evidence.
+    If the pad's vibration is not known, both laws of friction are hypotheses, weighted by their evidence.
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     laws = (rig, replace(rig, vibration=AVERAGED)) if rig.vibration == INDEPENDENT else (rig,)
-    answer = _weighed([_by_one_law(events, each, begun) for each in laws])
-    return replace(answer, seconds=time.perf_counter() - begun)
+    answer = _most_likely([_by_one_law(events, each, started) for each in laws])
+    return replace(answer, seconds=time.perf_counter() - started)
 
 
-def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, begun: float) -> tuple[PivotReconstruction, float]:
-    """The answer by the rig's law of friction, and its cost (−2 log evidence less a constant; inf without a fit)."""
+def _by_one_law(events: Sequence[PivotEvent], rig: PivotRig, started: float) -> tuple[PivotReconstruction, float]:
+    """Estimate with the rig's law of friction, and its cost (−2 log evidence up to a constant; inf without a fit)."""
     try:
-        told = _with_scatter(rig, events)
-        arm = arm_motion(events, told)
-        record = lay_out(events, arm, told)
-        _worth_a_fit(record)
-        fits, problem = _fitted(record)
+        rig_with_noise = _with_scatter(rig, events)
+        arm = arm_motion(events, rig_with_noise)
+        record = lay_out(events, arm, rig_with_noise)
+        _check_observable(record)
+        fits, problem = _minima(record)
         return _answer(problem, fits), fits[0].cost
     except TooLittleError as error:
-        return _nothing(str(error), begun), math.inf
+        return _rejected(str(error), started), math.inf
     except np.linalg.LinAlgError:
-        return _nothing("no motion of a body was found that explains the readings", begun), math.inf
+        return _rejected("no motion of a body was found that explains the readings", started), math.inf
 
 
-def _weighed(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
-    """The answer of the most likely hypothesis; how far another one is off adds to its variances by its probability.
+def _most_likely(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotReconstruction:
+    """The most likely hypothesis; the others' differences, weighted by their probabilities, increase its variances.
 
-    One that is accepted is no answer if another explains the readings better by `DOUBT` and is not.
+    A converged hypothesis is not returned if a rejected one explains the readings better by `AMBIGUOUS_COST`.
     """
     ranked = sorted(hypotheses, key=lambda each: (not each[0].converged, each[1]))
     (answer, cost), rivals = ranked[0], ranked[1:]
-    better = [rival for rival, its_cost in rivals if its_cost < cost - DOUBT]
+    better = [rival for rival, its_cost in rivals if its_cost < cost - AMBIGUOUS_COST]
     if better or not answer.converged:
         return better[0] if better else answer
     for rival, its_cost in rivals:
@@ -142,15 +141,15 @@ def _weighed(hypotheses: Sequence[tuple[PivotReconstruction, float]]) -> PivotRe
 
 
 def _widened(answer: PivotReconstruction, rival: PivotReconstruction, share: float) -> PivotReconstruction:
-    """The answer with its one-sigmas as wide as a rival of this probability asks for."""
+    """Widen the answer's 1σ by the difference to a rival hypothesis with probability `share`."""
     assert answer.h is not None
     assert answer.h_sd is not None
     assert answer.touched is not None
     assert rival.h is not None
-    off = _apart(answer.theta, answer.h, rival.h, answer.touched)
+    difference = _outline_difference(answer.theta, answer.h, rival.h, answer.touched)
     root = math.sqrt(share)
 
-    def wide(sd: float, own: float, other: float) -> float:
+    def widened(sd: float, own: float, other: float) -> float:
         return math.hypot(sd, root * (other - own)) if math.isfinite(other) else sd
 
     com_sd = answer.com_sd
@@ -158,19 +157,23 @@ def _widened(answer: PivotReconstruction, rival: PivotReconstruction, share: flo
         com_sd = np.hypot(com_sd, root * (rival.com - answer.com))
     return replace(
         answer,
-        h_sd=np.hypot(answer.h_sd, root * off),
-        mu_sd=wide(answer.mu_sd, answer.mu, rival.mu),
-        inertia_sd=wide(answer.inertia_sd, answer.inertia, rival.inertia),
-        mass_sd=wide(answer.mass_sd, answer.mass, rival.mass),
+        h_sd=np.hypot(answer.h_sd, root * difference),
+        mu_sd=widened(answer.mu_sd, answer.mu, rival.mu),
+        inertia_sd=widened(answer.inertia_sd, answer.inertia, rival.inertia),
+        mass_sd=widened(answer.mass_sd, answer.mass, rival.mass),
         com_sd=com_sd,
     )
 
 
-def _apart(theta: FloatArray, h: FloatArray, other: FloatArray, touched: npt.NDArray[np.bool_]) -> FloatArray:
-    """By how much another outline is off (m), turned as little as it may be: both have ψ = 0 at the first reading."""
-    off = h - other
+def _outline_difference(
+    theta: FloatArray, h: FloatArray, other: FloatArray, touched: npt.NDArray[np.bool_]
+) -> FloatArray:
+    """Difference of two outlines (m), up to a small rotation: both have ψ = 0 at the first reading."""
+    difference = h - other
     slope = np.gradient(other, theta)
-    return off - slope * float(slope[touched] @ off[touched]) / max(float(slope[touched] @ slope[touched]), 1e-30)
+    return difference - slope * float(slope[touched] @ difference[touched]) / max(
+        float(slope[touched] @ slope[touched]), 1e-30
+    )
 
 
 def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
@@ -179,62 +182,64 @@ def _with_scatter(rig: PivotRig, events: Sequence[PivotEvent]) -> PivotRig:
     return replace(rig, pad=scattered(rig.pad, samples)) if len(samples) >= LEAST_READINGS else rig
 
 
-def _worth_a_fit(record: PivotRecord) -> None:
-    """Raises TooLittleError for runs of which no fit is needed to see that they tell no outline."""
+def _check_observable(record: PivotRecord) -> None:
+    """Raise TooLittleError for runs that obviously do not determine an outline."""
     z = record.heights.value
     if z.min() <= 0.0:
         raise TooLittleError(f"the pivot would be {-z.min() * 1e3:.1f} mm below the pad's surface: z contradicts it")
-    lift, way = (float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X]))
-    if record.rig.vertical == "float" and way < LEAST_WAY_M:
-        raise TooLittleError(f"the arm hardly moves ({way * 1e3:.2f} mm): nothing rolls, and nothing is told")
+    lift, path = (
+        float(np.percentile(each, 98) - np.percentile(each, 2)) for each in (z, record.heights.inputs[:, U.X])
+    )
+    if record.rig.vertical == "float" and path < LEAST_PATH_M:
+        raise TooLittleError(f"the arm hardly moves ({path * 1e3:.2f} mm): nothing rolls, and nothing is told")
     if record.rig.vertical == "rigid" and lift < LEAST_LIFT_M:
         raise TooLittleError(
             f"the pivot's height hardly changes ({lift * 1e3:.2f} mm): dragging alone tells nothing of the outline"
         )
 
 
-def _fitted(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
-    """Minima from all starts, the best first, and the problem that they solve."""
-    kernels, known = library(record.rig.vibration.law), believed(record)
-    problem = Problem(kernels, record, known)
+def _minima(record: PivotRecord) -> tuple[list[PivotFit], Problem]:
+    """Minima from all starts, the best first, and the least-squares problem."""
+    kernels, prior = library(record.rig.vibration.law), prior_of(record)
+    problem = Problem(kernels, record, prior)
     rigid = record.rig.vertical == "rigid"
     if rigid:
         sides = [side_of(record, touch) for touch in record.touches]
-        starts = rigid_starts(record, known, sides)
+        starts = rigid_starts(record, prior, sides)
     else:
-        starts = float_starts(record, known)
+        starts = float_starts(record, prior)
     starts = [start for start in starts if start.cost < HOPELESS_START * starts[0].cost]
     fits = _distinct([_refined(problem, start.c, start.p, STAGES[record.rig.vertical][:-1]) for start in starts])
     fits = [fit for fit in fits if fit.cost < HOPELESS * fits[0].cost]
-    fits = _distinct([_refined(problem, fit.c, fit.p, (SHARP,)) for fit in fits])
+    fits = _distinct([_refined(problem, fit.c, fit.p, (UNSOFTENED,)) for fit in fits])
     if not fits:
         raise TooLittleError("no motion of a body was found that explains the readings")
-    problem = with_forces_of(problem, kernels, fits[0])
-    found = [problem.fit(fit.c, fit.p) for fit in fits]
+    problem = with_model_forces(problem, kernels, fits[0])
+    refined = [problem.fit(fit.c, fit.p) for fit in fits]
     if not rigid and record.rig.vibration.law == "sign_pairs":
-        best = min(found, key=lambda fit: fit.cost)
-        found += [problem.fit(best.c, _rubbing_more(best.p, known, more)) for more in MORE_FRICTION]
-    return _distinct(found), problem
+        best = min(refined, key=lambda fit: fit.cost)
+        refined += [problem.fit(best.c, _with_more_friction(best.p, prior, more)) for more in FRICTION_FACTORS]
+    return _distinct(refined), problem
 
 
-def _rubbing_more(p: FloatArray, known: Known, more: float) -> FloatArray:
-    """The same constants with μ and V larger by a factor, which slow slip does not tell apart, and λ as believed."""
+def _with_more_friction(p: FloatArray, prior: ConstantsPrior, factor: float) -> FloatArray:
+    """Start with μ and V larger by a factor, which slow slip does not distinguish, and λ from the prior."""
     p = p.copy()
-    p[P.SATURATION] /= more**2
-    p[P.TRANSMISSION] = known.mean[P.TRANSMISSION]
+    p[P.SATURATION] /= factor**2
+    p[P.TRANSMISSION] = prior.mean[P.TRANSMISSION]
     return p
 
 
 def _refined(problem: Problem, c: FloatArray, p: FloatArray, stages: Sequence[Softening]) -> PivotFit:
-    """The minimum at the end of these stages, each from that of the one before."""
-    fit = problem.fit(c, p, stages[0], EARLY_ITERATIONS if stages[0] is not SHARP else MAX_ITERATIONS)
+    """Fit through these stages of softening, each from the minimum of the one before."""
+    fit = problem.fit(c, p, stages[0], EARLY_ITERATIONS if stages[0] is not UNSOFTENED else MAX_ITERATIONS)
     if len(stages) == 1 or not math.isfinite(fit.cost):
         return fit
     return _refined(problem, fit.c, fit.p, stages[1:])
 
 
 def _distinct(fits: Sequence[PivotFit]) -> list[PivotFit]:
-    """The minima, the best first, each once."""
+    """Distinct minima, the best first."""
     kept: list[PivotFit] = []
     for fit in sorted((fit for fit in fits if math.isfinite(fit.cost)), key=lambda fit: fit.cost):
         if all(float(np.abs(fit.c - other.c).max()) > SAME_RAD for other in kept):
@@ -255,44 +260,44 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     h = shape.basis(theta, ORDER) @ coefficients
     try:
         covariance = problem.covariance(best)
-        moves = moved_by_rig(problem, best)
+        moves = rig_error_modes(problem, best)
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
-    told = gauge_free_sd(
+    sd_known_rig = gauge_free_sd(
         theta, theta[touched], coefficients, given(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
     )
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])
-    reason = _doubt(record, best, fits[1:], theta, h, h_sd, touched)
-    told_m = float(np.sqrt(np.mean(told[touched] ** 2)))
-    if not reason and told_m > SHARP_M:
+    reason = _rejection_reason(record, best, fits[1:], theta, h, h_sd, touched)
+    outline_sd_m = float(np.sqrt(np.mean(sd_known_rig[touched] ** 2)))
+    if not reason and outline_sd_m > MOST_SD_M:
         reason = "the readings tell too little of the outline"
     p = best.p
     sd = np.sqrt(np.diagonal(covariance))
     mu, mu_sd = _ratio_of(covariance, [P.DRAG, P.SATURATION], p, lambda q: q[0] / math.sqrt(q[1]))
-    weighed = record.rig.vertical == "float" and len(record.forces.t) > 0
+    has_mass = record.rig.vertical == "float" and len(record.forces.t) > 0
     moment = slice(P.MOMENT, P.MOMENT + 2)
     com = com_sd = None
     inertia = inertia_sd = math.nan
-    if weighed:
+    if has_mass:
         along = [_ratio_of(covariance, [P.MOMENT + i, P.MASS], p, lambda q: q[0] / q[1]) for i in range(2)]
         com, com_sd = np.array(along).T
         inertia, inertia_sd = _ratio_of(covariance, [P.INERTIA, P.MASS], p, lambda q: q[0] / q[1])
     motion = record.motion(_unwound(best.c, record), rows)
-    claimed = not reason
+    accepted = not reason
     return PivotReconstruction(
-        converged=claimed, chi2=best.chi2, theta=theta,
-        h=h if claimed else None, h_sd=h_sd if claimed else None, touched=touched if claimed else None,
+        converged=accepted, chi2=best.chi2, theta=theta,
+        h=h if accepted else None, h_sd=h_sd if accepted else None, touched=touched if accepted else None,
         mu=mu, mu_sd=mu_sd, com=com, com_sd=com_sd, inertia=inertia, inertia_sd=inertia_sd,
-        mass=p[P.MASS] if weighed else math.nan, mass_sd=sd[P.MASS] if weighed else math.nan,
+        mass=p[P.MASS] if has_mass else math.nan, mass_sd=sd[P.MASS] if has_mass else math.nan,
         moment=p[moment], moment_sd=sd[moment], inertia_kg=p[P.INERTIA], inertia_kg_sd=sd[P.INERTIA],
         t=rows.t, psi=motion[:, 0], omega0=motion[:, 1], reason=reason, seconds=0.0,
-        p=p, covariance=covariance, told_m=told_m,
+        p=p, covariance=covariance, outline_sd_m=outline_sd_m,
     )  # fmt: skip
 
 
 def _unwound(c: FloatArray, record: PivotRecord) -> FloatArray:
-    """The splines, each by whole turns as near as can be to the end of the one before."""
+    """Shift the splines by whole turns to be nearest to the end of the one before."""
     c = c.copy()
     for before, touch in itertools.pairwise(record.touches):
         step = c[touch.coefficients][1] - c[before.coefficients][-2]
@@ -300,7 +305,7 @@ def _unwound(c: FloatArray, record: PivotRecord) -> FloatArray:
     return c
 
 
-def _doubt(
+def _rejection_reason(
     record: PivotRecord,
     best: PivotFit,
     rivals: Sequence[PivotFit],
@@ -309,21 +314,21 @@ def _doubt(
     h_sd: FloatArray,
     touched: npt.NDArray[np.bool_],
 ) -> str:
-    """Why the best fit cannot be taken at its word; empty when it can."""
-    if (h + FAR_OFF_PIVOT * h_sd < 0.0).any():
+    """Why the best fit is rejected; empty if it is accepted."""
+    if (h + OUTSIDE_SIGMAS * h_sd < 0.0).any():
         return "the pivot would lie outside the body: z contradicts the readings"
     rig = record.rig
     readings, forces = len(record.readings.t), len(record.forces.t)
-    fine = [
-        best.chi2 < 1.0 + CHI2_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / readings),
+    tests = [
+        best.chi2 < 1.0 + CHI2_TOLERANCE + CHI2_SIGMAS * math.sqrt(2.0 / readings),
         best.height_chi2 < HEIGHT_CHI2[rig.vertical],
-        not forces or best.force_chi2 < 1.0 + FORCE_SLACK + CHI2_SIGMAS * math.sqrt(2.0 / forces),
+        not forces or best.force_chi2 < 1.0 + FORCE_CHI2_TOLERANCE + CHI2_SIGMAS * math.sqrt(2.0 / forces),
         best.torque_chi2 < TORQUE_CHI2,
     ]
-    if not all(fine):
-        told = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
-        return f"z or force contradict the readings, or the body does not move as one rigid body: {told}"
-    if not best.settled:
+    if not all(tests):
+        figures = f"chi2 {best.chi2:.2f}, of the heights {best.height_chi2:.2f}, of the forces {best.force_chi2:.2f}"
+        return f"z or force contradict the readings, or the body does not move as one rigid body: {figures}"
+    if not best.converged:
         return "the iteration has not settled"
     if best.outliers > MOST_OUTLIERS:
         return f"{best.outliers:.0%} of the readings are outliers"
@@ -339,7 +344,7 @@ def _doubt(
     if curvature[touched].min() < -HOLLOW_M:
         return "only a hollow outline explains the readings"
     for rival in rivals:
-        if rival.cost < best.cost + DOUBT and _differs(theta, touched, h, rival):
+        if rival.cost < best.cost + AMBIGUOUS_COST and _differs(theta, touched, h, rival):
             return "another outline explains the readings as well"
     return ""
 
@@ -350,15 +355,15 @@ def _of(record: PivotRecord, number: int) -> npt.NDArray[np.bool_]:
 
 
 def _differs(theta: FloatArray, touched: npt.NDArray[np.bool_], h: FloatArray, rival: PivotFit) -> bool:
-    """Whether a rival's outline is another one."""
-    off = _apart(theta, h, shape.basis(theta, ORDER) @ rival.p[P.SHAPE :], touched)[touched]
-    return float(np.sqrt(np.mean(off**2))) > SAME_M
+    """Whether a rival's outline is different."""
+    difference = _outline_difference(theta, h, shape.basis(theta, ORDER) @ rival.p[P.SHAPE :], touched)[touched]
+    return float(np.sqrt(np.mean(difference**2))) > SAME_M
 
 
 def _ratio_of(
     covariance: FloatArray, at: list[int], p: FloatArray, ratio: Callable[[FloatArray], float]
 ) -> tuple[float, float]:
-    """A function of some constants, and its one-sigma."""
+    """A function of the constants `at`, and its 1σ."""
     q = p[at]
     value = ratio(q)
     steps = np.diag(1e-5 * np.abs(q) + 1e-12)
@@ -366,14 +371,14 @@ def _ratio_of(
     return value, math.sqrt(max(float(gradient @ covariance[np.ix_(at, at)] @ gradient), 0.0))
 
 
-def refused(reason: str) -> PivotReconstruction:
-    """Nothing is claimed, for a reason that was seen without a fit."""
-    return _nothing(reason, time.perf_counter())
+def rejected(reason: str) -> PivotReconstruction:
+    """A rejected reconstruction, without a fit."""
+    return _rejected(reason, time.perf_counter())
 
 
-def _nothing(reason: str, begun: float) -> PivotReconstruction:
+def _rejected(reason: str, started: float) -> PivotReconstruction:
     nan, none = math.nan, np.zeros(0)
     return PivotReconstruction(
         False, nan, directions(), None, None, None, nan, nan, None, None, nan, nan, nan, nan, None, None, nan, nan,
-        none, none, none, reason, time.perf_counter() - begun,
+        none, none, none, reason, time.perf_counter() - started,
     )  # fmt: skip

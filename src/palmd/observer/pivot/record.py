@@ -1,4 +1,4 @@
-"""Readings of a pivoting grasp laid out for fitting: touches, the splines of orientation over them, and rows. Pure."""
+"""Readings of a pivoting grasp laid out for fitting: contacts, splines of the orientation over them, and rows. Pure."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ IntArray = npt.NDArray[np.intp]
 
 TAPS = 4  # spline coefficients that one instant depends on
 SPACING_S = {"rigid": 0.03, "float": 0.012}
-GAP_S = {"rigid": 0.15, "float": 0.5}  # without a reading, after which orientation is anybody's guess
+GAP_S = {"rigid": 0.15, "float": 0.5}  # gap in the readings after which the orientation is unknown
 LEAST_TOUCH_S = 0.4
 LEAST_READINGS = 25
 LEAST_FORCE_N = 0.05
-LANDING_S, HALTED_M_S2 = 0.35, 0.2
-LIFTED_M_S = 6e-3  # faster than any drag
+LANDING_S, HALTED_M_S2 = 0.35, 0.2  # beginning of a contact that is dropped if the gripper decelerates so much
+LIFTED_M_S = 6e-3  # vertical velocity of lifting, faster than any drag
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Readings of one kind at times t (n): values, variances, the kernels' inputs, and which coefficients they see.
+    """Readings of one kind at times t (n,): values, variances, kernel inputs, and their spline coefficients.
 
-    first: the first of the `TAPS` coefficients; weights (n, 3, TAPS): of them in ψ, ω0, α0.
+    first: index of the first of `TAPS` coefficients; weights (n, 3, TAPS): their weights in ψ, ω0, α0.
     """
 
     t: FloatArray
@@ -45,7 +45,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class TouchSpan:
-    """One uninterrupted touch (s) and its uniform cubic spline of `count` coefficients, the first of them `first`."""
+    """One uninterrupted contact (s) and its uniform cubic spline with `count` coefficients from index `first`."""
 
     begin: float
     end: float
@@ -54,16 +54,16 @@ class TouchSpan:
 
     @property
     def spacing(self) -> float:
-        """Of the spline's knots (s)."""
+        """Spacing of the spline's knots (s)."""
         return (self.end - self.begin) / (self.count - TAPS + 1)
 
     @property
     def coefficients(self) -> slice:
-        """Its own among all."""
+        """Its coefficients among all."""
         return slice(self.first, self.first + self.count)
 
     def taps(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
-        """(first coefficient, weights (n, 3, TAPS)) at times t (n) of the touch."""
+        """(first coefficient, weights (n, 3, TAPS)) at times t (n,) of the contact."""
         dt = self.spacing
         at = np.clip((t - self.begin) / dt, 0.0, self.count - TAPS + 1 - 1e-9)
         cell = np.floor(at).astype(np.intp)
@@ -74,7 +74,7 @@ class TouchSpan:
         return self.first + cell, np.stack([value, rate, second], axis=1)
 
     def through(self, t: FloatArray, values: FloatArray) -> FloatArray:
-        """The spline's coefficients through values at times t: least squares at three instants of each cell."""
+        """Coefficients of the spline through values at times t; least squares at three instants per cell."""
         at = np.linspace(self.begin, self.end, 3 * self.count)
         first, weights = self.taps(at)
         columns = first[:, None] - self.first + np.arange(TAPS)
@@ -90,7 +90,7 @@ class TouchSpan:
 
 @dataclass(frozen=True, slots=True)
 class PivotRecord:
-    """All rows of a run. torques: where the slide's equation of motion must hold; none of a rigid gripper."""
+    """All rows of a run. torques: collocation of the slide's equation of motion; empty for a rigid gripper."""
 
     rig: PivotRig
     touches: tuple[TouchSpan, ...]
@@ -101,18 +101,18 @@ class PivotRecord:
 
     @property
     def coefficients(self) -> int:
-        """How many there are of all splines."""
+        """Number of coefficients of all splines."""
         return self.touches[-1].first + self.touches[-1].count
 
     def motion(self, c: FloatArray, rows: Rows) -> FloatArray:
-        """(ψ, ω0, α0) at the rows' times: (n, 3)."""
+        """(n, 3) ψ, ω0, α0 at the rows' times."""
         motion: FloatArray = np.einsum("nqk,nk->nq", rows.weights, c[rows.first[:, None] + np.arange(TAPS)])
         return motion
 
 
 @dataclass(frozen=True, slots=True)
 class ArmMotion:
-    """The pivot's way: x, and z where the gripper is rigid; the measured heights besides."""
+    """Path of the pivot, x and z (used for a rigid gripper), and the measured heights at times t."""
 
     x: AxisPath
     z: AxisPath
@@ -121,7 +121,7 @@ class ArmMotion:
     rig: PivotRig
 
     def inputs(self, t: FloatArray) -> FloatArray:
-        """The kernels' inputs (n, INPUTS)."""
+        """Kernel inputs (n, INPUTS) at times t."""
         u = np.zeros((len(t), INPUTS))
         u[:, [U.X, U.VX, U.AX]] = self.x.at(t).T
         u[:, [U.Z, U.VZ, U.AZ]] = self.z.at(t).T
@@ -131,11 +131,11 @@ class ArmMotion:
 
 
 class TooLittleError(Exception):
-    """A record that tells no outline; the text says why."""
+    """A record that does not determine an outline; the text says why."""
 
 
 def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
-    """The pivot's way through its samples; raises TooLittleError."""
+    """Path of the pivot through its samples; raises TooLittleError."""
     samples = {each.t_sample: each for each in events if isinstance(each, GripperSample)}
     ordered = [samples[t] for t in sorted(samples)]
     if len(ordered) < LEAST_SAMPLES:
@@ -152,7 +152,7 @@ def arm_motion(events: Sequence[PivotEvent], rig: PivotRig) -> ArmMotion:
 
 
 def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> PivotRecord:
-    """The record of a run; raises TooLittleError when there is no touch worth a fit."""
+    """Lay out a run; raises TooLittleError if no contact is long enough."""
     found = _touches(events, arm, rig)
     if not found:
         raise TooLittleError("the pad is nowhere touched for long enough")
@@ -178,7 +178,7 @@ def lay_out(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> Pivo
 
 
 def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> list[list[PadSample]]:
-    """The pad's readings, parted where it is silent for long, without those that are too short to be of use."""
+    """The pad's readings, split into contacts at gaps, without contacts that are too short."""
     pads = sorted((each for each in events if isinstance(each, PadSample)), key=lambda each: each.t_sample)
     pads = [each for each in pads if arm.t[0] <= each.t_sample <= arm.t[-1]]
     parts: list[list[PadSample]] = []
@@ -194,9 +194,9 @@ def _touches(events: Sequence[PivotEvent], arm: ArmMotion, rig: PivotRig) -> lis
 
 
 def _landed(part: list[PadSample], arm: ArmMotion) -> list[PadSample]:
-    """A touch without its beginning where the gripper was halted then, and without its end where it is lifted off fast.
+    """A contact without its beginning if the gripper decelerated there, and without a fast lift-off at its end.
 
-    Both are sooner than the splines can follow.
+    The splines cannot follow such fast motion.
     """
     begin = part[0].t_sample
     t = np.linspace(begin, begin + LANDING_S, 100)
@@ -223,12 +223,12 @@ def _heights(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig) -> Row
     return _rows(touches, arm, t, np.concatenate(heights), np.full(len(t), RIGID_SD_M**2))
 
 
-# A rigid gripper's way is smooth, whatever it is off by. Were the splines free to leave it by micrometres, their
-# acceleration would follow the noise of the forces, and an inertia of ten times the true one would explain it. Where
-# it is halted sooner than they can follow, it is as near to it as they come.
+# 1σ of a rigid gripper's height about the splines. Its path is smooth, whatever its error. If the splines could deviate
+# by micrometres, their acceleration would follow the forces' noise, and an inertia of ten times the true one would
+# explain that. Where the gripper stops faster than the splines can follow, the least-squares spline is used.
 RIGID_SD_M = 2e-8
 
-TORQUE_SD_M = 2e-5  # of the lever that the slide's equation of motion leaves open, at each instant
+TORQUE_SD_M = 2e-5  # 1σ of the slide's residual torque over force, at each instant
 
 
 def _torques(touches: Sequence[TouchSpan], arm: ArmMotion, rig: PivotRig, force: FloatArray) -> Rows:

@@ -1,1 +1,1 @@
-"""The observer of an unknown body between three palms in space."""
+"""Observer of an unknown body between three palms in space."""

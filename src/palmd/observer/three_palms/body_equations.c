@@ -1,6 +1,6 @@
-/* The sum of squares of one record of a body between three palms, linearised: the twin of
-   `observer.three_palms.equations`, which says what is computed, and why. Arrays are the caller's, and nothing is kept.
-   The kernels, which take and give matrices by columns, are given by their addresses. */
+/* The linearised least-squares problem of one record of a body between three palms; `observer.three_palms.equations`
+   documents it. Arrays belong to the caller; no state is kept. Kernels, whose matrices are column-major, are passed by
+   address. */
 
 #define LANES 8
 #include "lanes.h"
@@ -10,8 +10,8 @@
 #define PALM_INPUTS 36
 #define RIG_INPUTS 2
 #define GEOMETRY 24
-#define OF_STEP 6 /* residuals of the equations in an interval: of turn and spin */
-#define CHUNK 32  /* instants that kernels are given at once: what comes of them stays in the processor's cache */
+#define OF_STEP 6 /* residuals of the equations of motion per interval: turn and spin */
+#define CHUNK 32  /* instants per kernel call, so that their results stay in the processor's cache */
 #define SIDES (2 * STATES)
 
 const long body_equations_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OF_STEP, CHUNK};
@@ -19,21 +19,21 @@ const long body_equations_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
 typedef struct {
-  Kernel *acceleration, *reading; /* those of the motion alone where there are no `parameters` to be found */
+  Kernel *acceleration, *reading; /* without parameter Jacobians if `parameters` is 0 */
   long parameters, harmonics;
-  double acting[RIG_INPUTS];
+  double rig[RIG_INPUTS];
 } Model;
 
 typedef struct {
   const double *node_palms, *middle_palms, *geometry, *share, *value;
-  const int64_t *first; /* (intervals + 1,) of the readings of each interval, which lie side by side */
+  const int64_t *first; /* (intervals + 1,) index of the first reading of each interval */
   long intervals;
   double spacing;
   double reading, spin, by_spin, turn; /* the noise */
 } Record;
 
-/* rows: of each interval those of its equations, then two of each of its readings. r (rows,), sides (rows, 12): Jacobians
-   in the node before and in the one after; by (rows, m). All else as `Arrow` has it, zero to begin with. */
+/* Rows: for each interval those of its equations, then two for each of its readings. r (rows,); sides (rows, 12):
+   Jacobians in the nodes before and after; by (rows, m): in the parameters. The others as in `Arrow`, initially zero. */
 typedef struct {
   double *r, *sides, *by, *diagonal, *upper, *border, *nodes_gradient, *gradient, *residual, *force;
 } Equations;
@@ -44,7 +44,7 @@ typedef struct {
 
 static long columns_of(long count) { return (count + LANES - 1) / LANES * LANES; }
 
-/* rows of `size` numbers for as many columns as that takes, the last one repeated */
+/* copy `count` rows of `size` numbers, padded to a multiple of LANES rows with the last one */
 static void lay_out(double *to, const double *from, long count, long size) {
   memcpy(to, from, count * size * sizeof *to);
   for (long i = count; i < columns_of(count); i++) memcpy(to + i * size, from + (count - 1) * size, size * sizeof *to);
@@ -57,17 +57,17 @@ static void lay_out_by_columns(double (*to)[9], const double *R, long count) {
 }
 
 static void accelerate(const Model *model, long count, const double *R, const double *omega, const double *palms,
-                       const double *p, Accelerations *told) {
+                       const double *p, Accelerations *result) {
   double turned[CHUNK][9], spin[CHUNK][3], palm[CHUNK][PALM_INPUTS];
   lay_out_by_columns(turned, R, count);
   lay_out(spin[0], omega, count, 3);
   lay_out(palm[0], palms, count, PALM_INPUTS);
-  const double *in[] = {turned[0], spin[0], palm[0], p, model->acting};
-  double *out[] = {told->alpha[0], told->force[0], told->by_turn[0], told->by_omega[0], told->by_p};
+  const double *in[] = {turned[0], spin[0], palm[0], p, model->rig};
+  double *out[] = {result->alpha[0], result->force[0], result->by_turn[0], result->by_omega[0], result->by_p};
   model->acceleration(in, out, columns_of(count));
 }
 
-/* the vector of the turn from R to `next` */
+/* v <- rotation vector from R to `next` */
 static void turn_between(const double *R, const double *next, double *v) {
   double D[3][3];
   for (int i = 0; i < 3; i++)
@@ -77,7 +77,7 @@ static void turn_between(const double *R, const double *next, double *v) {
   for (int i = 0; i < 3; i++) v[i] /= sinc(angle);
 }
 
-/* as `rotation.left_inverse` of v, or of -v */
+/* M <- `rotation.left_inverse` of sign * v */
 static void left_inverse(const double *v, double sign, double M[3][3]) {
   const double square = dot(v, v), S[3][3] = {{0, -v[2], v[1]}, {v[2], 0, -v[0]}, {-v[1], v[0], 0}};
   for (int i = 0; i < 3; i++)
@@ -85,14 +85,14 @@ static void left_inverse(const double *v, double sign, double M[3][3]) {
       M[i][j] = (i == j) - sign * S[i][j] / 2 + (v[i] * v[j] - (i == j) * square) / 12;
 }
 
-/* E M, both by columns */
+/* to <- E M, all column-major */
 static void product(const double *E, const double *M, double *to) {
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) to[3 * j + i] = E[i] * M[3 * j] + E[3 + i] * M[3 * j + 1] + E[6 + i] * M[3 * j + 2];
 }
 
 typedef struct {
-  double phi[3], ending[3], R[9], omega[3]; /* the turn, the rate at which it ends; the middle */
+  double phi[3], ending[3], R[9], omega[3]; /* turn over the interval, its rate at the end; state in the middle */
 } Between;
 
 static void go_between(double h, const double *R, const double *omega, const double *f, Between *at) {
@@ -108,7 +108,7 @@ static void go_between(double h, const double *R, const double *omega, const dou
   turned(v, R, at->R);
 }
 
-/* the equations' rows of an interval: `k` of the nodes' accelerations, and of the middles' */
+/* rows of the equations of motion of one interval; k: its index in `nodes` and `middles` */
 static void step_rows(const Record *record, long m, const double *omega, const Between *at, const Accelerations *nodes,
                       const Accelerations *middles, long k, double *r, double *sides, double *by) {
   const double h = record->spacing, sixth = h / 6, twelfth = h * h / 12, *w0 = omega, *w1 = omega + 3;
@@ -156,7 +156,7 @@ static void step_rows(const Record *record, long m, const double *omega, const B
   }
 }
 
-/* of a cubic that begins at 0: weights of the end's value, the beginning's rate and the end's rate */
+/* Hermite weights of the end value, the initial rate and the end rate of a cubic that begins at 0 */
 typedef struct {
   double there, out, back;
 } Hermite;
@@ -165,7 +165,7 @@ static Hermite hermite(double s) {
   return (Hermite){s * s * (3 - 2 * s), s * (1 - s) * (1 - s), s * s * (s - 1)};
 }
 
-/* a reading's rows: y (2), by_turn (2, 3) and by_c (2, harmonics) by columns */
+/* rows of one reading; by_turn (2, 3) and by_c (2, harmonics) are column-major */
 static void reading_rows(const Record *record, long m, long harmonics, Hermite at, const double *residual,
                          const double *by_turn, const double *by_c, double *r, double *sides, double *by) {
   const double h = record->spacing, weight = 1.0 / record->reading;
@@ -180,7 +180,7 @@ static void reading_rows(const Record *record, long m, long harmonics, Hermite a
   }
 }
 
-/* what rows add to the border of two neighbours, and to the gradient */
+/* add rows to the border of two neighbouring nodes and to the parameters' gradient */
 static void couple_parameters(long rows, long m, const double *r, const double *sides, const double *by, double *border,
                               double *gradient) {
   long j = 0;
@@ -220,8 +220,8 @@ static void couple_nodes(long rows, const double *r, const double *sides, double
   for (int a = 0; a < SIDES; a++) gradient[a] += down[a];
 }
 
-/* At rotations R (intervals + 1, 3, 3), spins omega and parameters p; gives the sum of squares.
-   work: CHUNK columns of what two accelerations and a reading change with the parameters. */
+/* Evaluate at rotations R (intervals + 1, 3, 3), spins omega (intervals + 1, 3) and parameters p; returns the sum of
+   squares. work: CHUNK columns of the parameter Jacobians of two accelerations and a reading. */
 double body_equations(const Model *model, const Record *record, const double *R, const double *omega, const double *p,
                       const Equations *to, double *work) {
   const long m = model->parameters, n = model->harmonics, total = record->intervals;

@@ -1,12 +1,12 @@
-/* Steps, corrections and what is seen of one body between three palms: the twin of `observer.three_palms.body_filter`,
-   which says what is computed, and why. Arrays are the caller's, and nothing is kept; covariances stay symmetric to the
-   last bit. The kernels, which take and give matrices by columns, are given by their addresses. */
+/* Extended Kalman filter of one body between three palms: steps, corrections and outputs;
+   `observer.three_palms.body_filter` documents it. Arrays belong to the caller; no state is kept. Covariances stay
+   exactly symmetric. Kernels, whose matrices are column-major, are passed by address. */
 
 #include <math.h>
 #include <string.h>
 
 #if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC optimize("O3") /* loops in vector registers; no sum is taken in another order */
+#pragma GCC optimize("O3") /* vectorises loops; does not reorder sums */
 #endif
 
 #include "turns.h"
@@ -15,9 +15,9 @@
 #define PALM_INPUTS 36
 #define RIG_INPUTS 2
 #define GEOMETRY 24
-#define SEEN 10 /* numbers: two of each of three contacts, and of the centre of mass in two rows */
+#define OUTPUTS 10 /* numbers: two of each of three contacts; four of two readings of the centre of mass */
 #define MOST 256 /* states and parameters */
-#define LEAST_S 1e-9 /* shorter spans are none */
+#define LEAST_S 1e-9 /* shorter spans are ignored */
 #ifdef __AVX512F__
 #define WIDE 8 /* numbers in a register */
 #else
@@ -25,18 +25,18 @@
 #endif
 #define BLOCK (2 * WIDE) /* columns whose sums stay in registers */
 
-enum { ANGLE = 0, RATE = 3, ACCELERATION = 6, JOINTS = 9 };                /* of a report, or of the joints at a time */
-enum { NORMAL = 0, NORMAL_RATE = 9, NORMAL_ACCELERATION = 18, SPIN = 27 }; /* of the palms, three vectors each */
+enum { ANGLE = 0, RATE = 3, ACCELERATION = 6, JOINTS = 9 };                /* offsets in a report of the joints */
+enum { NORMAL = 0, NORMAL_RATE = 9, NORMAL_ACCELERATION = 18, SPIN = 27 }; /* offsets in the palms, three vectors each */
 
-const long body_filter_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, JOINTS};
+const long body_filter_sizes[] = {STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OUTPUTS, MOST, JOINTS};
 
 typedef void Kernel(const double *const *in, double *const *out, long columns);
 
 typedef struct {
   Kernel *acceleration, *reading;
   long parameters, harmonics;
-  double acting[RIG_INPUTS], gate, learnt; /* of a reading; of the mean NIS */
-  double turn, spin, by_spin;             /* densities of the process noise */
+  double rig[RIG_INPUTS], gate, nis_gain; /* gate of a reading's NIS; weight of a reading in the mean NIS */
+  double turn, spin, by_spin;            /* spectral densities of the process noise */
 } Model;
 
 typedef struct {
@@ -44,16 +44,16 @@ typedef struct {
 } Body;
 
 typedef struct {
-  const double *t, (*told)[JOINTS];
+  const double *t, (*reports)[JOINTS];
   long count;
-  double longest; /* beyond the nearest report (s) */
+  double longest; /* extrapolation limit beyond the nearest report (s) */
 } Track;
 
 typedef struct {
-  double t, a, b, pad; /* s, m; 0 to 2 */
+  double t, a, b, pad; /* s, m, m, 0 to 2 */
 } Reading;
 
-/* as `JointTrack.at` */
+/* see `JointTrack.at` */
 void joints_at(const Track *track, double t, double *joints) {
   long low = 0, high = track->count;
   while (low < high) {
@@ -63,15 +63,15 @@ void joints_at(const Track *track, double t, double *joints) {
   }
   const long before = low > 0 ? low - 1 : 0, after = low < track->count ? low : track->count - 1;
   const long which = t - track->t[before] < track->t[after] - t ? before : after;
-  const double dt = fmax(-track->longest, fmin(track->longest, t - track->t[which])), *told = track->told[which];
+  const double dt = fmax(-track->longest, fmin(track->longest, t - track->t[which])), *report = track->reports[which];
   for (int j = 0; j < 3; j++) {
-    joints[ANGLE + j] = told[ANGLE + j] + dt * told[RATE + j] + dt * dt / 2 * told[ACCELERATION + j];
-    joints[RATE + j] = told[RATE + j] + dt * told[ACCELERATION + j];
-    joints[ACCELERATION + j] = told[ACCELERATION + j];
+    joints[ANGLE + j] = report[ANGLE + j] + dt * report[RATE + j] + dt * dt / 2 * report[ACCELERATION + j];
+    joints[RATE + j] = report[RATE + j] + dt * report[ACCELERATION + j];
+    joints[ACCELERATION + j] = report[ACCELERATION + j];
   }
 }
 
-/* as `system.three_palms.palms_at`; axes: a and b of each pad */
+/* see `system.three_palms.palms_at`; axes: a and b of each pad */
 static void palms_at(const double *joints, double *palms, double axes[3][2][3]) {
   static const double TURNS[3] = {0.0, 1.0, -1.0};
   const double *angle = joints + ANGLE, *rate = joints + RATE, *acceleration = joints + ACCELERATION;
@@ -101,7 +101,7 @@ static void palms_at(const double *joints, double *palms, double axes[3][2][3]) 
   }
 }
 
-/* as `kernels.reading_geometry` of one reading of `pad` */
+/* see `kernels.reading_geometry`; of one reading of `pad` */
 static void geometry_of(const double *palms, double axes[3][2][3], int pad, double *geometry) {
   const double *one = palms + 3 * pad, *two = palms + 3 * ((pad + 1) % 3), *three = palms + 3 * ((pad + 2) % 3);
   double *reciprocal = geometry + 9;
@@ -128,7 +128,7 @@ static void turn(double R[3][3], const double *v) {
   memcpy(R, after, sizeof after);
 }
 
-/* M <- A^-1; A is spoilt */
+/* M <- A^-1; overwrites A */
 static void inverted(double A[STATES][STATES], double M[STATES][STATES]) {
   for (int i = 0; i < STATES; i++)
     for (int j = 0; j < STATES; j++) M[i][j] = i == j;
@@ -157,7 +157,7 @@ static void add(double *to, double share, const double *row, long n) {
 
 typedef double wide __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
 
-/* to[i][j] <- sum over `rows` k, in their order, of shares[count * k + i] * P[k][j]; at least BLOCK columns n */
+/* to[i][j] <- sum over k < rows, in this order, of shares[count * k + i] * P[k][j]; n >= BLOCK columns */
 static inline __attribute__((always_inline)) void gathered(double (*to)[MOST], const int count, const double *shares,
                                                            const double *P, long rows, long n) {
   for (long from = 0; from < n; from += BLOCK) {
@@ -177,12 +177,12 @@ static inline __attribute__((always_inline)) void gathered(double (*to)[MOST], c
   }
 }
 
-/* `palms`: PALM_INPUTS, in the middle of the step of h (s) */
+/* propagate by h (s); palms: PALM_INPUTS in the middle of the step */
 static void step(const Model *model, Body *body, double *P, double h, const double *palms) {
   const long m = model->parameters, n = STATES + m;
   double R[9], alpha[3], force[3], by_turn[9], by_omega[9], by_p[3 * MOST];
   by_columns(body->R, R);
-  const double *in[] = {R, body->omega, palms, body->p, model->acting};
+  const double *in[] = {R, body->omega, palms, body->p, model->rig};
   double *out[] = {alpha, force, by_turn, by_omega, by_p};
   model->acceleration(in, out, 1);
 
@@ -229,12 +229,12 @@ static void step(const Model *model, Body *body, double *P, double h, const doub
   }
 }
 
-/* y (2), H by columns (up to those of the harmonics; there is none of the spin) and HP (2, n) of what one geometry reads */
+/* a predicted reading y (2), its Jacobian H, column-major up to the harmonics (zero for the spin), and HP (2, n) */
 typedef struct {
   double y[2], H[2 * MOST], HP[2][MOST];
-} Sight;
+} Prediction;
 
-static void looked(const Model *model, const Body *body, const double *P, const double *geometry, Sight *at) {
+static void predict(const Model *model, const Body *body, const double *P, const double *geometry, Prediction *at) {
   const long n = STATES + model->parameters;
   double R[9];
   by_columns(body->R, R);
@@ -245,26 +245,26 @@ static void looked(const Model *model, const Body *body, const double *P, const 
   gathered(at->HP, 2, at->H, P, STATES + model->harmonics, n);
 }
 
-/* row . H's row i */
-static double across(const Model *model, const double *row, const Sight *at, int i) {
+/* row times the transpose of row i of H */
+static double across(const Model *model, const double *row, const Prediction *at, int i) {
   double sum = 0.0;
   for (long k = 0; k < STATES + model->harmonics; k++) sum += row[k] * at->H[2 * k + i];
   return sum;
 }
 
-/* a reading (a, b) (m) and its variance (m²) */
+/* update with a reading (a, b) (m) of this variance (m²); square-root form of the 2 x 2 innovation covariance */
 static void correct(const Model *model, Body *body, double *P, const double *geometry, double a, double b,
                     double variance) {
   const long n = STATES + model->parameters;
-  Sight at;
-  looked(model, body, P, geometry, &at);
+  Prediction at;
+  predict(model, body, P, geometry, &at);
   const double lower = sqrt(across(model, at.HP[0], &at, 0) + variance);
   const double side = across(model, at.HP[1], &at, 0) / lower;
   const double last = sqrt(across(model, at.HP[1], &at, 1) + variance - side * side);
   const double first = (a - at.y[0]) / lower, second = (b - at.y[1] - side * first) / last;
-  const double strange = (first * first + second * second) / 2;
-  body->nis += (fmin(strange, model->gate) - body->nis) * model->learnt;
-  if (strange > model->gate) return;
+  const double nis = (first * first + second * second) / 2;
+  body->nis += (fmin(nis, model->gate) - body->nis) * model->nis_gain;
+  if (nis > model->gate) return;
   double W[2][MOST], move[MOST];
   for (long j = 0; j < n; j++) {
     W[0][j] = at.HP[0][j] / lower;
@@ -281,18 +281,18 @@ static void correct(const Model *model, Body *body, double *P, const double *geo
   for (long k = 0; k < model->parameters; k++) body->p[k] += move[STATES + k];
 }
 
-/* on from t to `until` (s) by steps of at most `longest` (s), past `count` readings of this `variance`; gives where it
-   has come to */
+/* propagate from t to `until` (s) in steps of at most `longest` (s), and fuse `count` readings of this variance (m²);
+   returns the time reached (s) */
 double body_carry(const Model *model, const Track *track, Body *body, double *P, double t, const Reading *readings,
                   long count, double variance, double until, double longest) {
   double joints[JOINTS], palms[PALM_INPUTS], axes[3][2][3], geometry[GEOMETRY];
   for (long k = 0; k <= count; k++) {
-    const double end = k < count ? readings[k].t : until, begun = t, span = end - begun;
+    const double end = k < count ? readings[k].t : until, start = t, span = end - start;
     if (span > LEAST_S) {
       const long steps = (long)ceil(span / longest);
       const double h = span / steps;
       for (long i = 0; i < steps; i++) {
-        joints_at(track, begun + (i + 0.5) * h, joints);
+        joints_at(track, start + (i + 0.5) * h, joints);
         palms_at(joints, palms, axes);
         step(model, body, P, h, palms);
         t += h;
@@ -307,29 +307,30 @@ double body_carry(const Model *model, const Track *track, Body *body, double *P,
   return t;
 }
 
-/* at t (s): y (SEEN) and its covariance (SEEN, SEEN), contacts by palms and the centre of mass, which is what a contact
-   is beside axes that are `shrunk`; the palms (PALM_INPUTS), and their forces per unit mass */
+/* outputs at t (s): y (OUTPUTS) and its covariance (OUTPUTS, OUTPUTS), contacts palm by palm, then the centre of mass,
+   which is a contact read along axes scaled by `shrunk`; the palms (PALM_INPUTS), their normal forces per unit mass */
 void body_seen(const Model *model, const Track *track, const Body *body, const double *P, double t, double shrunk,
                double *y, double *covariance, double *palms, double *force) {
   double joints[JOINTS], axes[3][2][3], geometry[GEOMETRY];
   joints_at(track, t, joints);
   palms_at(joints, palms, axes);
-  Sight at[SEEN / 2];
-  for (int g = 0; g < SEEN / 2; g++) {
+  Prediction at[OUTPUTS / 2];
+  for (int g = 0; g < OUTPUTS / 2; g++) {
     geometry_of(palms, axes, g < 3 ? g : 0, geometry);
     if (g >= 3) {
       for (int k = 9; k < 18; k++) geometry[k] /= shrunk;
       for (int k = 0; k < 6; k++) geometry[18 + k] = shrunk * (g == 3 ? k == 0 || k == 4 : k == 2);
     }
-    looked(model, body, P, geometry, &at[g]);
+    predict(model, body, P, geometry, &at[g]);
     y[2 * g] = at[g].y[0], y[2 * g + 1] = at[g].y[1];
   }
-  for (int i = 0; i < SEEN; i++)
+  for (int i = 0; i < OUTPUTS; i++)
     for (int j = 0; j <= i; j++)
-      covariance[i * SEEN + j] = covariance[j * SEEN + i] = across(model, at[i / 2].HP[i % 2], &at[j / 2], j % 2);
+      covariance[i * OUTPUTS + j] = covariance[j * OUTPUTS + i] =
+          across(model, at[i / 2].HP[i % 2], &at[j / 2], j % 2);
   double R[9], alpha[3], by_turn[9], by_omega[9], by_p[3 * MOST];
   by_columns(body->R, R);
-  const double *in[] = {R, body->omega, palms, body->p, model->acting};
+  const double *in[] = {R, body->omega, palms, body->p, model->rig};
   double *out[] = {alpha, force, by_turn, by_omega, by_p};
   model->acceleration(in, out, 1);
 }

@@ -1,4 +1,4 @@
-"""What `body_filter.c` computes for a `BodyFilter`; safe inside the loop."""
+"""Binding of `body_filter.c` for `BodyFilter`; safe in the loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from palmd.system.vibration import VibrationLaw
 
 STATES = 6
 GEOMETRY = 24
-SEEN = 10
+OUTPUTS = 10
 MOST = 256
 READING = 4  # t, a, b, pad
 
@@ -27,34 +27,34 @@ class _Model(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("acceleration", "reading")),
         *((name, ctypes.c_long) for name in ("parameters", "harmonics")),
-        ("acting", ctypes.c_double * RIG_INPUTS),
-        *((name, ctypes.c_double) for name in ("gate", "learnt", "turn", "spin", "by_spin")),
+        ("rig", ctypes.c_double * RIG_INPUTS),
+        *((name, ctypes.c_double) for name in ("gate", "nis_gain", "turn", "spin", "by_spin")),
     )  # fmt: skip
 
 
 class _Track(ctypes.Structure):
     _fields_ = (
-        ("t", ctypes.c_void_p), ("told", ctypes.c_void_p), ("count", ctypes.c_long), ("longest", ctypes.c_double),
+        ("t", ctypes.c_void_p), ("reports", ctypes.c_void_p), ("count", ctypes.c_long), ("longest", ctypes.c_double),
     )  # fmt: skip
 
 
 class CompiledSteps:
-    """The functions of `body_filter.c` for outlines up to one degree and one rig.
+    """The functions of `body_filter.c` for one degree of the outline and one rig.
 
-    `body`: R by rows, ω, mean NIS, p, one after the other; P: states and parameters, square. Both C-contiguous, and
+    `body`: R by rows, ω, mean NIS, p, concatenated; P: covariance of states and parameters. Both are C-contiguous and
     changed in place.
     """
 
     def __init__(self, library: ctypes.CDLL, order: int, acting: tuple[float, ...], **constants: float) -> None:
-        """`acting` is of `ThreePalmsRig`, constants are named as in `body_filter.c`.
+        """`acting`: `ThreePalmsRig.kernel_constants`; `constants` are named as in `body_filter.c`.
 
-        RuntimeError where the library has other sizes.
+        Raises RuntimeError if the library's sizes differ, ValueError if the degree is too high.
         """
-        sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, SEEN, MOST, 3 * len(JOINTS))
+        sizes = (STATES, PALM_INPUTS, RIG_INPUTS, GEOMETRY, OUTPUTS, MOST, 3 * len(JOINTS))
         if tuple((ctypes.c_long * len(sizes)).in_dll(library, "body_filter_sizes")) != sizes:
-            raise RuntimeError("body_filter.c has other sizes than the model")
+            raise RuntimeError("the sizes in body_filter.c differ from the model's")
         if STATES + count(order) + BODY > MOST:
-            raise ValueError(f"there is room for {MOST} states and parameters, not for degree {order}")
+            raise ValueError(f"at most {MOST} states and parameters are supported, too few for degree {order}")
         kernels = (ctypes.cast(library[EXPORTED + name], ctypes.c_void_p) for name in ("acceleration", "reading"))
         self._model = _Model(*(each.value for each in kernels), count(order) + BODY, count(order), acting, **constants)
         self._at = ctypes.addressof(self._model)
@@ -64,23 +64,28 @@ class CompiledSteps:
         self._carry.restype = number
         self._seen.argtypes, self._seen.restype = (*(pointer,) * 4, number, number, *(pointer,) * 4), None
 
-    def carry(
+    def propagate(
         self, body: FloatArray, P: FloatArray, t: float, joints: JointTrack, readings: FloatArray,
         variance: float, until: float, longest_s: float,
     ) -> float:  # fmt: skip
-        """From `t` past readings (N, `READING`) to `until`, by steps of `longest_s` at most; where that is (s).
+        """Propagate from `t` to `until` in steps of `longest_s` at most, fusing readings (N, `READING`).
 
-        variance: of a reading (m²).
+        variance: of a reading (m²). Returns the time reached (s).
         """
-        at = body.ctypes.data, P.ctypes.data, t, readings.ctypes.data, len(readings)
-        told: float = self._carry(self._at, ctypes.byref(_track(joints)), *at, variance, until, longest_s)
-        return told
+        state = body.ctypes.data, P.ctypes.data, t, readings.ctypes.data, len(readings)
+        reached: float = self._carry(self._at, ctypes.byref(_track(joints)), *state, variance, until, longest_s)
+        return reached
 
-    def seen(
+    def outputs(
         self, body: FloatArray, P: FloatArray, joints: JointTrack, t: float, shrunk: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As `BodyFilter._seen` at `t` (s)."""
-        y, covariance, palms, force = np.empty(SEEN), np.empty((SEEN, SEEN)), np.empty(PALM_INPUTS), np.empty(3)
+        """Raw outputs at `t` (s): y (OUTPUTS,), covariance, palms and forces; see `body_seen` in `body_filter.c`."""
+        y, covariance, palms, force = (
+            np.empty(OUTPUTS),
+            np.empty((OUTPUTS, OUTPUTS)),
+            np.empty(PALM_INPUTS),
+            np.empty(3),
+        )
         out = (each.ctypes.data for each in (y, covariance, palms, force))
         of_track = ctypes.byref(_track(joints))
         self._seen(self._at, of_track, body.ctypes.data, P.ctypes.data, t, shrunk, *out)
@@ -88,11 +93,11 @@ class CompiledSteps:
 
 
 def _track(joints: JointTrack) -> _Track:
-    return _Track(joints.times.ctypes.data, joints.told.ctypes.data, joints.count, GAP_S)
+    return _Track(joints.times.ctypes.data, joints.reports.ctypes.data, joints.count, GAP_S)
 
 
 @cache
-def steps(order: int, law: VibrationLaw, acting: tuple[float, ...], **constants: float) -> CompiledSteps:
-    """Those for outlines up to this degree."""
+def compiled_steps(order: int, law: VibrationLaw, acting: tuple[float, ...], **constants: float) -> CompiledSteps:
+    """The compiled functions for outlines up to degree `order`; cached."""
     library = filter_library(order, law, str(Path(__file__).with_name("body_filter.c"))).opened()
     return CompiledSteps(library, order, acting, **constants)

@@ -1,8 +1,8 @@
-"""The blind start: what a ball-like body must have done for its contacts to have been where they were felt.
+"""The blind start: motion of a ball-like body for which the contacts are where they were read.
 
-Without any shape the equations of motion tell how centre of mass and spin go on, once the contacts and how they move
-are given; that the body is about round keeps both bounded. No rotation and no shape are in it, so that there is hardly
-a wrong answer to fall into; rotation and shape follow from it by an integral and by linear least squares.
+Given the contacts and their velocities, the equations of motion determine how centre of mass and spin evolve without
+knowledge of the shape; the assumption of an approximately round body keeps both bounded. Neither rotation nor shape
+occurs, so that there are hardly any local minima. Rotation follows by integration, shape by linear least squares.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from palmd.observer.three_palms.path import JointPath
 from palmd.observer.three_palms.record import PadReadings
 from palmd.system.three_palms import PALMS, ThreePalmsRig, contact_points
 
-ROUNDNESS = 8e-3
-"""One-sigma of how far a contact is from where a ball's would be (m)."""
-TOGETHER_S = 1.0
-"""For about so long that stays what it is."""
-DRIFT = 1e-8
-"""Spectral density of what smoothed contacts make ṗ fail by (m²/s); of ω̇ it is a belief's own."""
+ROUNDNESS_SD_M = 8e-3
+"""1σ of a contact's distance from that of a ball (m)."""
+ROUNDNESS_TIME_S = 1.0
+"""Correlation time of that distance."""
+VELOCITY_DRIFT = 1e-8
+"""Noise density of ṗ as computed from smoothed contacts (m²/s); that of ω̇ is part of a `BallBelief`."""
 PENALTIES = 10.0 ** np.arange(-8.0, -2.0)
-"""Of ∫f″² in a smoothed contact, of which the one is taken that foretells best (s³)."""
-TRIED = 600  # readings
+"""Candidate penalties of ∫f″² for smoothed contacts (s³); the one that predicts best is taken."""
+SCORED_READINGS = 600  # readings; the part of a record by which penalties are compared
 ITERATIONS = 25
 
 
 @dataclass(frozen=True, slots=True)
 class ContactCurves:
-    """Smoothed readings: for each pad the courses of a and b (m)."""
+    """Smoothed readings: a(t) and b(t) of each pad (m)."""
 
     curves: tuple[tuple[PPoly, PPoly], ...]
 
     @classmethod
     def smoothed(cls, readings: PadReadings) -> ContactCurves:
-        """Cubic splines whose stiffness is by generalised cross-validation, of each coordinate its own."""
+        """Fit smoothing splines; the penalty of each coordinate is chosen by cross-validation."""
         curves = []
         for pad in range(len(PALMS)):
             mine = readings.pad == pad
@@ -63,26 +63,26 @@ class ContactCurves:
 
 
 def _smooth(t: FloatArray, value: FloatArray) -> PPoly:
-    """The penalty is chosen on the middle of a long record: it does not depend on the length."""
-    most = min(len(t), TRIED)
+    """Smoothing spline with the best penalty, which is chosen on the middle of a long record."""
+    most = min(len(t), SCORED_READINGS)
     first = (len(t) - most) // 2
     part = slice(first, first + most)
-    scores = [(_missed(t[part], value[part], lam), lam) for lam in PENALTIES]
+    scores = [(_prediction_error(t[part], value[part], lam), lam) for lam in PENALTIES]
     return smoothing_spline(t, value, min(scores)[1])
 
 
-def _missed(t: FloatArray, value: FloatArray, lam: float) -> float:
-    """How badly one half of the values is told by the other."""
+def _prediction_error(t: FloatArray, value: FloatArray, lam: float) -> float:
+    """Squared error with which one half of the values predicts the other."""
     odd = smoothing_spline(t[::2], value[::2], lam)
     even = smoothing_spline(t[1::2], value[1::2], lam)
     return float(((odd(t[1:-1:2]) - value[1:-1:2]) ** 2).sum() + ((even(t[2::2]) - value[2::2]) ** 2).sum())
 
 
 def smoothing_spline(t: FloatArray, y: FloatArray, lam: float) -> PPoly:
-    """The natural cubic spline f that minimises Σ(f(tᵢ) − yᵢ)² + lam ∫f″² (Reinsch 1967); t (T,) increasing, y (T,).
+    """Natural cubic spline f that minimises Σ(f(tᵢ) − yᵢ)² + lam ∫f″² (Reinsch 1967); t (T,) increasing, y (T,).
 
-    (R + lam QᵀQ)γ = Qᵀy, f = y − lam Qγ at the knots, γ its second derivatives between the ends. SciPy's
-    `make_smoothing_spline` is the same and spends most of its time in Python.
+    (R + lam QᵀQ)γ = Qᵀy, f = y − lam Qγ at the knots, γ the second derivatives at the inner knots. SciPy's
+    `make_smoothing_spline` computes the same, but spends most of its time in Python.
     """
     h = np.diff(t)
     before, after = 1.0 / h[:-1], 1.0 / h[1:]
@@ -101,18 +101,18 @@ def smoothing_spline(t: FloatArray, y: FloatArray, lam: float) -> PPoly:
 
 @dataclass(frozen=True, slots=True)
 class BallBelief:
-    """What is believed of a ball-like body: mean and one-sigma of its constants, and of its state at the first node.
+    """Prior of a ball-like body: mean and 1σ of its constants, and of its state at the first node.
 
-    The constants are ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m); the
-    state is centre of mass (m) and spin (rad/s). still: at so many of the first nodes its spin is that of the first.
-    drift: spectral density of what smoothed contacts make ω̇ fail by ((rad/s)²/s).
+    Constants: ln ρ (ρ the radius of gyration, m), damping (m²/s), ln μ, ln u_d (ln m/s) and the radius (m). State:
+    centre of mass (m) and spin (rad/s). rest_nodes: number of first nodes to which the spin of the state applies.
+    drift: noise density of ω̇ as computed from smoothed contacts ((rad/s)²/s).
     """
 
     mean: FloatArray
     sd: FloatArray
     state: FloatArray
     state_sd: FloatArray
-    still: int = 1
+    rest_nodes: int = 1
     drift: float = 1.0
 
 
@@ -127,7 +127,7 @@ class DrivenCourse:
     cost: float
 
     def rotations(self, first: FloatArray | None = None) -> FloatArray:
-        """(K + 1, 3, 3) from `first` (1) at the first node on."""
+        """(K + 1, 3, 3) rotations by integrating the spin from `first` (default: 1) at the first node."""
         h = np.diff(self.t)[:, None]
         one, other = self.omega[:-1], self.omega[1:]
         steps = rotation.exp(0.5 * h * (one + other) + h**2 / 12 * np.cross(other, one))
@@ -137,16 +137,16 @@ class DrivenCourse:
         return np.stack(R)
 
 
-def ball_of(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(centres (T, 3), radii (T,)) of the balls nearest to contacts (T, 3 palms, 3) on palms of these normals."""
+def nearest_balls(points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(centres (T, 3), radii (T,)) of the balls nearest to contacts (T, 3 palms, 3) on palms with these normals."""
     # c_i = p − r n_i, least squares in (p, r)
     mean_c, mean_n = points.mean(1), normals.mean(1)
-    off_c, off_n = points - mean_c[:, None], normals - mean_n[:, None]
-    r = -(off_c * off_n).sum((1, 2)) / (off_n**2).sum((1, 2))
+    centred_points, centred_normals = points - mean_c[:, None], normals - mean_n[:, None]
+    r = -(centred_points * centred_normals).sum((1, 2)) / (centred_normals**2).sum((1, 2))
     return mean_c + r[:, None] * mean_n, r
 
 
-def course(
+def smooth_course(
     path: JointPath,
     contacts: ContactCurves,
     start: float,
@@ -155,14 +155,14 @@ def course(
     belief: BallBelief,
     rig: ThreePalmsRig,
 ) -> DrivenCourse:
-    """The likeliest course on `intervals` from `start` on."""
+    """Smooth the motion over `intervals` from `start` (s): the maximum a posteriori."""
     t: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
     middle: FloatArray = np.asarray(t[:-1] + spacing / 2, dtype=np.float64)
     palms = path.palms(t)
-    given, given_mid = contacts.at(path, t), contacts.at(path, middle)
+    contacts_at_nodes, contacts_midway = contacts.at(path, t), contacts.at(path, middle)
     inputs, inputs_mid = palm_inputs(palms), palm_inputs(path.palms(middle))
-    centres, _ = ball_of(given[:, :9].reshape(-1, 3, 3), palms.normal)
-    problem = _Problem(inputs, inputs_mid, given, given_mid, palms.normal, spacing, belief, rig)
+    centres, _ = nearest_balls(contacts_at_nodes[:, :9].reshape(-1, 3, 3), palms.normal)
+    problem = _Problem(inputs, inputs_mid, contacts_at_nodes, contacts_midway, palms.normal, spacing, belief, rig)
     state = np.concatenate([centres, np.zeros_like(centres)], axis=1)
     state[0] = belief.state
     constants = belief.mean.copy()
@@ -186,12 +186,12 @@ def course(
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Least squares in centre and spin at the nodes, and constants."""
+    """Least-squares problem in centre and spin at the nodes, and constants."""
 
     inputs: FloatArray
     inputs_mid: FloatArray
-    given: FloatArray
-    given_mid: FloatArray
+    contacts: FloatArray
+    contacts_mid: FloatArray
     normals: FloatArray
     spacing: float
     belief: BallBelief
@@ -199,11 +199,11 @@ class _Problem:
 
     def evaluate(self, state: FloatArray, constants: FloatArray) -> tuple[float, Arrow]:
         h, K, kernel = self.spacing, len(state) - 1, kernels.driven(self.rig.vibration.law)
-        shared = (constants[:4], self.rig.acting)
-        f, f_state, f_const = kernel((state, self.inputs, self.given), shared)
+        shared = (constants[:4], self.rig.kernel_constants)
+        f, f_state, f_const = kernel((state, self.inputs, self.contacts), shared)
         mid_state = 0.5 * (state[:-1] + state[1:]) + h / 8 * (f[:-1] - f[1:])
-        fm, fm_state, fm_const = kernel((mid_state, self.inputs_mid, self.given_mid), shared)
-        weight = np.repeat((np.array([DRIFT, self.belief.drift]) * h) ** -0.5, 3)
+        fm, fm_state, fm_const = kernel((mid_state, self.inputs_mid, self.contacts_mid), shared)
+        weight = np.repeat((np.array([VELOCITY_DRIFT, self.belief.drift]) * h) ** -0.5, 3)
         identity = np.eye(6)
         r = weight * (state[1:] - state[:-1] - h / 6 * (f[:-1] + 4 * fm + f[1:]))
         left = -identity - h / 6 * (f_state[:-1] + 4 * fm_state @ (0.5 * identity + h / 8 * f_state[:-1]))
@@ -213,24 +213,26 @@ class _Problem:
             -h / 6 * (f_const[:-1] + f_const[1:] + 4 * (fm_const + h / 8 * fm_state @ (f_const[:-1] - f_const[1:])))
         )
         arrow = Arrow.empty(K + 1, 5)
-        arrow.couple(r, weight[:, None] * left, weight[:, None] * right, weight[:, None] * by)
+        arrow.add_residuals(r, weight[:, None] * left, weight[:, None] * right, weight[:, None] * by)
 
-        # r_i + ρ n_i = 0 for a ball: nine numbers a node, of which neighbours repeat the same
-        round_weight = 1.0 / (ROUNDNESS * np.sqrt(max(TOGETHER_S / h, 1.0)))
-        off = self.given[:, :9].reshape(-1, 3, 3) - state[:, None, :3] + constants[4] * self.normals
-        arrow.diagonal[:, :3, :3] += 3 * round_weight**2 * np.eye(3)
-        arrow.border[:, :3, 4] -= round_weight**2 * self.normals.sum(1)
-        arrow.corner[4, 4] += round_weight**2 * (self.normals**2).sum()
-        arrow.nodes_gradient[:, :3] -= round_weight**2 * off.sum(1)
-        arrow.gradient[4] += round_weight**2 * (off * self.normals).sum()
+        # r_i + ρ n_i = 0 for a ball: nine residuals a node, down-weighted as neighbouring nodes have the same
+        roundness_weight = 1.0 / (ROUNDNESS_SD_M * np.sqrt(max(ROUNDNESS_TIME_S / h, 1.0)))
+        distance = self.contacts[:, :9].reshape(-1, 3, 3) - state[:, None, :3] + constants[4] * self.normals
+        arrow.diagonal[:, :3, :3] += 3 * roundness_weight**2 * np.eye(3)
+        arrow.border[:, :3, 4] -= roundness_weight**2 * self.normals.sum(1)
+        arrow.corner[4, 4] += roundness_weight**2 * (self.normals**2).sum()
+        arrow.nodes_gradient[:, :3] -= roundness_weight**2 * distance.sum(1)
+        arrow.gradient[4] += roundness_weight**2 * (distance * self.normals).sum()
 
-        missed = (constants - self.belief.mean) / self.belief.sd
+        prior_error = (constants - self.belief.mean) / self.belief.sd
         arrow.corner += np.diag(self.belief.sd**-2.0)
-        arrow.gradient += missed / self.belief.sd
-        still, sd = self.belief.still, np.tile(self.belief.state_sd, (self.belief.still, 1))
+        arrow.gradient += prior_error / self.belief.sd
+        rest_nodes, sd = self.belief.rest_nodes, np.tile(self.belief.state_sd, (self.belief.rest_nodes, 1))
         sd[1:, :3] = np.inf
-        begun = (state[:still] - self.belief.state) / sd
-        arrow.diagonal[:still] += np.eye(6) * (sd**-2.0)[:, None]
-        arrow.nodes_gradient[:still] += begun / sd
-        cost = (r**2).sum() + round_weight**2 * (off**2).sum() + (missed**2).sum() + (begun**2).sum()
+        state_error = (state[:rest_nodes] - self.belief.state) / sd
+        arrow.diagonal[:rest_nodes] += np.eye(6) * (sd**-2.0)[:, None]
+        arrow.nodes_gradient[:rest_nodes] += state_error / sd
+        cost = (
+            (r**2).sum() + roundness_weight**2 * (distance**2).sum() + (prior_error**2).sum() + (state_error**2).sum()
+        )
         return float(cost), arrow

@@ -1,7 +1,7 @@
-"""The sum of squares of one record: by how much the equations fail between nodes, and what readings miss. Linearised.
+"""The linearised least-squares problem of one record: defects of the equations of motion, residuals of the readings.
 
 Between nodes the equations of motion are collocated at both ends and midway (Hermite–Simpson, fourth order, stable
-however stiff the friction is); by how much they fail is noise of a stated strength. `compiled_equations` computes it.
+for any stiffness of the friction); their defects are noise of given spectral density. `compiled_equations` computes it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from palmd.observer.three_palms.record import BodyRecord
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """One-sigma of a reading (m); what the equations leave out, as in `motion_noise`."""
+    """1σ of a reading (m), and spectral densities of the process noise as in `motion_noise`."""
 
     reading: float
     spin: float = SPIN
@@ -36,13 +36,13 @@ class BodyMotion:
     p: FloatArray
 
     def moved(self, nodes: FloatArray, step: FloatArray) -> BodyMotion:
-        """After a step (K + 1, 6) of the nodes and (m,) of the parameters."""
+        """Apply a step (K + 1, 6) of the nodes and (m,) of the parameters."""
         return BodyMotion(rotation.exp(nodes[:, :3]) @ self.R, self.omega + nodes[:, 3:], self.p + step)
 
 
 @dataclass(frozen=True, slots=True)
 class SumOfSquares:
-    """At one motion: the normal equations, the sum of squares, what readings miss by (S, 2) (m).
+    """Normal equations, sum of squares and residuals of the readings (S, 2) (m) at one motion.
 
     force: (K + 1, 3) the palms' normal forces per unit mass (m/s²) at the nodes.
     """
@@ -54,12 +54,12 @@ class SumOfSquares:
 
 
 def at_readings(record: BodyRecord, R: FloatArray, omega: FloatArray) -> FloatArray:
-    """(S, 3, 3) rotations at the readings' times, between nodes that turn as R and omega (K + 1, …) say."""
+    """(S, 3, 3) rotations at the readings' times, interpolated between nodes R, omega (K + 1, …)."""
     return _between(record, R, omega, *_turns(R, omega))
 
 
 def _turns(R: FloatArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(K, 3) rotation vectors from each node to the next, and at which rate they end there."""
+    """(K, 3) rotation vectors from each node to the next, and their rates at the interval's end."""
     phi = rotation.log(R[1:] @ np.swapaxes(R[:-1], 1, 2))
     return phi, omega[1:] - 0.5 * np.cross(phi, omega[1:])
 
@@ -71,5 +71,5 @@ def _between(record: BodyRecord, R: FloatArray, omega: FloatArray, phi: FloatArr
 
 
 def _hermite(share: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weights of the end's value, the beginning's rate and the end's rate in a cubic that begins at 0."""
+    """Hermite weights of the end value, the initial rate and the end rate of a cubic that begins at 0."""
     return 3 * share**2 - 2 * share**3, share - 2 * share**2 + share**3, share**3 - share**2

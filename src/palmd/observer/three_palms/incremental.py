@@ -1,8 +1,8 @@
-"""The smoother of a live body between three palms: rivals that go on as readings come. Not for the loop.
+"""Incremental smoother of a live body between three palms: propagates hypotheses as readings come. Not for the loop.
 
-What `reconstruct` does with a whole record is done here with what there is so far, again and again: rivals from a blind
-start, laps that end where the record ends now, the same doubts. What lies far behind is folded into a belief, so that a
-lap costs no more after an hour than after a quarter of a minute.
+Each update does with the readings so far what `reconstruct` does with a whole record: hypotheses from blind starts are
+propagated to the newest reading, and the best one has to pass the same tests. Old readings are marginalised, so that an
+update costs no more after an hour than after a quarter of a minute.
 """
 
 from __future__ import annotations
@@ -21,170 +21,174 @@ from palmd.model import rotation
 from palmd.model.icosphere import icosphere
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.body import FINER_LIVE, ORDER
+from palmd.observer.three_palms.body import FINER_ORDERS_LIVE, ORDER
 from palmd.observer.three_palms.driven import ContactCurves
 from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.propagation import (
-    BEHIND,
-    SURE,
-    Grown,
-    anew,
-    apart,
-    begun_in_ways,
-    finer,
-    folded,
-    found_again,
-    moves_so,
-    raced,
-    smoothed,
+    PRUNE_COST,
+    TRUNCATION_COST,
+    BodyHypothesis,
+    branch_starts,
+    confirm_by_restarts,
+    fit_blind_starts,
+    marginalised,
+    merge_duplicates,
+    propagate_and_prune,
+    refine_outline,
+    refit,
+    restart_has_motion,
 )
-from palmd.observer.three_palms.reconstruct import ALONE, doubt, inertia_sd, mass_of, surface
+from palmd.observer.three_palms.reconstruct import UNCONFIRMED, inertia_sd, mass_of, rejection_reason, surface
 from palmd.observer.three_palms.record import PadReadings
-from palmd.observer.three_palms.search import CHANCE, HOPELESS, SPACING_S, Task, rivals
-from palmd.observer.three_palms.touched_outline import felt_outline, near
+from palmd.observer.three_palms.search import CHANCE_SD, HOPELESS_COST, SPACING_S, Task, start_candidates
+from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
 from palmd.system.three_palms import GAP_S, PALMS, BodyAnswer, ThreePalmsRig
 
-REST_S = 0.4  # of a body that rests, before the palms move, that a record begins with
-STILL_RAD, MOVED_RAD = 5e-3, 0.1  # of a joint: where it has begun to move, and has moved enough to try
-WHOLE_S, WHOLE_WAYS = 5.0, 3  # of a record that it is begun with as a whole, and in how many ways
-START_S = 1.3  # of the same that it is begun with in many ways after that
-LEAST_S = 3.0  # of a record, before anything is tried
-NEWS_S = 0.4  # of readings, before another lap
-LONGEST_S, KEPT_S = 14.0, 8.0  # a record so long is folded to that
-WORTH_S = 6.0  # of a record that was explained: another start would hardly go further
-CONTACTS_S = 2.0  # of readings before what is new, that their smoothed courses begin with
-MOST_RIVALS = 2
-OTHER_WAYS, AGAIN_LONGER = 2, 1.3  # that are tried in search of the same motion, and when again
-SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # that it begins with then, after the rest, of records no longer than that
-FORKED_A_LAP = 1  # windows of each: whoever needs more is found sooner from contacts of the whole record
-PROVEN_S = 5.0  # of going on since two starts led to it: whoever is wrong is lost by then
-LATENCY_S = 0.7  # that a simulated one takes; its first answer takes longer
-FIRST_LATENCY_S = 1.5
+REST_S = 0.4  # rest before the palms move that a record begins with
+STILL_RAD, MOVED_RAD = 5e-3, 0.1  # rad; turn of a joint from which it moves, and from which a search begins
+WHOLE_S, WHOLE_START_ASSUMPTIONS = 5.0, 3  # length of a start on the whole record; number of start assumptions
+SHORT_START_S = 1.3  # length of the short starts that are branched afterwards
+LEAST_S = 3.0  # record length before anything is tried
+UPDATE_EVERY_S = 0.4  # new readings before the next update
+MARGINALISE_AFTER_S, KEPT_S = 14.0, 8.0  # a record longer than the first is marginalised to the second
+LONG_EXPLAINED_S = 6.0  # a hypothesis that explained so long a record is not followed by others on the same readings
+CONTACT_OVERLAP_S = 2.0  # readings before the new ones that are included in the smoothed contacts
+MOST_HYPOTHESES = 2  # hypotheses kept between updates
+RESTART_ASSUMPTIONS, RESTART_GROWTH = 2, 1.3  # restarts for confirmation; growth of the record until they are repeated
+SHORT_S, SHORT_UNTIL_S = 1.3, 6.0  # length of short restarts after the rest; record length up to which they are tried
+BRANCHINGS_PER_UPDATE = 1  # windows per hypothesis; more are slower than a start on the whole record
+PROVEN_S = 5.0  # prediction after the confirmation; wrong hypotheses are lost by then
+LATENCY_S = 0.7  # of a simulated smoother
+FIRST_LATENCY_S = 1.5  # of its first answer
 
 
 @dataclass(slots=True)
-class _Heard:
-    """All that has come of one record: rows of readings (t, pad, a, b, force), of joints (t, 3 angles, 6 planned)."""
+class _EventBuffer:
+    """Received rows: readings (t, pad, a, b, force), joints (t, 3 angles, 3 planned rates, 3 planned accelerations)."""
 
     readings: list[tuple[float, ...]]
     joints: list[tuple[float, ...]]
 
     def forget(self, before: float) -> None:
-        """What is older (s)."""
+        """Drop rows from before the time `before` (s)."""
         self.readings = [row for row in self.readings if row[0] >= before]
         self.joints = [row for row in self.joints if row[0] >= before]
 
 
 class IncrementalBodySmoother:
-    """Gathers events; `answer` goes on with the rivals as far as the events reach."""
+    """Collects events; `answer` propagates the hypotheses to the newest one."""
 
     def __init__(self, rig: ThreePalmsRig) -> None:
         self._rig = rig
-        self._waiting: list[Event] = []
-        self._heard = _Heard([], [])
-        self._begun = self._start = math.nan
+        self._incoming: list[Event] = []
+        self._buffer = _EventBuffer([], [])
+        self._record_start = self._start = math.nan
         self._clear()
 
     def _clear(self) -> None:
-        self._running: list[Grown] = []
+        self._hypotheses: list[BodyHypothesis] = []
         self._attempt = 0
-        self._reached = -math.inf
-        self._folded, self._looked = False, 0  # intervals when it was last looked for another start to the same
-        self._owed = False  # short starts, in the next lap
-        self._not_met()
-        self._bent = 0.0  # what it cost more before it was given finer harmonics
-        self._before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in what has been folded
+        self._processed_until = -math.inf
+        # whether readings were marginalised; length of the record in intervals when restarts were last tried
+        self._marginalised, self._restarts_tried_at = False, 0
+        self._short_starts_due = False  # short starts are due in the next update
+        self._reset_confirmation()
+        self._hidden_cost = 0.0  # cost that finer harmonics have absorbed
+        self._touched_before = np.zeros(len(icosphere()[0]), dtype=bool)  # touched in the marginalised part
 
-    def _not_met(self) -> None:
-        """Nothing is believed of who is followed until two starts have come to it."""
-        self._met_since = math.inf
-        self._believed = False  # claimed since
+    def _reset_confirmation(self) -> None:
+        """Require a new confirmation by an independent restart."""
+        self._confirmed_since = math.inf
+        self._accepted = False  # whether an answer has been accepted since the confirmation
 
     def add(self, events: Sequence[Event]) -> None:
-        """Events of some ticks; may be called while another thread answers."""
-        self._waiting.extend(events)  # in one step, and never another list
+        """Add the events of some ticks; may be called while another thread runs `answer`."""
+        self._incoming.extend(events)  # atomic; the list object must not be replaced
 
     @one_thread()
     def answer(self) -> BodyAnswer | None:
-        """What the readings tell, or why they do not; None before there is anything new to say."""
-        self._take()
+        """Update the estimate: an answer, accepted or with the reason why not; None without enough new readings."""
+        self._sort_events()
         task = self._task()
         if task is None:
-            if not self._running:  # at rest, or not on all palms, for as long as that may be
-                newest = max((row[0] for row in (*self._heard.readings[-1:], *self._heard.joints[-1:])), default=0.0)
-                self._heard.forget(newest - LONGEST_S)
+            if not self._hypotheses:  # at rest, or not on all palms, possibly for long
+                newest = max((row[0] for row in (*self._buffer.readings[-1:], *self._buffer.joints[-1:])), default=0.0)
+                self._buffer.forget(newest - MARGINALISE_AFTER_S)
             return None
-        begun, begins = self._begun, not self._running  # giving up forgets it
-        if begins and not self._try(task):
-            return _unknown(task, begun, "no motion is known yet that explains the readings")
-        self._reached = task.end
-        before = self._running[0].intervals
-        ended = raced(task, self._running, forks=FORKED_A_LAP)
+        record_start, is_new = self._record_start, not self._hypotheses  # before `_give_up` resets it
+        if is_new and not self._start_search(task):
+            return _unknown_answer(task, record_start, "no motion is known yet that explains the readings")
+        self._processed_until = task.end
+        before = self._hypotheses[0].intervals
+        ended = propagate_and_prune(task, self._hypotheses, branchings=BRANCHINGS_PER_UPDATE)
         ended.sort(key=lambda each: (-each.intervals, each.cost))
         first = ended[0]
-        if not begins and first.startled(first.intervals - before):  # ways on that differ may all be explained
-            first = ended[0] = replace(first, confirmed=0)
-            self._looked = 0
-            self._not_met()
+        if not is_new and first.failed_innovation_test(first.intervals - before):
+            first = ended[0] = replace(first, confirmed=0)  # other continuations may explain the readings, too
+            self._restarts_tried_at = 0
+            self._reset_confirmation()
         if first.lost or first.intervals < task.intervals(task.end - task.start):
             self._give_up(first, task)
-            return _unknown(task, begun, "what explained the readings does so no more")
-        if first.since_whole > 1.0:  # it was given up before it was smoothed, and smoothed the others cost more
-            first = ended[0] = smoothed(task, first)
-        if first.found_twice and first.per_number < HOPELESS:
-            bent = finer(task, first, FINER_LIVE)
-            if bent.order > first.order:
-                self._bent += first.cost - bent.cost
-            first = ended[0] = bent
-        grown = first
-        if not begins:  # else the answer would wait for it
-            ended = self._found_again(task, ended)
+            return _unknown_answer(task, record_start, "what explained the readings does so no more")
+        if first.growth_since_refit > 1.0:  # it was pruned before its refit, and the others cost more after theirs
+            first = ended[0] = refit(task, first)
+        if first.is_confirmed and first.cost_per_number < HOPELESS_COST:
+            refined = refine_outline(task, first, FINER_ORDERS_LIVE)
+            if refined.order > first.order:
+                self._hidden_cost += first.cost - refined.cost
+            first = ended[0] = refined
+        propagated = first
+        if not is_new:  # not in the first update, whose answer it would delay
+            ended = self._confirm(task, ended)
             first = ended[0]
-        if not (first.found_twice or first.same_as(grown)):
-            self._not_met()
-        elif first.found_twice:
-            self._met_since = min(self._met_since, float(first.record.t[-1]))
-        near_it = [each for each in ended if not each.lost and each.cost < first.cost + BEHIND]
-        self._running = near_it[:MOST_RIVALS]
-        said = self._answer(task, ended)
-        if first.intervals * SPACING_S > LONGEST_S and not first.confirmed:
-            self._begin_anew(task.end - KEPT_S)
-        elif first.intervals * SPACING_S > LONGEST_S:
-            self._folded = True
+        if not (first.is_confirmed or first.is_duplicate_of(propagated)):
+            self._reset_confirmation()
+        elif first.is_confirmed:
+            self._confirmed_since = min(self._confirmed_since, float(first.record.t[-1]))
+        near_best = [each for each in ended if not each.lost and each.cost < first.cost + PRUNE_COST]
+        self._hypotheses = near_best[:MOST_HYPOTHESES]
+        answer = self._make_answer(task, ended)
+        if first.intervals * SPACING_S > MARGINALISE_AFTER_S and not first.confirmed:
+            self._restart_record(task.end - KEPT_S)
+        elif first.intervals * SPACING_S > MARGINALISE_AFTER_S:
+            self._marginalised = True
             more = first.intervals - round(KEPT_S / SPACING_S)
-            self._before |= near(first.felt[: len(PALMS) * more])
-            self._start, self._running = task.start + more * SPACING_S, [folded(task, first, more, self._before)]
-            self._heard.forget(self._start - CONTACTS_S)
-        return said
+            self._touched_before |= directions_near(first.touched_normals[: len(PALMS) * more])
+            self._start, self._hypotheses = (
+                task.start + more * SPACING_S,
+                [marginalised(task, first, more, self._touched_before)],
+            )
+            self._buffer.forget(self._start - CONTACT_OVERLAP_S)
+        return answer
 
     # ---- its parts ---------------------------------------------------------------------------------------
 
-    def _take(self) -> None:
-        """Sort in what has come; pads that fall silent say so by their gaps."""
-        events = self._waiting[:]
-        del self._waiting[: len(events)]
+    def _sort_events(self) -> None:
+        """Move new events to the buffer; the end of a contact shows as a gap in the readings."""
+        events = self._incoming[:]
+        del self._incoming[: len(events)]
         for event in events:
             if isinstance(event, PalmSample):
                 planned = (*(event.rates or (math.nan,) * 3), *(event.accelerations or (math.nan,) * 3))
-                self._heard.joints.append((event.t_sample, *event.angles, *planned))
+                self._buffer.joints.append((event.t_sample, *event.angles, *planned))
             elif isinstance(event, PadSample) and event.across is not None:
                 force = math.nan if event.force is None else event.force
-                self._heard.readings.append((event.t_sample, event.pad - 1, event.across, event.s, force))
+                self._buffer.readings.append((event.t_sample, event.pad - 1, event.across, event.s, force))
 
-    def _begin_anew(self, t: float) -> None:
-        """Nothing before t (s) is of the body that there is from now on."""
-        self._heard.forget(t)
-        self._begun = self._start = math.nan
+    def _restart_record(self, t: float) -> None:
+        """Start a new record at t (s), dropping older events."""
+        self._buffer.forget(t)
+        self._record_start = self._start = math.nan
         self._clear()
 
     def _task(self) -> Task | None:
-        """What there is to explain; None while it is too little, or nothing new."""
-        if len(self._heard.joints) < 10 or len(self._heard.readings) < 100:
+        """The record so far; None if it is too short or has too few new readings."""
+        if len(self._buffer.joints) < 10 or len(self._buffer.readings) < 100:
             return None
-        told = np.array(sorted(self._heard.readings))
-        joints = np.array(sorted(self._heard.joints))
+        readings_rows = np.array(sorted(self._buffer.readings))
+        joints = np.array(sorted(self._buffer.joints))
         joints = joints[np.concatenate([[True], np.diff(joints[:, 0]) > 1e-6])]
-        each = [told[told[:, 1] == pad, 0] for pad in range(len(PALMS))]
+        each = [readings_rows[readings_rows[:, 1] == pad, 0] for pad in range(len(PALMS))]
         if any(len(t) < 10 for t in each):
             return None
         start = max(t[0] for t in (*each, joints[:, 0]))
@@ -192,132 +196,142 @@ class IncrementalBodySmoother:
         if any(len(ends) for ends in gaps):
             start = max(start, *(float(ends[-1]) for ends in gaps if len(ends)))
         if not self._start >= start:
-            self._begun = self._start = float(start)
+            self._record_start = self._start = float(start)
             self._clear()
         end = float(min(t[-1] for t in (*each, joints[:, 0])))
-        if not self._running:
+        if not self._hypotheses:
             mine = joints[(joints[:, 0] >= start) & (joints[:, 0] <= end)]
             moved = np.abs(mine[:, 1:4] - mine[:1, 1:4]).max(axis=1)
             if not (moved > MOVED_RAD).any():
                 return None
             self._start = max(self._start, float(mine[int(np.argmax(moved > STILL_RAD)), 0]) - REST_S)
-        if end - self._start < LEAST_S or end - self._reached < NEWS_S:
+        if end - self._start < LEAST_S or end - self._processed_until < UPDATE_EVERY_S:
             return None
         plan = joints[:, 4:].reshape(-1, 2, 3)
         path = joint_path(joints[:, 0], joints[:, 1:4], None if np.isnan(plan).any() else plan, self._rig.angle_noise)
-        readings = PadReadings(told[:, 0], told[:, 1].astype(np.int64), told[:, 2:4], told[:, 4])
-        since = self._reached - CONTACTS_S if self._running else -math.inf
+        readings = PadReadings(
+            readings_rows[:, 0], readings_rows[:, 1].astype(np.int64), readings_rows[:, 2:4], readings_rows[:, 4]
+        )
+        since = self._processed_until - CONTACT_OVERLAP_S if self._hypotheses else -math.inf
         contacts = ContactCurves.smoothed(readings.within(since, math.inf))
         return Task(path, readings, contacts, self._rig, self._start, end)
 
-    def _try(self, task: Task) -> bool:
-        """Begin from nothing in one manner, another one each time; whether there is a rival.
+    def _start_search(self, task: Task) -> bool:
+        """Search for hypotheses by one of three methods, in turn; returns whether there is one.
 
-        All at once, where the first way explains it; with what came since; short starts.
+        Methods: the whole start with the first assumption, accepted if that explains it; the whole start with all
+        assumptions; short starts with branches.
         """
         attempt, self._attempt = self._attempt, (self._attempt + 1) % 3
         if attempt < 2:
-            record, ways = task.record(WHOLE_S), islice(beliefs.hypotheses(), WHOLE_WAYS)
-            found = anew(task, record, islice(ways, 1) if attempt == 0 else ways)
-            if attempt == 0:  # what is strange now may not be so with more
-                found = found_again(task, found, ways) if found and found[0].strange <= CHANCE else []
-            self._running = [each for each in found if each.per_number < SURE][:MOST_RIVALS]
-            self._looked = len(record.middle_palms)
+            record, assumptions = task.record(WHOLE_S), islice(beliefs.start_assumptions(), WHOLE_START_ASSUMPTIONS)
+            found = fit_blind_starts(task, record, islice(assumptions, 1) if attempt == 0 else assumptions)
+            if attempt == 0:  # a cost that is too high now may not be with more readings
+                found = (
+                    confirm_by_restarts(task, found, assumptions) if found and found[0].excess_sd <= CHANCE_SD else []
+                )
+            self._hypotheses = [each for each in found if each.cost_per_number < TRUNCATION_COST][:MOST_HYPOTHESES]
+            self._restarts_tried_at = len(record.middle_palms)
         else:
-            short = [each for each in rivals(task, START_S) if each.per_number < HOPELESS]
-            self._running = begun_in_ways(task, short, forks=0)[:MOST_RIVALS]
-            self._looked = 0
-        if not self._running and self._attempt == 0:
-            self._begin_anew(task.end - LEAST_S)
-        return bool(self._running)
+            short = [each for each in start_candidates(task, SHORT_START_S) if each.cost_per_number < HOPELESS_COST]
+            self._hypotheses = branch_starts(task, short, branchings=0)[:MOST_HYPOTHESES]
+            self._restarts_tried_at = 0
+        if not self._hypotheses and self._attempt == 0:
+            self._restart_record(task.end - LEAST_S)
+        return bool(self._hypotheses)
 
-    def _found_again(self, task: Task, ended: list[Grown]) -> list[Grown]:
-        """The rivals with what other blind starts lead to, where it is time to look for some.
+    def _confirm(self, task: Task, ended: list[BodyHypothesis]) -> list[BodyHypothesis]:
+        """Try to confirm the best hypothesis by restarts when they are due; returns all hypotheses.
 
-        Of one kind in a lap, lest the answer waits for all: those of the whole record, then, if the motion is still
-        strange, those of its first second.
+        Only one kind of restart per update, so that the answer is not delayed: on the whole record, then, if the cost
+        is still too high, on its first second.
         """
         first = ended[0]
         short = first.intervals * SPACING_S < SHORT_UNTIL_S
-        searched = short or not self._believed  # later on it is what harmonics leave out that is strange
-        strange, owed = searched and first.strange > CHANCE, self._owed
-        self._owed = False
-        if owed and strange and not self._folded:
+        may_search = short or not self._accepted  # afterwards, truncated harmonics are the cause of a high cost
+        cost_too_high, short_starts_due = may_search and first.excess_sd > CHANCE_SD, self._short_starts_due
+        self._short_starts_due = False
+        if short_starts_due and cost_too_high and not self._marginalised:
             ended = self._short_starts(task, ended)
-            if ended[0].same_as(first):
+            if ended[0].is_duplicate_of(first):
                 return ended
-        elif first.intervals < AGAIN_LONGER * self._looked or (first.found_twice and (self._folded or not strange)):
+        elif first.intervals < RESTART_GROWTH * self._restarts_tried_at or (
+            first.is_confirmed and (self._marginalised or not cost_too_high)
+        ):
             return ended
         else:
-            self._owed = strange and short
-        self._looked = first.intervals
-        if self._folded:
-            alike = moves_so(task, first, islice(beliefs.hypotheses(), OTHER_WAYS))  # of another frame
-            return [replace(first, confirmed=first.intervals) if alike else first, *ended[1:]]
+            self._short_starts_due = cost_too_high and short
+        self._restarts_tried_at = first.intervals
+        if self._marginalised:  # restarts have another frame
+            same_motion = restart_has_motion(task, first, islice(beliefs.start_assumptions(), RESTART_ASSUMPTIONS))
+            return [replace(first, confirmed=first.intervals) if same_motion else first, *ended[1:]]
         together = [each for each in ended if each.intervals == first.intervals and not each.lost]
-        return found_again(task, together, islice(beliefs.hypotheses(), OTHER_WAYS), believed=self._believed)
+        return confirm_by_restarts(
+            task, together, islice(beliefs.start_assumptions(), RESTART_ASSUMPTIONS), accepted=self._accepted
+        )
 
-    def _short_starts(self, task: Task, ended: list[Grown]) -> list[Grown]:
-        """The rivals with what starts in many ways lead to: contacts of all the record may lead nowhere right."""
+    def _short_starts(self, task: Task, ended: list[BodyHypothesis]) -> list[BodyHypothesis]:
+        """Add hypotheses from short starts with branches: starts on the whole record may all have failed."""
         first = ended[0]
-        whole = replace(task, contacts=ContactCurves.smoothed(task.readings))
-        begun = begun_in_ways(whole, rivals(whole, REST_S + SHORT_S), forks=0)
-        short = raced(whole, begun, first.cost + BEHIND, FORKED_A_LAP)
+        whole_task = replace(task, contacts=ContactCurves.smoothed(task.readings))
+        branches = branch_starts(whole_task, start_candidates(whole_task, REST_S + SHORT_S), branchings=0)
+        short = propagate_and_prune(whole_task, branches, first.cost + PRUNE_COST, BRANCHINGS_PER_UPDATE)
         together = [each for each in (*ended, *short) if each.intervals == first.intervals and not each.lost]
-        return apart(sorted(together, key=lambda each: each.cost))
+        return merge_duplicates(sorted(together, key=lambda each: each.cost))
 
-    def _give_up(self, first: Grown, task: Task) -> None:
-        """None of the rivals goes on: others, of the readings from the beginning or of those since it was lost."""
+    def _give_up(self, first: BodyHypothesis, task: Task) -> None:
+        """Drop all hypotheses; search again on the whole record, or on a new one from where the best was lost."""
         lost_at = float(first.record.t[-1])
-        self._running = []
-        self._not_met()
-        if lost_at - task.start > WORTH_S or self._attempt == 0:
-            self._begin_anew(max(lost_at, task.end - LEAST_S))
+        self._hypotheses = []
+        self._reset_confirmation()
+        if lost_at - task.start > LONG_EXPLAINED_S or self._attempt == 0:
+            self._restart_record(max(lost_at, task.end - LEAST_S))
 
-    def _answer(self, task: Task, ended: Sequence[Grown]) -> BodyAnswer:
+    def _make_answer(self, task: Task, ended: Sequence[BodyHypothesis]) -> BodyAnswer:
         first, rig = ended[0], self._rig
         try:
-            covariance: FloatArray = np.asarray(np.linalg.inv(first.ahead.information), np.float64)
+            covariance: FloatArray = np.asarray(np.linalg.inv(first.end_belief.information), np.float64)
         except np.linalg.LinAlgError:
-            return _unknown(task, self._begun, "the fit is not a minimum")
-        x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.ahead.mean]), covariance)
-        turned, spin, p = rotation.exp(x[:3]) @ first.ahead.R, first.ahead.spin + x[3:STATES], x[STATES:]
-        touched = self._before | near(first.felt)  # as it is known now: earlier answers may have erred
-        centre_sd = beliefs.missed_sd(task.noise.reading, first.unexplained(self._bent))
-        felt, felt_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
-        p, covariance = felt_outline(p, covariance, touched, ORDER)
-        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole.chi2, centre_sd)
-        h[touched], h_sd[touched] = felt[touched], felt_sd[touched]  # what was felt, as finely as it is known
-        covariance = beliefs.with_centre(covariance, STATES, centre_sd)
-        proven = float(first.record.t[-1]) - self._met_since > PROVEN_S
-        reason = doubt(task, ended, h_sd[touched], hollow, proven=proven)
-        if not reason and not first.found_twice:
-            reason = ALONE
-        if not reason and self._owed:
+            return _unknown_answer(task, self._record_start, "the fit is not a minimum")
+        x, hollow = first.made_convex(np.concatenate([np.zeros(STATES), first.end_belief.mean]), covariance)
+        turned, spin, p = rotation.exp(x[:3]) @ first.end_belief.R, first.end_belief.spin + x[3:STATES], x[STATES:]
+        # recomputed, as earlier answers may have been wrong
+        touched = self._touched_before | directions_near(first.touched_normals)
+        centre_sd = beliefs.unexplained_sd(task.noise.reading, first.excess_cost_per_number(self._hidden_cost))
+        fine_h, fine_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole_fit.chi2, centre_sd)
+        p, covariance = touched_outline(p, covariance, touched, ORDER)
+        h, h_sd = surface(p, covariance[STATES:, STATES:], touched, first.whole_fit.chi2, centre_sd)
+        h[touched], h_sd[touched] = fine_h[touched], fine_sd[touched]  # with all harmonics where touched
+        covariance = beliefs.widen_centre(covariance, STATES, centre_sd)
+        proven = float(first.record.t[-1]) - self._confirmed_since > PROVEN_S
+        reason = rejection_reason(task, ended, h_sd[touched], hollow, proven=proven)
+        if not reason and not first.is_confirmed:
+            reason = UNCONFIRMED
+        if not reason and self._short_starts_due:
             reason = "the readings are not explained to their noise, and other starts are still to be tried"
         if not reason:
-            self._believed = True
+            self._accepted = True
         mass, mass_sd = mass_of(rig, first)
         return BodyAnswer(
-            t=float(first.record.t[-1]), begun=self._begun, claimed=not reason, reason=reason,
-            hypotheses=len(self._running), R=turned, omega=spin, p=p,
+            t=float(first.record.t[-1]), record_start=self._record_start, accepted=not reason, reason=reason,
+            hypotheses=len(self._hypotheses), R=turned, omega=spin, p=p,
             covariance=0.5 * (covariance + covariance.T), h=h, h_sd=h_sd, touched=touched.astype(np.float64),
             inertia_sd=inertia_sd(p, covariance[STATES:, STATES:]).ravel(),
             mass=mass, mass_sd=math.hypot(mass_sd, PRESSURE_GAIN_STD * mass),
-            rough=beliefs.missed_sd(task.noise.reading, max(first.per_number - 1.0, 0.0)),
+            unexplained_sd=beliefs.unexplained_sd(task.noise.reading, max(first.cost_per_number - 1.0, 0.0)),
         )  # fmt: skip
 
 
-def _unknown(task: Task, begun: float, reason: str) -> BodyAnswer:
+def _unknown_answer(task: Task, record_start: float, reason: str) -> BodyAnswer:
     none, square = np.zeros(0), np.zeros((0, 0))
     return BodyAnswer(
-        task.end, begun, False, reason, 0, np.zeros((0, 3)), none, none, square, none, none, none, none, math.nan,
-        math.nan,
+        task.end, record_start, False, reason, 0, np.zeros((0, 3)), none, none, square, none, none, none, none,
+        math.nan, math.nan,
     )  # fmt: skip
 
 
 class SimulatedIncrementalSmoother:
-    """The smoother as it would run beside the loop: its answer comes a fixed time after it was begun."""
+    """Simulates a smoother that runs beside the loop: an answer comes a fixed time after its update was begun."""
 
     def __init__(self, rig: ThreePalmsRig) -> None:
         self._smoother = IncrementalBodySmoother(rig)
@@ -325,7 +339,7 @@ class SimulatedIncrementalSmoother:
         self._known = False
 
     def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Take the tick's events, and begin when it is free."""
+        """Add the tick's events, and begin an update if none is pending."""
         self._smoother.add(events)
         if self._ready is not None:
             return
@@ -336,7 +350,7 @@ class SimulatedIncrementalSmoother:
             self._known = known
 
     def collect(self, t: float) -> BodyAnswer | None:
-        """What was begun at least the latency ago."""
+        """The answer whose latency has passed at `t` (s), once."""
         if self._ready is None or t < self._ready[0]:
             return None
         answer, self._ready = self._ready[1], None

@@ -1,4 +1,4 @@
-"""The generated kernels applied to many instants at once, as arrays in NumPy's order."""
+"""The generated kernels applied to many instants at once, with arrays in NumPy's order."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from palmd.system.three_palms import PalmPlanes
 from palmd.system.vibration import VibrationLaw
 
 CHUNK = 8 * LANES
-"""Instants that are computed at once: what comes of them stays in the processor's cache."""
+"""Instants computed at once; their results stay in the processor's cache."""
 
 
 class BlockKernel:
-    """One block kernel: up to `CHUNK` instants a call, looped over as many as there are.
+    """A block kernel, called in a loop for `CHUNK` instants at a time.
 
-    each: sizes of the inputs that each instant has its own of; shared: of those that all have alike; shapes: of the
-    outputs, (rows, columns) or (rows,). Matrices go in as CasADi stores them, by columns.
+    each: sizes of the inputs that differ between instants; shared: sizes of those common to all; shapes: of the
+    outputs, (rows, columns) or (rows,). Input matrices are column-major, as in CasADi.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class BlockKernel:
         self._call = library.bind(name, [*self._inputs, *self._shared], self._outputs)
 
     def __call__(self, each: Sequence[FloatArray], shared: Sequence[FloatArray | float]) -> list[FloatArray]:
-        """Outputs (T, *shape) of inputs (T, size) and what they share."""
+        """Outputs (T, *shape) for inputs (T, size) and the shared inputs."""
         total = len(each[0])
         for common, given in zip(self._shared, shared, strict=True):
             common[:] = given
@@ -52,18 +52,18 @@ class BlockKernel:
 
 
 def by_columns(R: FloatArray) -> FloatArray:
-    """(T, 9) of matrices (T, 3, 3), as the kernels take them."""
+    """(T, 9) column-major copies of matrices (T, 3, 3), as kernels expect them."""
     return np.ascontiguousarray(np.swapaxes(R, 1, 2)).reshape(-1, 9)
 
 
 def palm_inputs(palms: PalmPlanes) -> FloatArray:
-    """(T, `PALM_INPUTS`) of the palms."""
+    """(T, `PALM_INPUTS`) kernel inputs of the palms."""
     kinds = (palms.normal, palms.normal_rate, palms.normal_acceleration, palms.spin)
     return np.concatenate([kind.reshape(-1, 9) for kind in kinds], axis=1)
 
 
 def reading_geometry(palms: PalmPlanes, pad: npt.NDArray[np.int64]) -> FloatArray:
-    """(T, 24) what a reading of `pad` (T,), 0 to 2, takes of the palms at its time."""
+    """(T, 24) kernel inputs of readings of `pad` (T,), 0 to 2: normals, reciprocal vectors and the pad's axes."""
     inverse = np.linalg.inv(palms.normal)  # rows of N are normals
     rows = np.arange(len(pad))
     turn = (pad[:, None] + np.arange(3)) % 3
@@ -75,7 +75,7 @@ def reading_geometry(palms: PalmPlanes, pad: npt.NDArray[np.int64]) -> FloatArra
 
 
 def backend(order: int) -> str:
-    """What runs them: "c" or "vm"."""
+    """What runs the kernels: "c" or "vm"."""
     return three_palms.library(order).backend
 
 

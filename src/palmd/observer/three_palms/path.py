@@ -1,4 +1,4 @@
-"""How the joints moved, from what was reported: angles with noise, and the plan's rates and accelerations if told."""
+"""The joints' motion from their reports: noisy angles, and the plan's rates and accelerations if they are reported."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.linalg import solveh_banded
 from palmd.events import FloatArray
 from palmd.system.three_palms import PalmPlanes, palms_at
 
-DRIFT = 1e-4
-"""By how much the joints may leave the plan they follow, as a random walk (rad/√s)."""
+PLAN_DRIFT = 1e-4
+"""Deviation of the joints from their plan, a random walk (rad/√s)."""
 
 Curve = Callable[[FloatArray], FloatArray]
 
@@ -34,9 +34,9 @@ class JointPath:
 
 
 def joint_path(t: FloatArray, angle: FloatArray, plan: FloatArray | None, noise: float) -> JointPath:
-    """From reports at times t (T,), increasing: angles (T, 3) with one-sigma `noise` (rad).
+    """Path from reports at increasing times t (T,): angles (T, 3) with 1σ `noise` (rad).
 
-    plan: (T, 2, 3) rates and accelerations of the motion plan; without it the angles alone are smoothed.
+    plan: (T, 2, 3) rates and accelerations of the motion plan; without it the angles are smoothed.
     """
     if plan is None:
         smooth = make_smoothing_spline(t, angle)
@@ -46,17 +46,17 @@ def joint_path(t: FloatArray, angle: FloatArray, plan: FloatArray | None, noise:
     steps = 0.5 * h * (rate[1:] + rate[:-1]) + h**2 / 12 * (acceleration[:-1] - acceleration[1:])
     planned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     course = BPoly.from_derivatives(t, np.stack([planned, rate, acceleration], axis=1))
-    off = CubicSpline(t, _walked(t, angle - planned, noise))
-    return JointPath(t[0], t[-1], *(_sum(course.derivative(k), off.derivative(k)) for k in range(3)))
+    deviation = CubicSpline(t, _smoothed_walk(t, angle - planned, noise))
+    return JointPath(t[0], t[-1], *(_sum(course.derivative(k), deviation.derivative(k)) for k in range(3)))
 
 
 def _sum(one: Curve, other: Curve) -> Curve:
     return lambda t: one(t) + other(t)
 
 
-def _walked(t: FloatArray, y: FloatArray, noise: float) -> FloatArray:
-    """The smoothed course of a random walk of `DRIFT` that was read as y (T, 3) with one-sigma `noise`."""
-    weight = 1.0 / (DRIFT**2 * np.diff(t))
+def _smoothed_walk(t: FloatArray, y: FloatArray, noise: float) -> FloatArray:
+    """Smooth readings y (T, 3) with 1σ `noise` of a random walk of `PLAN_DRIFT`."""
+    weight = 1.0 / (PLAN_DRIFT**2 * np.diff(t))
     band = np.full((2, len(t)), noise**-2)
     band[0, :-1] += weight
     band[0, 1:] += weight

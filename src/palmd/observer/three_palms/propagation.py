@@ -1,8 +1,10 @@
-"""A rival carried on along a record, window by window: what is behind is a belief about its last node and the body.
+"""Propagate hypotheses of a body's motion along a record, window by window; prune, merge and confirm them.
 
-A window is fitted under that belief alone, so that going on costs by the window and not by the record. What it costs
-per number read is how badly the body foretold it, what was never touched allowed for by the belief itself. Now and then
-all of it is smoothed as a whole, and the belief is made anew.
+Readings before a window are summarised by a Gaussian belief of the window's first node and the body, so that extending
+a hypothesis takes time in proportion to the window and not to the record. A window's cost per number read measures how
+well the hypothesis predicted it; surface that was never touched is uncertain in the belief and does not count against
+it. From time to time the whole record is refitted, and the belief recomputed from that fit. Costs are sums of squares
+of normalised residuals of readings, equations and prior.
 """
 
 from __future__ import annotations
@@ -16,191 +18,196 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model import rotation
-from palmd.model.convex_bodies import bending, convex, least_radii
+from palmd.model.convex_bodies import curvature_rows, least_radii, nearest_convex
 from palmd.model.spherical import Y00, order_of
 from palmd.model.three_palms import BODY
 from palmd.observer.three_palms import beliefs
 from palmd.observer.three_palms.arrow import STATES
-from palmd.observer.three_palms.beliefs import Bools, Hypothesis
-from palmd.observer.three_palms.body import FINER, ORDER, centres_of, inertia, touching
-from palmd.observer.three_palms.driven import BallBelief, ContactCurves, course
+from palmd.observer.three_palms.beliefs import Bools, StartAssumption
+from palmd.observer.three_palms.body import FINER_ORDERS, ORDER, centres_of, contact_normals, inertia
+from palmd.observer.three_palms.driven import BallBelief, ContactCurves, smooth_course
 from palmd.observer.three_palms.equations import BodyMotion
 from palmd.observer.three_palms.record import BodyRecord, lay_out
 from palmd.observer.three_palms.search import (
-    EXPLAINED,
-    HOPELESS,
+    EXPLAINED_COST,
+    HOPELESS_COST,
     SPACING_S,
     START_ORDER,
     ContactBall,
-    Rival,
+    StartCandidate,
     Task,
-    by_chance,
-    eased,
-    loosely,
-    loosened,
-    rivals,
-    roughened,
+    fit_blind_start,
+    fit_with_loose_equations,
+    graduated_fit,
+    graduated_refit,
+    start_candidates,
+    within_chance,
 )
 from palmd.observer.three_palms.smoother import BodyFit, BodyPrior, BodySmoother
-from palmd.observer.three_palms.touched_outline import foretelling
+from palmd.observer.three_palms.touched_outline import predictive_belief
 
 WHOLE_STARTS_S = (2.0, 5.0, 8.0, math.inf)
-"""Of a record, that are explained as a whole at once; from the first second alone, in many ways, where that fails.
+"""Lengths of the record's beginning that are fitted as a whole from blind starts, tried in turn.
 
-What is calm is told soonest from its beginning; a tumble leads who grows from there astray, but not who explains all.
+A calm motion is determined soonest by its beginning. A tumble makes hypotheses diverge that are propagated from before
+it, but not a fit of the whole record.
 """
-WAYS = 4
-"""Hypotheses that longer starts are tried with; the shortest is tried with all."""
-SPINNING_S = 0.7
-"""Of a record, that is explained as a whole by each way without friction: who spins fast has come far in 2 s."""
-STARTS_S = (1.3, 0.8)
-LAP_S = 1.5
-"""After how long a time rivals are compared."""
-FOUND_S = 9.0
-"""Of a record, beyond which no other start is asked for any more where two thirds of it were found twice."""
-BEHIND = 40.0  # in cost, of the cheapest, where a rival is given up
-STRANGE = 3.0
-"""One-sigmas by which the cost of a whole record is too high, from which on finer harmonics are asked for."""
-RUBS = 0.02  # coefficient of friction, above which a body moves with the palms
-FINE_TRIES = 8  # iterations with these, which explain half of what was left, or they are not what it takes
-SAME_COST, SAME_RAD_S = 3.0, 0.02
-TOO_FAR = 100.0  # in cost, of the cheapest, where a start is dropped after a few iterations
-HOPELESS_WHOLE = 1.7  # cost per number read after these, above which a start of a whole record leads nowhere
-DECISIVE, OTHER_RAD_S = 12.0, 0.05
-"""By how much less an explanation must cost than another motion's to be believed: odds of 400 to 1."""
-SURE = 1.35  # cost per number read at the end that truncation may cost
+LONG_START_ASSUMPTIONS = 4
+"""Start assumptions tried with the longer beginnings; the shortest one is tried with all."""
+FRICTIONLESS_START_S = 0.7
+"""Length fitted as a whole with each frictionless start assumption: a fast spin turns too far within 2 s."""
+SHORT_STARTS_S = (1.3, 0.8)
+"""Lengths of short starts, from which hypotheses are branched; the last resort but one."""
+PRUNE_EVERY_S = 1.5
+"""Time between two prunings of the hypotheses."""
+CONFIRMED_S = 9.0
+"""Longer records need no further confirmation once two thirds of this length have been confirmed."""
+PRUNE_COST = 40.0  # cost above the cheapest hypothesis at which one is pruned
+EXCESS_SD = 3.0
+"""Excess of a record's cost, in its standard deviations, from which finer harmonics are tried."""
+FRICTIONAL_MU = 0.02  # friction coefficient above which a body moves with the palms
+REFINE_ITERATIONS = 8
+"""First iterations with finer harmonics; only if they explain half of the excess cost, the fit is completed."""
+SAME_COST, SAME_RAD_S = 3.0, 0.02  # differences of cost and spin below which two hypotheses are duplicates
+START_PRUNE_COST = 100.0  # cost above the cheapest at which a start is dropped after a few iterations
+START_COST_LIMIT = 1.7  # cost per number read after these iterations above which a start is dropped
+DECISIVE_COST, DISTINCT_RAD_S = 12.0, 0.05
+"""Cost margin over a hypothesis with another motion (RMS difference of spin) for acceptance: odds of 400 to 1."""
+TRUNCATION_COST = 1.35  # cost per number read up to which truncated harmonics may be the cause
 MOST_COST = 1.12
-"""The same, of readings, equations and beliefs together, of a motion that explains a record to its noise."""
+"""Largest cost per number read of an accepted motion, with readings, equations and prior together."""
 MOST_LAMBDA = 0.5
-"""Of the inertia's λ: beyond it the inertia stands in for something else."""
-CURVATURE_EVERY = 5  # contacts
+"""Largest |λ| of the inertia: beyond it the inertia compensates for another model error."""
+CURVATURE_EVERY = 5  # every how many contacts the curvature is tested
 HOLLOW_CHI2 = 9.0
-"""Of the move to the nearest convex body, above which what is known of a body does not allow of one."""
+"""χ² of the move to the nearest convex body, above which the estimate is not compatible with a convex body."""
 WINDOWS_S = (0.5, 0.2, 0.1)
-"""How far it goes on at once; shorter where it is foretold badly."""
-TURN_A_WINDOW = 1.0  # rad
-FORETOLD = 1.35
-"""Cost per number read of a window, above which it is tried again, shorter and from all of it smoothed."""
-FORKED, FORKS_S = 1.15, 3.0
-"""The same of a window in the first seconds, where what is behind allows of more than one way on."""
-FORK_S = 0.4
-FORKED_STARTS, FORKS_A_LAP = 2, 1
-TRIES = (4, 12)
-"""Iterations of the whole that a way is tried with, while it is cheap enough."""
-FORKS = (0.0, -1.5, 1.5, -3.0, 3.0)
-"""Ways that are tried, in standard deviations of the spin along its least known axis."""
-STARTLED, TUMBLES_RAD_S = 3.0, 6.0
-"""Cost per number read of a window, above which what has spun so fast lately has to be found again."""
-LATELY_S, LOST = 1.0, 6.0
-"""A rival is lost where so long a time cost that much per number read."""
-AGAIN, AGAIN_EARLY, AGAIN_WHEN_SURPRISED = 1.6, 1.2, 1.15
-"""By which factor a record has grown when all of it is smoothed again; early the valley that is left open is bent."""
+"""Window lengths; the shorter ones are used where the prediction is poor."""
+WINDOW_TURN_RAD = 1.0  # rad; the body's largest turn within a window
+WINDOW_COST_GATE = 1.35
+"""Cost per number read of a window, above which it is tried again: after a refit of the whole record, and shorter."""
+BRANCH_COST_GATE, BRANCH_UNTIL_S = 1.15, 3.0
+"""The same limit during the first seconds, in which the belief is multimodal and hypotheses are branched."""
+BRANCH_WINDOW_S = 0.4  # length of a branched window
+BRANCHED_STARTS, BRANCHINGS_PER_ROUND = 2, 1
+"""Number of starts that are branched; number of windows of a hypothesis that may be branched per round."""
+BRANCH_ITERATIONS = (4, 12)
+"""Iterations of the whole-record fits by which branches are compared, in turn, while they are cheap enough."""
+BRANCH_OFFSETS = (0.0, -1.5, 1.5, -3.0, 3.0)
+"""Offsets of the branches, in standard deviations of the spin along its least known axis."""
+INNOVATION_GATE, TUMBLE_RAD_S = 3.0, 6.0
+"""Cost per number read of a window, above which a body that spun faster than that must be confirmed again."""
+RECENT_S, LOST_COST = 1.0, 6.0
+"""A hypothesis is lost if windows of at least this length cost more than that per number read in the mean."""
+REFIT_GROWTH, REFIT_GROWTH_EARLY, REFIT_GROWTH_ON_MISFIT = 1.6, 1.2, 1.15
+"""Growth of the record since the last refit at which the whole record is refitted: usually; in the first seconds, while
+the posterior is far from Gaussian; and when a window is predicted poorly."""
 
 
 @dataclass(frozen=True, slots=True)
-class Grown:
-    """A rival as far as it has come: its motion at all nodes of `record`, what is believed of the last, what it cost.
+class BodyHypothesis:
+    """A hypothesis of motion and body, propagated to the end of `record`.
 
-    whole: the last fit of all until then. windows: of each since the start, its intervals and its cost per number read.
-    met: how many starts led to it. confirmed: how many intervals it had when another blind start last came to the same.
-    folded: how many numbers were read before the record, and what they cost. refined: how many intervals it had when
-    finer harmonics were tried, doubted: when it was last begun from itself. astray: nothing explains all of it.
+    motion: at all nodes of `record`. end_belief: of the last node and the body. whole_fit: the last fit of the whole
+    record. windows: (intervals, cost per number read) of each window since the start. merged: number of starts
+    that led to it. confirmed: length in intervals when an independent restart last found it. marginalised: (numbers
+    read, their cost) before the record. refined: length in intervals when finer harmonics were tried; restarted: when
+    it was last restarted from itself. diverged: no fit explains the whole record.
     """
 
     prior: BodyPrior
     record: BodyRecord
     motion: BodyMotion
-    ahead: BodyPrior
+    end_belief: BodyPrior
     cost: float
-    whole: BodyFit
+    whole_fit: BodyFit
     windows: tuple[tuple[int, float], ...] = ()
-    met: int = 1
+    merged: int = 1
     confirmed: int = 0
-    folded: tuple[int, float] = (0, 0.0)
+    marginalised: tuple[int, float] = (0, 0.0)
     refined: int = 0
-    doubted: int = 0
-    astray: bool = False
+    restarted: int = 0
+    diverged: bool = False
 
     @property
     def intervals(self) -> int:
-        """How far it has come."""
+        """Length of the record."""
         return len(self.record.middle_palms)
 
     @property
-    def per_number(self) -> float:
-        """Cost per number read."""
+    def cost_per_number(self) -> float:
+        """Cost per number read; near 1 if the hypothesis is right."""
         return self.cost / self.record.numbers
 
-    def unexplained(self, bent: float = 0.0) -> float:
-        """What it cost more than 1 and its one-sigma for each number that was ever read; 0 where all is explained.
+    def excess_cost_per_number(self, hidden_cost: float = 0.0) -> float:
+        """Cost per number ever read in excess of 1 plus its standard deviation; 0 if everything is explained.
 
-        bent: what it cost besides before it was given finer harmonics, which bend to what is wrong.
+        hidden_cost: cost that finer harmonics have absorbed; they adapt to model errors.
         """
-        numbers, cost = self.folded[0] + self.record.numbers, self.folded[1] + self.cost + bent
+        numbers, cost = self.marginalised[0] + self.record.numbers, self.marginalised[1] + self.cost + hidden_cost
         return max(cost / numbers - 1.0 - math.sqrt(2.0 / numbers), 0.0)
 
     @property
-    def strange(self) -> float:
-        """By how many of its one-sigmas the cost is more than it should be."""
-        return self.beyond(1.0)
+    def excess_sd(self) -> float:
+        """Excess of the cost over its expectation, in its standard deviations."""
+        return self.sd_above(1.0)
 
-    def beyond(self, per_number: float) -> float:
-        """By how many of its one-sigmas the cost is above so much per number read."""
-        return (self.per_number - per_number) * math.sqrt(self.record.numbers / 2)
-
-    @property
-    def since_whole(self) -> float:
-        """By which factor the record has grown since all of it was fitted."""
-        return self.intervals / (len(self.whole.motion.R) - 1)
+    def sd_above(self, cost_per_number: float) -> float:
+        """Excess of the cost over `cost_per_number` each, in its standard deviations."""
+        return (self.cost_per_number - cost_per_number) * math.sqrt(self.record.numbers / 2)
 
     @property
-    def found_twice(self) -> bool:
-        """Whether another start has come to the same, of no less than two thirds of it or of `FOUND_S`."""
-        return 3 * self.confirmed >= 2 * min(self.intervals, round(FOUND_S / SPACING_S))
+    def growth_since_refit(self) -> float:
+        """Growth factor of the record since it was last fitted as a whole."""
+        return self.intervals / (len(self.whole_fit.motion.R) - 1)
 
     @property
-    def alone(self) -> bool:
-        """Whether nothing else has come to it though it asks for that: finer harmonics bend to much, short records too.
+    def is_confirmed(self) -> bool:
+        """Whether an independent restart found it on at least two thirds of the record, or of `CONFIRMED_S`."""
+        return 3 * self.confirmed >= 2 * min(self.intervals, round(CONFIRMED_S / SPACING_S))
 
-        What has foretold `FOUND_S` and costs no more than its noise does not.
+    @property
+    def needs_confirmation(self) -> bool:
+        """Whether it needs confirmation by an independent restart and has none.
+
+        It does if the record is shorter than `CONFIRMED_S`, the cost is too high, or the outline has the finest
+        harmonics, which adapt to model errors.
         """
-        bent = self.strange >= STRANGE or self.order > FINER[0]
-        asks = bent or self.intervals < round(FOUND_S / SPACING_S)
-        return asks and not self.found_twice
+        suspicious = self.excess_sd >= EXCESS_SD or self.order > FINER_ORDERS[0]
+        needed = suspicious or self.intervals < round(CONFIRMED_S / SPACING_S)
+        return needed and not self.is_confirmed
 
     @property
-    def innovation_test(self) -> float:
-        """What the last window cost per number read."""
+    def last_window_cost(self) -> float:
+        """Cost per number read of the last window: how well it was predicted."""
         return self.windows[-1][1] if self.windows else 0.0
 
-    def startled(self, lately: int) -> bool:
-        """Whether a window of so many last intervals was foretold badly, after a tumble: more than one way led on.
+    def failed_innovation_test(self, recent: int) -> bool:
+        """Whether a window among the last `recent` intervals failed the innovation test after a tumble.
 
-        What turns slowly and is foretold badly is sharper than its harmonics; contacts tell where that goes.
+        After a tumble several continuations may explain the readings. A slowly turning body that is predicted poorly
+        is only sharper than its harmonics; contacts determine how it goes on.
         """
         spin, until = np.linalg.norm(self.motion.omega, axis=1), self.intervals
-        for intervals, innovation_test in reversed(self._last_windows(lately)):
-            since = max(until - intervals - round(LATELY_S / SPACING_S), 0)
-            if innovation_test > STARTLED and spin[since : until + 1].max() > TUMBLES_RAD_S:
+        for intervals, cost in reversed(self._last_windows(recent)):
+            since = max(until - intervals - round(RECENT_S / SPACING_S), 0)
+            if cost > INNOVATION_GATE and spin[since : until + 1].max() > TUMBLE_RAD_S:
                 return True
             until -= intervals
         return False
 
     @property
     def lost(self) -> bool:
-        """Whether what it foretells has nothing to do with what is read any more."""
-        if self.astray:
+        """Whether its predictions no longer agree with the readings."""
+        if self.diverged:
             return True
-        lately = LATELY_S / SPACING_S
-        windows = self._last_windows(lately)
+        recent = RECENT_S / SPACING_S
+        windows = self._last_windows(recent)
         length = sum(intervals for intervals, _ in windows)
-        return (
-            length >= lately
-            and sum(intervals * innovation_test for intervals, innovation_test in windows) > LOST * length
-        )
+        return length >= recent and sum(intervals * cost for intervals, cost in windows) > LOST_COST * length
 
     def _last_windows(self, intervals: float) -> tuple[tuple[int, float], ...]:
-        """The fewest that reach back so far; all, if they do not."""
+        """The fewest last windows that together last `intervals`; all, if they are shorter."""
         length, first = 0, len(self.windows)
         while length < intervals and first > 0:
             first -= 1
@@ -209,448 +216,510 @@ class Grown:
 
     @property
     def plausible(self) -> bool:
-        """Whether a body may be so: its inertia, and its surface where a palm has touched."""
+        """Whether inertia and touched surface are those of a possible body."""
         return self.largest_lambda <= MOST_LAMBDA and self.may_be_convex
 
     @property
     def largest_lambda(self) -> float:
-        """Of the numbers that tell its inertia, which are 0 for a dense ball."""
+        """Largest |λ| of the inertia's parameters, which are 0 for a dense ball."""
         return float(np.abs(self.motion.p[-BODY:-3]).max())
 
     @property
     def order(self) -> int:
-        """The degree of its outline."""
+        """Degree of the outline's harmonics."""
         return order_of(len(self.motion.p) - BODY)
 
     @property
-    def felt(self) -> FloatArray:
-        """(3 K + 3, 3) outward normals, in the body's frame, where a palm touched it at a node."""
-        return touching(self.motion.R, self.record.node_palms).reshape(-1, 3)
+    def touched_normals(self) -> FloatArray:
+        """(3 K + 3, 3) outward normals, in the body's frame, at the contacts of all nodes."""
+        return contact_normals(self.motion.R, self.record.node_palms).reshape(-1, 3)
 
     @property
     def may_be_convex(self) -> bool:
-        """Whether what is known of it allows of a convex body, wherever a palm has touched it."""
+        """Whether the estimate is compatible with a body that is convex wherever a palm touched it."""
         if self._least_radius(self.motion.p[:-BODY]) > 0.0:
             return True
         try:
-            covariance = np.linalg.inv(self.ahead.information)[STATES:, STATES:]
+            covariance = np.linalg.inv(self.end_belief.information)[STATES:, STATES:]
         except np.linalg.LinAlgError:
             return False
         return bool(self.made_convex(self.motion.p, np.asarray(covariance, np.float64))[1] <= HOLLOW_CHI2)
 
     def made_convex(self, x: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
-        """What is believed of it, x (m,) and its covariance (m, m), convex wherever a palm has touched; χ² of the move.
+        """Move x (m,) to the nearest body that is convex where touched; returns it and the χ² of the move.
 
-        x: parameters, or states before them. It is moved as little as its covariance allows, and not at all where it is
-        convex; χ² is infinite where that does not make it so.
+        x: parameters, possibly preceded by states; covariance (m, m). The move is the smallest in that metric, and none
+        if x is convex already; χ² is infinite if it cannot be made convex.
         """
         shape = slice(len(x) - len(self.motion.p), len(x) - BODY)
         if self._least_radius(x[shape]) > 0.0:
             return x, 0.0
-        moved = convex(x, covariance, shape, self._bending)
+        moved = nearest_convex(x, covariance, shape, self._curvature_rows)
         if self._least_radius(moved[shape]) <= 0.0:
             return moved, math.inf
         return moved, float((moved - x) @ np.linalg.solve(covariance, moved - x))
 
     @property
-    def _bending(self) -> FloatArray:
-        return bending(order_of(len(self.motion.p) - BODY), self.felt[::CURVATURE_EVERY])
+    def _curvature_rows(self) -> FloatArray:
+        return curvature_rows(order_of(len(self.motion.p) - BODY), self.touched_normals[::CURVATURE_EVERY])
 
     def _least_radius(self, c: FloatArray) -> float:
-        """Of curvature, of a body with these coefficients where a palm has touched this one (m)."""
-        return float(least_radii(c, self._bending)[0].min())
+        """Smallest radius of curvature (m) of the outline c at the contacts."""
+        return float(least_radii(c, self._curvature_rows)[0].min())
 
-    def same_as(self, other: Grown) -> bool:
-        """Whether both have come to the same motion of the same body."""
-        off = np.abs(self.motion.omega[-1] - other.motion.omega[-1]).max()
-        return bool(off < SAME_RAD_S and abs(self.cost - other.cost) < SAME_COST)
+    def is_duplicate_of(self, other: BodyHypothesis) -> bool:
+        """Whether both have converged to the same motion of the same body."""
+        difference = np.abs(self.motion.omega[-1] - other.motion.omega[-1]).max()
+        return bool(difference < SAME_RAD_S and abs(self.cost - other.cost) < SAME_COST)
 
-    def contradicts(self, other: Grown) -> bool:
-        """Whether it explains as much about as well by another motion."""
-        if self.intervals < other.intervals or self.cost > other.cost + DECISIVE:
+    def contradicts(self, other: BodyHypothesis) -> bool:
+        """Whether it explains as long a record about as well by another motion."""
+        if self.intervals < other.intervals or self.cost > other.cost + DECISIVE_COST:
             return False
-        return not self.moves_as(other)
+        return not self.has_motion_of(other)
 
-    def moves_as(self, other: Grown) -> bool:
-        """Whether both have about the same motion, of as long a record; their minima may lie beside each other."""
-        off = self.motion.omega - other.motion.omega
-        return bool(np.sqrt(np.mean(off**2)) < OTHER_RAD_S)
+    def has_motion_of(self, other: BodyHypothesis) -> bool:
+        """Whether both, of equally long records, have about the same motion; their minima may differ."""
+        difference = self.motion.omega - other.motion.omega
+        return bool(np.sqrt(np.mean(difference**2)) < DISTINCT_RAD_S)
 
 
-def best(task: Task) -> list[Grown]:
-    """Rivals followed to the end or to where they are lost: who got furthest first, then bodies, then the cheapest."""
-    ended: list[Grown] = []
-    for running, forks in _starts(task):
-        ended = sorted([*ended, *raced(task, running, forks=forks)], key=_rank)
+def ranked_hypotheses(task: Task) -> list[BodyHypothesis]:
+    """Search a whole record: hypotheses propagated to its end, or until lost, the longest first, then the cheapest.
+
+    Of equally long ones those come first that are plausible.
+    """
+    ended: list[BodyHypothesis] = []
+    for running, branchings in _start_sets(task):
+        ended = sorted([*ended, *propagate_and_prune(task, running, branchings=branchings)], key=_rank)
         if ended and ended[0].intervals == task.intervals(task.end - task.start):
-            first, *others = sorted(sharpened(task, ended), key=_rank)
-            ended = sorted([_again(task, first), *others], key=_rank)
+            first, *others = sorted(refine_near_best(task, ended), key=_rank)
+            ended = sorted([_restart_from_itself(task, first), *others], key=_rank)
             first = ended[0]
-            if first.per_number <= MOST_COST and first.plausible and not first.alone:
+            if first.cost_per_number <= MOST_COST and first.plausible and not first.needs_confirmation:
                 break
-    if ended and (ended[0].lost or ended[0].since_whole > 1.0):
-        ended[0] = smoothed(task, ended[0])
+    if ended and (ended[0].lost or ended[0].growth_since_refit > 1.0):
+        ended[0] = refit(task, ended[0])
     return ended
 
 
-def _rank(rival: Grown) -> tuple[int, bool, float]:
-    return -rival.intervals, not rival.plausible, rival.cost
+def _rank(hypothesis: BodyHypothesis) -> tuple[int, bool, float]:
+    return -hypothesis.intervals, not hypothesis.plausible, hypothesis.cost
 
 
-def sharpened(task: Task, ended: list[Grown]) -> list[Grown]:
-    """Those that explain all of the record about as cheaply as the first, with finer harmonics where that pays."""
-    if not ended or ended[0].strange < STRANGE or ended[0].per_number > HOPELESS:
+def refine_near_best(task: Task, ended: list[BodyHypothesis]) -> list[BodyHypothesis]:
+    """Refine those hypotheses that explain the whole record about as cheaply as the first, where that pays."""
+    if not ended or ended[0].excess_sd < EXCESS_SD or ended[0].cost_per_number > HOPELESS_COST:
         return ended
     first = ended[0]
 
-    def near(each: Grown) -> bool:
-        return each.intervals == first.intervals and each.cost < first.cost + BEHIND
+    def near(each: BodyHypothesis) -> bool:
+        return each.intervals == first.intervals and each.cost < first.cost + PRUNE_COST
 
-    return [finer(task, each, task.finer) if near(each) else each for each in ended]
+    return [refine_outline(task, each, task.finer_orders) if near(each) else each for each in ended]
 
 
-def finer(task: Task, now: Grown, orders: tuple[int, ...]) -> Grown:
-    """With an outline up to finer degrees, one after the other, as far as they pay; all of its record is fitted."""
-    if now.refined == now.intervals:
-        return now
-    now = replace(now, refined=now.intervals)
+def refine_outline(task: Task, hypothesis: BodyHypothesis, orders: tuple[int, ...]) -> BodyHypothesis:
+    """Refit the whole record with outlines of these degrees, one after the other, as long as each lowers the cost."""
+    if hypothesis.refined == hypothesis.intervals:
+        return hypothesis
+    hypothesis = replace(hypothesis, refined=hypothesis.intervals)
     for order in orders:
-        if order <= now.order or now.strange < STRANGE:
+        if order <= hypothesis.order or hypothesis.excess_sd < EXCESS_SD:
             continue
-        prior = beliefs.raised_belief(now.prior, order)
-        smoother = BodySmoother(now.record, prior, task.noise, task.rig)
-        fit = smoother.fit(replace(now.motion, p=beliefs.raised(now.motion.p, order)), FINE_TRIES)
-        if fit.cost > now.cost - BEHIND:
+        prior = beliefs.belief_with_order(hypothesis.prior, order)
+        smoother = BodySmoother(hypothesis.record, prior, task.noise, task.rig)
+        fit = smoother.fit(
+            replace(hypothesis.motion, p=beliefs.with_order(hypothesis.motion.p, order)), REFINE_ITERATIONS
+        )
+        if fit.cost > hypothesis.cost - PRUNE_COST:
             break
-        if now.cost - fit.cost > fit.cost - now.record.numbers:  # it explains most of what was left
+        if hypothesis.cost - fit.cost > fit.cost - hypothesis.record.numbers:  # it explains half of the excess cost
             fit = smoother.fit(fit.motion)
-        ahead = smoother.ahead(fit)
-        now = replace(now, prior=prior, motion=fit.motion, ahead=ahead, cost=fit.cost, whole=fit, windows=())
-    return now
+        end_belief = smoother.end_belief(fit)
+        hypothesis = replace(
+            hypothesis, prior=prior, motion=fit.motion, end_belief=end_belief, cost=fit.cost, whole_fit=fit, windows=()
+        )
+    return hypothesis
 
 
-def _again(task: Task, now: Grown) -> Grown:
-    """The rival; where it is alone, found again from itself, or what it leads to if that costs less.
+def _restart_from_itself(task: Task, hypothesis: BodyHypothesis) -> BodyHypothesis:
+    """Try to confirm a hypothesis by a restart from itself; returns the cheaper of both if they differ.
 
-    All of it is roughened, loosened and tightened again: a right motion comes back, a wrong one goes elsewhere.
+    The whole record is refitted by graduated optimisation: a right motion is found again, a wrong one is not.
     """
-    if not now.alone or now.per_number > SURE or now.doubted == now.intervals:
-        return now
-    again = _tightened(task, now, roughened(task, now.record, now.prior, now.motion).motion)
-    return _met(again, now) or min(again, replace(now, doubted=now.intervals), key=lambda each: each.cost)
+    if (
+        not hypothesis.needs_confirmation
+        or hypothesis.cost_per_number > TRUNCATION_COST
+        or hypothesis.restarted == hypothesis.intervals
+    ):
+        return hypothesis
+    restart = _fitted_from(
+        task, hypothesis, graduated_fit(task, hypothesis.record, hypothesis.prior, hypothesis.motion).motion
+    )
+    return _confirmed_by(restart, hypothesis) or min(
+        restart, replace(hypothesis, restarted=hypothesis.intervals), key=lambda each: each.cost
+    )
 
 
-def _starts(task: Task) -> Iterator[tuple[list[Grown], float]]:
-    """What rivals are followed from, one set after the other, each sought only when it is asked for.
+def _start_sets(task: Task) -> Iterator[tuple[list[BodyHypothesis], float]]:
+    """Sets of hypotheses to start from, one after the other; each is computed only when it is needed.
 
-    With each, in how many windows a lap they are forked: what leads on from seconds as a whole needs no more than one.
+    Each set comes with the number of windows per round that may be branched: one for starts of several seconds.
     """
     for seconds in WHOLE_STARTS_S:
-        ways = islice(beliefs.hypotheses(), WAYS if seconds > min(WHOLE_STARTS_S) else None)
-        yield _likely(anew(task, task.record(seconds), ways)), FORKS_A_LAP
-    for seconds in STARTS_S:
-        yield begun_in_ways(task, [each for each in rivals(task, seconds) if each.per_number < HOPELESS]), math.inf
-    spinning = task.record(SPINNING_S)
-    slippery = [way for way in beliefs.hypotheses() if way.mu == beliefs.FRICTIONLESS]
-    found = [each for way in slippery for each in anew(task, spinning, [way])]
-    yield _likely(apart(sorted(found, key=lambda each: each.cost))), math.inf
+        assumptions = islice(
+            beliefs.start_assumptions(), LONG_START_ASSUMPTIONS if seconds > min(WHOLE_STARTS_S) else None
+        )
+        yield _acceptable_starts(fit_blind_starts(task, task.record(seconds), assumptions)), BRANCHINGS_PER_ROUND
+    for seconds in SHORT_STARTS_S:
+        yield (
+            branch_starts(
+                task, [each for each in start_candidates(task, seconds) if each.cost_per_number < HOPELESS_COST]
+            ),
+            math.inf,
+        )
+    spinning = task.record(FRICTIONLESS_START_S)
+    frictionless = [assumption for assumption in beliefs.start_assumptions() if assumption.mu == beliefs.FRICTIONLESS]
+    found = [each for assumption in frictionless for each in fit_blind_starts(task, spinning, [assumption])]
+    yield _acceptable_starts(merge_duplicates(sorted(found, key=lambda each: each.cost))), math.inf
 
 
-def _likely(found: list[Grown]) -> list[Grown]:
-    """Of starts, the cheapest first, those that explain their record, about as cheaply."""
-    return [each for each in found if each.per_number < SURE and each.cost < found[0].cost + BEHIND]
+def _acceptable_starts(found: list[BodyHypothesis]) -> list[BodyHypothesis]:
+    """Those of `found`, the cheapest first, that explain their record about as cheaply as the first."""
+    return [each for each in found if each.cost_per_number < TRUNCATION_COST and each.cost < found[0].cost + PRUNE_COST]
 
 
-def begun_in_ways(task: Task, found: list[Rival], forks: float = math.inf) -> list[Grown]:
-    """What the starts go on as, a little further: the likeliest in several ways, as each may have minima beside it.
+def branch_starts(task: Task, found: list[StartCandidate], branchings: float = math.inf) -> list[BodyHypothesis]:
+    """Hypotheses from short starts, propagated a little further; the likeliest are branched against local minima.
 
-    None of these is forked again in more than so many windows.
+    branchings: number of windows of each that may be branched after that.
     """
     if not found:
         return []
-    started = sorted((begun(task, each) for each in found), key=lambda each: each.cost)
-    near = [each for each in started if each.cost < started[0].cost + BEHIND]
-    until = near[0].intervals + round(FORK_S / SPACING_S)
-    ways = [way for each in near[:FORKED_STARTS] for way in _ways(task, each, until)]
-    further = [advanced(task, each, until, forks=forks) for each in (*ways, *near[FORKED_STARTS:])]
-    return apart(sorted(further, key=lambda each: each.cost))
+    started = sorted((hypothesis_of(task, each) for each in found), key=lambda each: each.cost)
+    near = [each for each in started if each.cost < started[0].cost + PRUNE_COST]
+    until = near[0].intervals + round(BRANCH_WINDOW_S / SPACING_S)
+    branches = [branch for each in near[:BRANCHED_STARTS] for branch in _branches(task, each, until)]
+    propagated = [propagate(task, each, until, branchings=branchings) for each in (*branches, *near[BRANCHED_STARTS:])]
+    return merge_duplicates(sorted(propagated, key=lambda each: each.cost))
 
 
-def raced(task: Task, running: list[Grown], enough: float = math.inf, forks: float = math.inf) -> list[Grown]:
-    """All of them followed side by side: who falls behind in cost is given up, who meets another goes on as one.
+def propagate_and_prune(
+    task: Task, running: list[BodyHypothesis], cost_limit: float = math.inf, branchings: float = math.inf
+) -> list[BodyHypothesis]:
+    """Propagate hypotheses to the task's end, round by round; prune the costly ones and merge duplicates.
 
-    None is followed that has come to cost more than `enough`; nor forked in more than so many windows a lap.
+    cost_limit: hypotheses are not propagated beyond this cost. branchings: number of windows per round and hypothesis
+    that may be branched. Returns the lost and pruned ones, too.
     """
     end = task.intervals(task.end - task.start)
-    ended: list[Grown] = []
+    ended: list[BodyHypothesis] = []
     while running:
         reached = max(each.intervals for each in running)
         if reached == end:
             break
-        until = min(reached + round(LAP_S / SPACING_S), end) if len(running) > 1 else end
+        until = min(reached + round(PRUNE_EVERY_S / SPACING_S), end) if len(running) > 1 else end
         first, *others = running
-        first = advanced(task, first, until, enough, forks)
-        most = enough if first.lost else min(first.cost + BEHIND, enough)
-        running = [first, *(advanced(task, each, until, most, forks) for each in others)]
+        first = propagate(task, first, until, cost_limit, branchings)
+        limit = cost_limit if first.lost else min(first.cost + PRUNE_COST, cost_limit)
+        running = [first, *(propagate(task, each, until, limit, branchings) for each in others)]
         ended += [each for each in running if each.lost]
         running = [each for each in running if not each.lost]
-        most = min(min((each.cost for each in running if each.intervals == until), default=0.0) + BEHIND, enough)
-        ended += [each for each in running if each.cost > most]
-        running = apart(sorted((each for each in running if each.cost <= most), key=lambda each: each.cost))
-    return ended + apart([smoothed(task, each, 15) for each in running])
+        limit = min(
+            min((each.cost for each in running if each.intervals == until), default=0.0) + PRUNE_COST, cost_limit
+        )
+        ended += [each for each in running if each.cost > limit]
+        running = merge_duplicates(sorted((each for each in running if each.cost <= limit), key=lambda each: each.cost))
+    return ended + merge_duplicates([refit(task, each, 15) for each in running])
 
 
-def apart(rivals: list[Grown]) -> list[Grown]:
-    """Those that have met as one, in their order."""
-    kept: list[Grown] = []
-    for each in rivals:
-        twin = next((i for i, other in enumerate(kept) if each.same_as(other)), None)
+def merge_duplicates(hypotheses: list[BodyHypothesis]) -> list[BodyHypothesis]:
+    """Merge duplicates, keeping the order."""
+    kept: list[BodyHypothesis] = []
+    for each in hypotheses:
+        twin = next((i for i, other in enumerate(kept) if each.is_duplicate_of(other)), None)
         if twin is None:
             kept.append(each)
         else:
             kept[twin] = replace(
-                kept[twin], met=kept[twin].met + each.met, confirmed=max(kept[twin].confirmed, each.confirmed)
+                kept[twin], merged=kept[twin].merged + each.merged, confirmed=max(kept[twin].confirmed, each.confirmed)
             )
     return kept
 
 
-def begun(task: Task, rival: Rival) -> Grown:
-    """The rival with an outline up to degree `ORDER`."""
-    prior = beliefs.prior(rival.radius, ORDER, task.spin_sd)
-    motion = replace(rival.fit.motion, p=beliefs.raised(rival.fit.motion.p, ORDER))
-    return smoothed(task, Grown(prior, rival.record, motion, prior, rival.fit.cost, rival.fit, met=rival.met), 15)
+def hypothesis_of(task: Task, candidate: StartCandidate) -> BodyHypothesis:
+    """The candidate as a hypothesis, refitted with an outline up to degree `ORDER`."""
+    prior = beliefs.prior(candidate.radius, ORDER, task.spin_sd)
+    motion = replace(candidate.fit.motion, p=beliefs.with_order(candidate.fit.motion.p, ORDER))
+    return refit(
+        task,
+        BodyHypothesis(
+            prior, candidate.record, motion, prior, candidate.fit.cost, candidate.fit, merged=candidate.merged
+        ),
+        15,
+    )
 
 
-def smoothed(task: Task, now: Grown, iterations: int = 20) -> Grown:
-    """All of it fitted as a whole."""
-    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
-    # the body as the last window has it, or as all until then had it: what is nearer to a motion of all
-    newest = now.motion.p
-    before = beliefs.raised(now.whole.motion.p, order_of(len(newest) - BODY))
+def refit(task: Task, hypothesis: BodyHypothesis, iterations: int = 20) -> BodyHypothesis:
+    """Refit the whole record."""
+    smoother = BodySmoother(hypothesis.record, hypothesis.prior, task.noise, task.rig)
+    # start from the last window's body or from the last whole fit's, whichever costs less
+    newest = hypothesis.motion.p
+    before = beliefs.with_order(hypothesis.whole_fit.motion.p, order_of(len(newest) - BODY))
     bodies = [newest] if np.array_equal(newest, before) else [newest, before]
-    starts = [smoother.settled(replace(now.motion, p=body)) for body in bodies]
+    starts = [smoother.fit_nodes(replace(hypothesis.motion, p=body)) for body in bodies]
     fit = smoother.fit(min(starts, key=lambda each: each.cost).motion, iterations)
-    return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit)
+    return replace(hypothesis, motion=fit.motion, end_belief=smoother.end_belief(fit), cost=fit.cost, whole_fit=fit)
 
 
-def anew(task: Task, record: BodyRecord, ways: Iterable[Hypothesis], most: float = math.inf) -> list[Grown]:
-    """All of a record from its beginning explained blindly, the cheapest first, each way but once.
+def fit_blind_starts(
+    task: Task, record: BodyRecord, assumptions: Iterable[StartAssumption], cost_limit: float = math.inf
+) -> list[BodyHypothesis]:
+    """Fit a whole record from blind starts, one for each start assumption; returns the fits, the cheapest first.
 
-    Contacts of many seconds lead to where rivals that grow from a short start do not come: those keep to their valley.
-    Sought with an outline of degree `START_ORDER`: higher ones bend to what the motion does not explain yet.
-    Ends where two ways have met in the cheapest; none is gone on with that costs far more than `most`.
+    A fit of many seconds reaches minima that hypotheses propagated from a short start do not. The search uses an
+    outline of degree `START_ORDER`: higher degrees adapt to errors of the motion. It ends when two starts have
+    converged to the cheapest fit. Starts that cost far more than `cost_limit` are dropped.
     """
     contacts = ContactCurves.smoothed(record.readings)
     ball = ContactBall.of(task.path, contacts, record)
-    coarse, prior = (beliefs.prior(ball.radius, order, task.spin_sd) for order in (START_ORDER, ORDER))
+    coarse_prior, prior = (beliefs.prior(ball.radius, order, task.spin_sd) for order in (START_ORDER, ORDER))
     smoother = BodySmoother(record, prior, task.noise, task.rig)
-    found: list[Grown] = []
-    for way in ways:
-        if way.mu == beliefs.FRICTIONLESS and found and found[0].per_number < EXPLAINED:
+    found: list[BodyHypothesis] = []
+    for assumption in assumptions:
+        if assumption.mu == beliefs.FRICTIONLESS and found and found[0].cost_per_number < EXPLAINED_COST:
             break
-        loose = loosely(task, record, coarse, contacts, ball, way)
-        sought = task.fitted(record, coarse, None, loose.motion, TRIES[1]).motion
-        fit = smoother.fit(replace(sought, p=beliefs.raised(sought.p, ORDER)), TRIES[0])
-        if fit.cost > min(most + TOO_FAR, HOPELESS_WHOLE * record.numbers):
+        coarse_fit = fit_blind_start(task, record, coarse_prior, contacts, ball, assumption)
+        coarse_motion = task.fit_with(record, coarse_prior, None, coarse_fit.motion, BRANCH_ITERATIONS[1]).motion
+        fit = smoother.fit(replace(coarse_motion, p=beliefs.with_order(coarse_motion.p, ORDER)), BRANCH_ITERATIONS[0])
+        if fit.cost > min(cost_limit + START_PRUNE_COST, START_COST_LIMIT * record.numbers):
             continue
-        fit = eased(task, record, prior, smoother.fit(fit.motion))
-        most = min(most, fit.cost)
-        now = Grown(prior, record, fit.motion, smoother.ahead(fit), fit.cost, fit)
-        found = apart(sorted([*found, now], key=lambda each: each.cost))
-        if found[0].met > 1:
+        fit = graduated_refit(task, record, prior, smoother.fit(fit.motion))
+        cost_limit = min(cost_limit, fit.cost)
+        hypothesis = BodyHypothesis(prior, record, fit.motion, smoother.end_belief(fit), fit.cost, fit)
+        found = merge_duplicates(sorted([*found, hypothesis], key=lambda each: each.cost))
+        if found[0].merged > 1:
             found[0] = replace(found[0], confirmed=found[0].intervals)
             break
     return found
 
 
-def found_again(task: Task, rivals: list[Grown], ways: Iterable[Hypothesis], *, believed: bool = False) -> list[Grown]:
-    """The rivals, the cheapest first, with what other starts of the same record lead to, until one meets the cheapest.
+def confirm_by_restarts(
+    task: Task, hypotheses: list[BodyHypothesis], assumptions: Iterable[StartAssumption], *, accepted: bool = False
+) -> list[BodyHypothesis]:
+    """Try to confirm the cheapest hypothesis by blind restarts; returns all hypotheses, the cheapest first.
 
-    That one is `confirmed`; so it is where all blind starts end far away, and one from itself, with much noise allowed
-    to the equations at first, comes back. All of `rivals` are of one record, from its beginning. Where the cheapest is
-    `believed`, it is enough that the other moves as it: what harmonics leave out makes minima beside each other.
+    It is confirmed as soon as a restart converges to it; also if all restarts end far away, but one from itself, with
+    much equation noise at first, converges to it again. All hypotheses are of one record, from its beginning. If the
+    cheapest has been `accepted` before, the same motion is enough: truncated harmonics cause neighbouring minima.
     """
 
-    for way in ways:
-        first = rivals[0]
-        for again in _begun_alike(task, first, [way], first.cost if first.order == ORDER else math.inf):
-            if (both := _met(again, first, believed=believed)) is not None:
-                return [both, *rivals[1:]]
-            rivals = sorted([again, *rivals], key=lambda each: each.cost)
-    first, *others = rivals
-    if all(each.cost > first.cost + BEHIND for each in others):
-        again = _tightened(task, first, loosened(task, first.record, first.prior, first.motion).motion)
-        both = _met(again, first, believed=believed)
-        found = [again, first] if both is None else [both]
+    for assumption in assumptions:
+        first = hypotheses[0]
+        for restart in _restarts(task, first, [assumption], first.cost if first.order == ORDER else math.inf):
+            if (confirmed := _confirmed_by(restart, first, accepted=accepted)) is not None:
+                return [confirmed, *hypotheses[1:]]
+            hypotheses = sorted([restart, *hypotheses], key=lambda each: each.cost)
+    first, *others = hypotheses
+    if all(each.cost > first.cost + PRUNE_COST for each in others):
+        restart = _fitted_from(
+            task, first, fit_with_loose_equations(task, first.record, first.prior, first.motion).motion
+        )
+        confirmed = _confirmed_by(restart, first, accepted=accepted)
+        found = [restart, first] if confirmed is None else [confirmed]
         return sorted([*found, *others], key=lambda each: each.cost)
-    return rivals
+    return hypotheses
 
 
-def moves_so(task: Task, now: Grown, ways: Iterable[Hypothesis]) -> bool:
-    """Whether a blind start of the same record moves as it, which may go on from a belief and be in its frame."""
-    return any(each.moves_as(now) for each in _begun_alike(task, now, ways))
+def restart_has_motion(task: Task, hypothesis: BodyHypothesis, assumptions: Iterable[StartAssumption]) -> bool:
+    """Whether a blind restart on the same record has its motion; rotations are not compared, as frames may differ."""
+    return any(each.has_motion_of(hypothesis) for each in _restarts(task, hypothesis, assumptions))
 
 
-def _begun_alike(task: Task, now: Grown, ways: Iterable[Hypothesis], most: float = math.inf) -> Iterator[Grown]:
-    """What blind starts of the same record lead to, with harmonics as fine as its own; see `anew`."""
-    orders = () if now.order == ORDER else (now.order,)
-    return (finer(task, each, orders) for each in anew(task, now.record, ways, most))
+def _restarts(
+    task: Task, hypothesis: BodyHypothesis, assumptions: Iterable[StartAssumption], cost_limit: float = math.inf
+) -> Iterator[BodyHypothesis]:
+    """Fits of the same record from blind starts, with harmonics as fine as its own; see `fit_blind_starts`."""
+    orders = () if hypothesis.order == ORDER else (hypothesis.order,)
+    return (
+        refine_outline(task, each, orders)
+        for each in fit_blind_starts(task, hypothesis.record, assumptions, cost_limit)
+    )
 
 
-def _met(again: Grown, first: Grown, *, believed: bool = False) -> Grown | None:
-    """Both as one, which is confirmed, if the second start has come to the same; see `found_again`."""
-    if again.same_as(first) or (believed and again.moves_as(first)):
-        return replace(again if again.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
+def _confirmed_by(restart: BodyHypothesis, first: BodyHypothesis, *, accepted: bool = False) -> BodyHypothesis | None:
+    """The cheaper of both, marked as confirmed, if the restart found the same; else None. See `confirm_by_restarts`."""
+    if restart.is_duplicate_of(first) or (accepted and restart.has_motion_of(first)):
+        return replace(restart if restart.cost < first.cost - SAME_COST else first, confirmed=first.intervals)
     return None
 
 
-def _tightened(task: Task, now: Grown, motion: BodyMotion) -> Grown:
-    """The same record explained by what `motion` leads to."""
-    smoother = BodySmoother(now.record, now.prior, task.noise, task.rig)
+def _fitted_from(task: Task, hypothesis: BodyHypothesis, motion: BodyMotion) -> BodyHypothesis:
+    """Fit the same record from `motion`."""
+    smoother = BodySmoother(hypothesis.record, hypothesis.prior, task.noise, task.rig)
     fit = smoother.fit(motion)
-    return replace(now, motion=fit.motion, ahead=smoother.ahead(fit), cost=fit.cost, whole=fit, confirmed=0)
+    return replace(
+        hypothesis, motion=fit.motion, end_belief=smoother.end_belief(fit), cost=fit.cost, whole_fit=fit, confirmed=0
+    )
 
 
-def folded(task: Task, now: Grown, intervals: int, touched: Bools) -> Grown:
-    """The rival without so many of its first intervals, which become the belief that its record begins with.
+def marginalised(task: Task, hypothesis: BodyHypothesis, intervals: int, touched: Bools) -> BodyHypothesis:
+    """Marginalise the first `intervals` of the record into the prior with which the shorter record begins.
 
-    touched: (D,) which directions of the body have been until then.
+    touched: (D,) directions of the body that have been touched until then.
     """
-    R, omega, p = now.motion.R, now.motion.omega, now.motion.p
-    head = task.whole.first(intervals)
-    smoother = BodySmoother(head, now.prior, task.noise, task.rig)
-    ahead = smoother.ahead(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
-    prior = foretelling(ahead, touched)
+    R, omega, p = hypothesis.motion.R, hypothesis.motion.omega, hypothesis.motion.p
+    head = task.full_record.first(intervals)
+    smoother = BodySmoother(head, hypothesis.prior, task.noise, task.rig)
+    end_belief = smoother.end_belief(smoother.evaluate(BodyMotion(R[: intervals + 1], omega[: intervals + 1], p)))
+    prior = predictive_belief(end_belief, touched)
     start = task.start + intervals * SPACING_S
-    tail = lay_out(task.path, task.readings, start, now.intervals - intervals, SPACING_S)
+    tail = lay_out(task.path, task.readings, start, hypothesis.intervals - intervals, SPACING_S)
     motion = BodyMotion(R[intervals:], omega[intervals:], p)
-    lately = now.windows[-round(LATELY_S / SPACING_S) :]  # no window is shorter than an interval
-    kept = smoothed(task, replace(now, prior=prior, record=tail, motion=motion, windows=lately))
-    numbers, cost = now.folded
-    return replace(kept, folded=(numbers + now.record.numbers - kept.record.numbers, cost + now.cost - kept.cost))
+    recent_windows = hypothesis.windows[-round(RECENT_S / SPACING_S) :]  # no window is shorter than an interval
+    shortened = refit(task, replace(hypothesis, prior=prior, record=tail, motion=motion, windows=recent_windows))
+    numbers, cost = hypothesis.marginalised
+    return replace(
+        shortened,
+        marginalised=(
+            numbers + hypothesis.record.numbers - shortened.record.numbers,
+            cost + hypothesis.cost - shortened.cost,
+        ),
+    )
 
 
-def advanced(task: Task, now: Grown, until: int, most: float = math.inf, forks: float = math.inf) -> Grown:
-    """The rival followed to so many intervals, or to where it is lost or costs more than `most`.
+def propagate(
+    task: Task, hypothesis: BodyHypothesis, until: int, cost_limit: float = math.inf, branchings: float = math.inf
+) -> BodyHypothesis:
+    """Propagate a hypothesis to `until` (intervals), or until it is lost or costs more than `cost_limit`.
 
-    Windows beyond so many `forks` are taken as they are foretold.
+    branchings: number of windows that may be branched; further ones are taken as they are predicted.
     """
-    while now.intervals < until and not now.lost and now.cost <= most:
-        early = now.intervals * SPACING_S < FORKS_S
-        if now.since_whole > (AGAIN_EARLY if early else AGAIN):
-            now = _sure(task, smoothed(task, now))
-        further = _window(task, now, WINDOWS_S[0], until)
-        surprising = FORKED if early else FORETOLD
-        if further.innovation_test > surprising and now.since_whole > AGAIN_WHEN_SURPRISED:
-            now = _sure(task, smoothed(task, now))
-            further = _window(task, now, WINDOWS_S[0], until)
-        if further.innovation_test > surprising:
-            if early and forks > 0:
-                further, forks = _forked(task, now, until), forks - 1
+    while hypothesis.intervals < until and not hypothesis.lost and hypothesis.cost <= cost_limit:
+        early = hypothesis.intervals * SPACING_S < BRANCH_UNTIL_S
+        if hypothesis.growth_since_refit > (REFIT_GROWTH_EARLY if early else REFIT_GROWTH):
+            hypothesis = _refine_or_mark_diverged(task, refit(task, hypothesis))
+        extended = _extended(task, hypothesis, WINDOWS_S[0], until)
+        cost_gate = BRANCH_COST_GATE if early else WINDOW_COST_GATE
+        if extended.last_window_cost > cost_gate and hypothesis.growth_since_refit > REFIT_GROWTH_ON_MISFIT:
+            hypothesis = _refine_or_mark_diverged(task, refit(task, hypothesis))
+            extended = _extended(task, hypothesis, WINDOWS_S[0], until)
+        if extended.last_window_cost > cost_gate:
+            if early and branchings > 0:
+                extended, branchings = _best_branch(task, hypothesis, until), branchings - 1
             elif not early:
                 for seconds in WINDOWS_S[1:]:
-                    further = _window(task, now, seconds, until)
-                    if further.innovation_test < FORETOLD:
+                    extended = _extended(task, hypothesis, seconds, until)
+                    if extended.last_window_cost < WINDOW_COST_GATE:
                         break
-        now = further
-    return now
+        hypothesis = extended
+    return hypothesis
 
 
-def _sure(task: Task, now: Grown) -> Grown:
-    """The rival, all of which is fitted, with finer harmonics where they pay; astray where nothing explains it.
+def _refine_or_mark_diverged(task: Task, hypothesis: BodyHypothesis) -> BodyHypothesis:
+    """Refine a hypothesis after a refit where that pays; mark it as diverged if its cost remains too high.
 
-    Finer ones are for what spins: where a palm rubs they bend, for a while, to what a wrong motion leaves unexplained.
+    Only frictionless bodies are refined here: with friction, finer harmonics adapt to errors of a wrong motion.
     """
-    if not task.finer or now.strange < STRANGE:
-        return now
-    now = finer(task, now, task.finer) if now.motion.p[-2] < RUBS else now
-    return replace(now, astray=now.beyond(MOST_COST) > STRANGE)
+    if not task.finer_orders or hypothesis.excess_sd < EXCESS_SD:
+        return hypothesis
+    hypothesis = (
+        refine_outline(task, hypothesis, task.finer_orders) if hypothesis.motion.p[-2] < FRICTIONAL_MU else hypothesis
+    )
+    return replace(hypothesis, diverged=hypothesis.sd_above(MOST_COST) > EXCESS_SD)
 
 
-def _forked(task: Task, now: Grown, until: int) -> Grown:
-    """One window further by the cheapest of several ways, each fitted as a whole from another spin at its beginning."""
-    return replace(min(_ways(task, now, until), key=lambda each: each.cost), confirmed=0)
+def _best_branch(task: Task, hypothesis: BodyHypothesis, until: int) -> BodyHypothesis:
+    """Extend by one window on the cheapest of several branches; each starts from another spin."""
+    return replace(min(_branches(task, hypothesis, until), key=lambda each: each.cost), confirmed=0)
 
 
-def _ways(task: Task, now: Grown, until: int) -> list[Grown]:
-    """Of ways that have met in their window one goes on, and of those that are tried as a whole only the cheap ones.
+def _branches(task: Task, hypothesis: BodyHypothesis, until: int) -> list[BodyHypothesis]:
+    """Branches with spins offset by `BRANCH_OFFSETS`, all extended equally far, duplicates and costly ones dropped.
 
-    All come as far, for what costs less may be shorter: who is believed to spin fast turns enough in a short window.
+    Costs are comparable over equal lengths only; with a fast spin one window is shorter.
     """
-    there = min(now.intervals + round(FORK_S / SPACING_S), until)
-    tried: list[Grown] = []
-    for share in FORKS:
-        way = _window(task, now, FORK_S, there, share)
-        most = min((each.cost for each in tried), default=math.inf) + TOO_FAR
-        while way.intervals < there and way.cost < most:
-            way = _window(task, smoothed(task, way, TRIES[0]), FORK_S, there)
-        if way.intervals == there:
-            tried.append(way)
-    for iterations in TRIES:
+    end = min(hypothesis.intervals + round(BRANCH_WINDOW_S / SPACING_S), until)
+    tried: list[BodyHypothesis] = []
+    for offset in BRANCH_OFFSETS:
+        branch = _extended(task, hypothesis, BRANCH_WINDOW_S, end, offset)
+        limit = min((each.cost for each in tried), default=math.inf) + START_PRUNE_COST
+        while branch.intervals < end and branch.cost < limit:
+            branch = _extended(task, refit(task, branch, BRANCH_ITERATIONS[0]), BRANCH_WINDOW_S, end)
+        if branch.intervals == end:
+            tried.append(branch)
+    for iterations in BRANCH_ITERATIONS:
         tried.sort(key=lambda each: each.cost)
-        tried = [smoothed(task, each, iterations) for each in apart(tried) if each.cost < tried[0].cost + BEHIND]
+        tried = [
+            refit(task, each, iterations) for each in merge_duplicates(tried) if each.cost < tried[0].cost + PRUNE_COST
+        ]
     return tried
 
 
-def _shifted(belief: BodyPrior, share: float) -> BodyPrior:
-    """The belief's mean moved so many standard deviations along the axis about which its spin is known least."""
-    if share == 0.0:
+def _shifted(belief: BodyPrior, offset: float) -> BodyPrior:
+    """The belief with its mean moved by `offset` standard deviations of the spin along its least known axis."""
+    if offset == 0.0:
         return belief
     covariance = np.linalg.inv(belief.information)
     variance, axes = np.linalg.eigh(covariance[3:STATES, 3:STATES])
-    step = covariance[:, 3:STATES] @ axes[:, -1] * (share / math.sqrt(variance[-1]))
+    step = covariance[:, 3:STATES] @ axes[:, -1] * (offset / math.sqrt(variance[-1]))
     R = rotation.exp(np.asarray(step[:3], np.float64)) @ belief.R
     return BodyPrior(R, belief.spin + step[3:STATES], belief.mean + step[STATES:], belief.information)
 
 
-def _window(task: Task, now: Grown, seconds: float, until: int, share: float = 0.0) -> Grown:
-    """One window further; its fit begins from the belief `_shifted` by `share`."""
-    have = now.intervals
-    more = min(max(round(seconds / SPACING_S), 1), until - have)
-    start = task.start + have * SPACING_S
-    begun_with = _shifted(now.ahead, share)
-    told = _guess(task, begun_with, now.record.node_palms[-1:], start, more)
-    more = len(told.R) - 1
+def _extended(
+    task: Task, hypothesis: BodyHypothesis, seconds: float, until: int, offset: float = 0.0
+) -> BodyHypothesis:
+    """Extend by one window; the fit starts from the belief `_shifted` by `offset`."""
+    before = hypothesis.intervals
+    more = min(max(round(seconds / SPACING_S), 1), until - before)
+    start = task.start + before * SPACING_S
+    start_belief = _shifted(hypothesis.end_belief, offset)
+    guess = _contact_guess(task, start_belief, hypothesis.record.node_palms[-1:], start, more)
+    more = len(guess.R) - 1
     record = lay_out(task.path, task.readings, start, more, SPACING_S)
-    smoother = BodySmoother(record, now.ahead, task.noise, task.rig)
-    if task.finer:  # live it costs up to a fifth of a lap
-        told = _nearer(smoother, record, told, _kept(begun_with, more))
-    fit = smoother.fit(told, 15)
-    if share == 0.0:  # else it is one of many ways that are tried
-        fit = eased(task, record, now.ahead, fit)
+    smoother = BodySmoother(record, hypothesis.end_belief, task.noise, task.rig)
+    if task.finer_orders:  # not live, where it takes up to a fifth of an update
+        guess = _better_guess(smoother, record, guess, _constant_spin_guess(start_belief, more))
+    fit = smoother.fit(guess, 15)
+    if offset == 0.0:  # else it is one of several branches
+        fit = graduated_refit(task, record, hypothesis.end_belief, fit)
     joined = BodyMotion(
-        np.concatenate([now.motion.R[:-1], fit.motion.R]),
-        np.concatenate([now.motion.omega[:-1], fit.motion.omega]),
+        np.concatenate([hypothesis.motion.R[:-1], fit.motion.R]),
+        np.concatenate([hypothesis.motion.omega[:-1], fit.motion.omega]),
         fit.motion.p,
     )
     numbers = max(record.numbers, 1)
     return replace(
-        now, record=task.whole.first(have + more), motion=joined, ahead=smoother.ahead(fit), cost=now.cost + fit.cost,
-        windows=(*now.windows, (more, fit.cost / numbers)),
+        hypothesis, record=task.full_record.first(before + more), motion=joined, end_belief=smoother.end_belief(fit),
+        cost=hypothesis.cost + fit.cost, windows=(*hypothesis.windows, (more, fit.cost / numbers)),
     )  # fmt: skip
 
 
-def _nearer(smoother: BodySmoother, record: BodyRecord, told: BodyMotion, kept: BodyMotion) -> BodyMotion:
-    """A window as the contacts tell it, or with the spin kept, where that lies nearer: nodes settled, of either.
+def _better_guess(
+    smoother: BodySmoother, record: BodyRecord, from_contacts: BodyMotion, constant_spin: BodyMotion
+) -> BodyMotion:
+    """The cheaper initial guess of a window after its nodes are fitted: `from_contacts` or with constant spin.
 
-    Contacts tell a tumble, but of what is calm and round a spin that is not.
+    Contacts determine a tumble, but of a calm, round body they suggest a spin that is not there.
     """
-    nearest = smoother.settled(told)
-    if not by_chance(nearest, record):
-        nearest = min(nearest, smoother.settled(kept), key=lambda each: each.cost)
+    nearest = smoother.fit_nodes(from_contacts)
+    if not within_chance(nearest, record):
+        nearest = min(nearest, smoother.fit_nodes(constant_spin), key=lambda each: each.cost)
     return nearest.motion
 
 
-def _kept(ahead: BodyPrior, more: int) -> BodyMotion:
-    """The motion carried on as if it kept its spin, over `more` intervals."""
-    omega = np.tile(ahead.spin, (more + 1, 1))
-    steps = SPACING_S * np.arange(more + 1)[:, None] * ahead.spin
-    return BodyMotion(rotation.exp(np.asarray(steps, np.float64)) @ ahead.R, omega, ahead.mean)
+def _constant_spin_guess(belief: BodyPrior, more: int) -> BodyMotion:
+    """Predict `more` intervals with constant spin."""
+    omega = np.tile(belief.spin, (more + 1, 1))
+    steps = SPACING_S * np.arange(more + 1)[:, None] * belief.spin
+    return BodyMotion(rotation.exp(np.asarray(steps, np.float64)) @ belief.R, omega, belief.mean)
 
 
-def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:
-    """The motion carried on as the contacts tell, over `more` intervals or until it has turned enough."""
-    R, omega, p = ahead.R, ahead.spin, ahead.mean
+def _contact_guess(task: Task, start_belief: BodyPrior, palms: FloatArray, start: float, more: int) -> BodyMotion:
+    """Predict up to `more` intervals from the contacts by a ball-like model, no further than `WINDOW_TURN_RAD`."""
+    R, omega, p = start_belief.R, start_belief.spin, start_belief.mean
     radius, gyration = Y00 * p[0], float(np.sqrt(np.trace(inertia(p)) / 3))
     belief = BallBelief(
         np.array([math.log(gyration), p[-3], math.log(max(p[-2], beliefs.FRICTIONLESS)), p[-1], radius]),
@@ -658,8 +727,8 @@ def _guess(task: Task, ahead: BodyPrior, palms: FloatArray, start: float, more: 
         np.concatenate([centres_of(R[None], palms, p)[0], omega]),
         np.array([1e-4] * 3 + [0.05] * 3),
     )
-    driven = course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig)
+    driven = smooth_course(task.path, task.contacts, start, more, SPACING_S, belief, task.rig)
     turned: FloatArray = np.cumsum(np.linalg.norm(driven.omega, axis=1)) * SPACING_S
-    within = max(int(np.searchsorted(turned, TURN_A_WINDOW)), round(WINDOWS_S[-1] / SPACING_S))
+    within = max(int(np.searchsorted(turned, WINDOW_TURN_RAD)), round(WINDOWS_S[-1] / SPACING_S))
     more = min(more, within)
     return BodyMotion(driven.rotations(R)[: more + 1], driven.omega[: more + 1], p)

@@ -1,4 +1,4 @@
-"""A run as the smoother takes it: the palms on a grid of nodes, and the readings between them."""
+"""A record laid out for the smoother: the palms on a grid of nodes, and the readings between nodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class PadReadings:
-    """Contact readings in the order of their times t (S,): pad 0 to 2 (S,), value (S, 2) (m), force (S,) N or NaN."""
+    """Contact readings ordered by time t (S,): pad 0 to 2 (S,), value (S, 2) (m), force (S,) (N or NaN)."""
 
     t: FloatArray
     pad: Integers
@@ -24,7 +24,7 @@ class PadReadings:
     force: FloatArray
 
     def within(self, start: float, end: float) -> PadReadings:
-        """Those of start ≤ t < end."""
+        """Readings with start ≤ t < end."""
         first, last = np.searchsorted(self.t, [start, end])
         return PadReadings(self.t[first:last], self.pad[first:last], self.value[first:last], self.force[first:last])
 
@@ -33,8 +33,8 @@ class PadReadings:
 class BodyRecord:
     """K + 1 nodes `spacing` apart from `start`, and S readings between them.
 
-    node_palms, middle_palms: (K + 1 and K, 36) the palms at the nodes and midway. interval, share, slot: (S,) of each
-    reading: which interval it is in, how far along, and which of the interval's readings it is. geometry: (S, 24).
+    node_palms (K + 1, 36), middle_palms (K, 36): the palms at the nodes and midway. Of each reading (S,): interval, its
+    interval; share, its position in it (0 to 1); slot, its number among the interval's readings. geometry: (S, 24).
     """
 
     start: float
@@ -49,21 +49,21 @@ class BodyRecord:
 
     @property
     def t(self) -> FloatArray:
-        """Of the nodes (s)."""
+        """Times of the nodes (s)."""
         return np.asarray(self.start + self.spacing * np.arange(len(self.node_palms)), dtype=np.float64)
 
     @property
     def numbers(self) -> int:
-        """How many were read, two by each reading."""
+        """How many numbers were read, two per reading."""
         return 2 * len(self.readings.t)
 
     @property
     def slots(self) -> int:
-        """The most readings that an interval has."""
+        """Largest number of readings in an interval."""
         return int(self.slot.max()) + 1 if len(self.slot) else 0
 
     def first(self, intervals: int) -> BodyRecord:
-        """The same of so many intervals from its beginning on."""
+        """The first `intervals` of the record."""
         until = int(np.searchsorted(self.interval, intervals))
         own, theirs = self.readings, slice(until)
         readings = PadReadings(own.t[theirs], own.pad[theirs], own.value[theirs], own.force[theirs])
@@ -73,7 +73,7 @@ class BodyRecord:
 
 
 def lay_out(path: JointPath, readings: PadReadings, start: float, intervals: int, spacing: float) -> BodyRecord:
-    """The record of `intervals` from `start` on (s)."""
+    """Lay out a record of `intervals` from `start` (s)."""
     nodes: FloatArray = np.asarray(start + spacing * np.arange(intervals + 1), dtype=np.float64)
     middle: FloatArray = np.asarray(nodes[:-1] + spacing / 2, dtype=np.float64)
     inside = readings.within(start, nodes[-1])

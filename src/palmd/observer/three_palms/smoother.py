@@ -1,8 +1,8 @@
-"""Motion and body together from a record: Gauss–Newton with damping on the equations' defects, readings and beliefs.
+"""Batch estimation of motion and body from a record: damped Gauss–Newton over defects, readings and prior.
 
-Unknown are the rotation and spin at each node, and the parameters of `model.three_palms`. By how much the equations of
-motion fail between nodes (`equations`) is noise of a stated strength, so that nothing is ever integrated and a poor
-guess stays bounded.
+Unknowns are the rotation and spin at each node, and the parameters of `model.three_palms`. The defects of the equations
+of motion between nodes (`equations`) are noise of given spectral density, so that nothing is integrated and a poor
+initial guess stays bounded.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from palmd.observer.three_palms.equations import BodyMotion, Noise
 from palmd.observer.three_palms.record import BodyRecord
 from palmd.system.three_palms import ThreePalmsRig
 
-LARGEST_TURN = 0.5  # of a node in one step (rad)
-SETTLED = 0.1  # decrease of the cost that a step promises, below which it is not taken any more
-DAMPING, LEAST_DAMPING = 1e-6, 1e-9  # as a share of the diagonal: what is hardly known has 1e-6 of it left by all else
-GIVE_UP = 1e6  # damping beyond which no step helps
-GAUGE = 1e12  # information that holds a rotation (1/rad²)
+LARGEST_TURN = 0.5  # rad; step limit of a node's rotation
+NEGLIGIBLE_DECREASE = 0.1  # predicted decrease of the cost below which the iteration has converged
+DAMPING, LEAST_DAMPING = 1e-6, 1e-9  # relative to the diagonal; weakly determined directions have 1e-6 of it left
+MAX_DAMPING = 1e6  # damping at which the iteration is abandoned
+GAUGE = 1e12  # 1/rad²; information that fixes a rotation
 
 
 @dataclass(frozen=True, slots=True)
 class BodyPrior:
-    """What is believed beforehand of the first node's rotation R and spin (rad/s) and of the parameters, all at once.
+    """Joint Gaussian prior of the first node's rotation R and spin (rad/s) and of the parameters.
 
     mean: (m,) of the parameters. information: (6 + m, 6 + m), of the turn from R, the spin and the parameters.
     """
@@ -41,18 +41,18 @@ class BodyPrior:
     information: FloatArray
 
     @classmethod
-    def apart(cls, mean: FloatArray, information: FloatArray, spin: FloatArray, spin_sd: float) -> BodyPrior:
-        """Parameters and spin apart from each other; the first node's rotation is the gauge, 1, and stays so."""
-        whole = np.zeros((STATES + len(mean),) * 2)
-        whole[:3, :3] = GAUGE * np.eye(3)
-        whole[3:6, 3:6] = np.eye(3) / spin_sd**2
-        whole[STATES:, STATES:] = information
-        return cls(np.eye(3), spin, mean, whole)
+    def independent(cls, mean: FloatArray, information: FloatArray, spin: FloatArray, spin_sd: float) -> BodyPrior:
+        """Prior with independent parameters and spin; the first node's rotation is the gauge, fixed at 1."""
+        joint = np.zeros((STATES + len(mean),) * 2)
+        joint[:3, :3] = GAUGE * np.eye(3)
+        joint[3:6, 3:6] = np.eye(3) / spin_sd**2
+        joint[STATES:, STATES:] = information
+        return cls(np.eye(3), spin, mean, joint)
 
 
 @dataclass(frozen=True, slots=True)
 class BodyFit:
-    """Where the iteration ended: its cost, the readings' own part of it per number read, and the normal equations.
+    """Result of the iteration: motion, cost, χ² of the readings per number read, and the normal equations.
 
     force: (K + 1, 3) the palms' normal forces per unit mass (m/s²) at the nodes.
     """
@@ -66,28 +66,28 @@ class BodyFit:
 
 
 class BodySmoother:
-    """The sum of squares of one record, and its minimum."""
+    """Least-squares estimator for one record."""
 
     def __init__(self, record: BodyRecord, prior: BodyPrior, noise: Noise, rig: ThreePalmsRig) -> None:
         self._prior, self._reading_sd = prior, noise.reading
         self._equations = CompiledEquations(record, noise, rig, order_of(len(prior.mean) - BODY))
 
     def evaluate(self, motion: BodyMotion, *, nodes_alone: bool = False) -> BodyFit:
-        """Cost and normal equations at `motion`; `nodes_alone`: as if the parameters were known, in less time."""
-        prior, told = self._prior, self._equations.at(motion, nodes_alone=nodes_alone)
-        off = np.concatenate(
+        """Cost and normal equations at `motion`; `nodes_alone`: with fixed parameters, which is faster."""
+        prior, sums = self._prior, self._equations.at(motion, nodes_alone=nodes_alone)
+        error = np.concatenate(
             [rotation.log(motion.R[0] @ prior.R.T), motion.omega[0] - prior.spin, motion.p - prior.mean]
         )
-        known = slice(0, STATES + len(told.arrow.gradient))
-        told.arrow.believe(prior.information[known, known], (prior.information @ off)[known])
-        cost = told.squares + float(off @ prior.information @ off)
-        chi2 = float((told.residual**2).mean()) / self._reading_sd**2
-        return BodyFit(motion, cost, chi2, told.force, told.arrow, 0)
+        known = slice(0, STATES + len(sums.arrow.gradient))
+        sums.arrow.add_prior(prior.information[known, known], (prior.information @ error)[known])
+        cost = sums.squares + float(error @ prior.information @ error)
+        chi2 = float((sums.residual**2).mean()) / self._reading_sd**2
+        return BodyFit(motion, cost, chi2, sums.force, sums.arrow, 0)
 
     def fit(self, guess: BodyMotion, iterations: int = 30, damping: float = DAMPING) -> BodyFit:
-        """The minimum that the iteration from `guess` leads to, or where it stands after so many evaluations.
+        """Iterate from `guess` to a minimum, or for at most `iterations` evaluations.
 
-        The damping follows how much of what a step promises it keeps (Nielsen 1999).
+        Damping follows the ratio of actual to predicted decrease (Nielsen 1999).
         """
         best, raised = self.evaluate(guess), 2.0
         for number in range(iterations):
@@ -95,47 +95,50 @@ class BodySmoother:
                 nodes, step = best.arrow.solve(damping)
             except np.linalg.LinAlgError:
                 damping = max(10 * damping, 1e-6)
-                if damping > GIVE_UP:
+                if damping > MAX_DAMPING:
                     break
                 continue
-            shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
-            promised = best.arrow.promise(shrink * nodes, shrink * step)
-            if promised < SETTLED and damping <= DAMPING:
+            scale = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
+            predicted = best.arrow.predicted_decrease(scale * nodes, scale * step)
+            if predicted < NEGLIGIBLE_DECREASE and damping <= DAMPING:
                 break
-            trial = self.evaluate(best.motion.moved(shrink * nodes, shrink * step))
-            kept = (best.cost - trial.cost) / promised
-            if kept > 0.0:
+            trial = self.evaluate(best.motion.moved(scale * nodes, scale * step))
+            ratio = (best.cost - trial.cost) / predicted
+            if ratio > 0.0:
                 best, raised = replace(trial, iterations=number + 1), 2.0
-                damping = max(damping * max(0.1, 1.0 - (2.0 * kept - 1.0) ** 3), LEAST_DAMPING)
+                damping = max(damping * max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3), LEAST_DAMPING)
             else:
                 damping, raised = damping * raised, 2.0 * raised
-                if damping > GIVE_UP:
+                if damping > MAX_DAMPING:
                     break
         return best
 
-    def settled(self, guess: BodyMotion, iterations: int = 5) -> BodyFit:
-        """The guess with its nodes moved to where its parameters want them."""
+    def fit_nodes(self, guess: BodyMotion, iterations: int = 5) -> BodyFit:
+        """Fit the nodes of `guess` with its parameters fixed."""
         best = self.evaluate(guess, nodes_alone=True)
         for _ in range(iterations):
             try:
                 nodes = best.arrow.nodes_step(DAMPING)
             except np.linalg.LinAlgError:
                 break
-            shrink = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
-            moved = best.motion.moved(shrink * nodes, np.zeros(len(guess.p)))
+            scale = min(1.0, LARGEST_TURN / float(np.abs(nodes[:, :3]).max()))
+            moved = best.motion.moved(scale * nodes, np.zeros(len(guess.p)))
             trial = self.evaluate(moved, nodes_alone=True)
-            gained = best.cost - trial.cost
-            if gained > 0.0:
+            decrease = best.cost - trial.cost
+            if decrease > 0.0:
                 best = trial
-            if gained < 1.0:
+            if decrease < 1.0:
                 break
         return best
 
-    def ahead(self, fit: BodyFit) -> BodyPrior:
-        """What `fit` says of the last node and the parameters: the belief that a record from there on begins with."""
-        information, gradient = fit.arrow.onto_last()
-        off: FloatArray = np.asarray(-np.linalg.solve(information, gradient), np.float64)
+    def end_belief(self, fit: BodyFit) -> BodyPrior:
+        """Marginal of `fit` over the last node and the parameters: the prior of a record that begins there."""
+        information, gradient = fit.arrow.marginal_of_last_node()
+        correction: FloatArray = np.asarray(-np.linalg.solve(information, gradient), np.float64)
         motion = fit.motion
         return BodyPrior(
-            rotation.exp(off[:3]) @ motion.R[-1], motion.omega[-1] + off[3:STATES], motion.p + off[STATES:], information
+            rotation.exp(correction[:3]) @ motion.R[-1],
+            motion.omega[-1] + correction[3:STATES],
+            motion.p + correction[STATES:],
+            information,
         )
