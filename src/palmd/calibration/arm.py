@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.calibration.linkage import arm_base, changed, found, held_by, lines
+from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds_within
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Writes nothing before everything is measured; CliError if the input is wrong or the poses do not suffice."""
     config = configured(arguments.config)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
-    held_by(config)
+    adept_arm(config)
     poses = _listen(config, arguments.seconds)
     try:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
@@ -110,7 +110,7 @@ def proposed_settings(fit: LinkageFit, config: Config) -> dict[str, dict[str, fl
             "palm1_length_mm": round(fit.palm1_length * 1e3, 3),
             "palm2_length_mm": round(fit.palm2_length * 1e3, 3),
         },
-        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), held_by(config).base_yaw_deg),
+        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), adept_arm(config).base_yaw_deg),
     }
 
 

@@ -29,7 +29,7 @@ from palmd.motion.check import motion_limits
 from palmd.quantities import CONTACT, EVENTS
 from palmd.system.mechanism import PALMS
 
-Result = TypeVar("Found")
+Result = TypeVar("Result")
 
 FIRST_TOUCH_S = 30.0
 """Longest wait until the cylinder lies on both palms."""

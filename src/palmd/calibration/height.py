@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.calibration.cylinder_session import LARGEST_RADIUS_MM, within
+from palmd.calibration.cylinder_session import MAX_RADIUS_MM, within
 from palmd.calibration.files import plain, provenance, writable, write
 from palmd.calibration.pivot_height import HeightError, PivotHeight, pivot_height
 from palmd.config.pivot import PivotConfig, pivot_rig
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the configuration that the run was recorded with, palmd.yaml")
     add("run", type=Path, metavar="RUN", help="a recorded run (.mcap) with the cylinder, or its event log")
-    add("--radius-mm", type=within(LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
+    add("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {FILE}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
 

@@ -1,9 +1,9 @@
 """The arm's linkage from the poses that the arm reports while a hand swings the palms. Pure.
 
 The palms are a closed chain: palm 1 is hinged at its far end to the fixed base B, the arm holds palm 2's far end E.
-In arm coordinates, with u(a) = (cos a, sin a), the arm reports E and its tool angle θ, which differs from that of palm 2
-by an angle τ, the tool's mounting error. The hinge between the palms is E − L2·u(θ + τ), and its distance from B is L1
-in all poses:
+In arm coordinates, with u(a) = (cos a, sin a), the arm reports E and its tool angle θ, which differs from palm 2's by
+an angle τ, the tool's mounting error. The hinge between the palms is E − L2·u(θ + τ), and its distance from B is L1 in
+all poses:
 
     |E − L2·u(θ + τ) − B| = L1                                                                              (1)
 

@@ -1,10 +1,10 @@
 """Both palms' curvature from a solid cylinder of known radius between them. Pure.
 
 On curved palms the cylinder touches both at places that follow from φ2, R and both curvatures
-(`calibration.cylinder:contacts_m`), and each pad reads counts = sign · counts_per_mm · (s − zero_mm). The nonlinearity of
-counts over φ2 determines the curvatures, and the zeros as well; counts_per_mm must be known already (`palmd calibrate
-pad`), because a larger scale has nearly the same effect as a less concave palm. Solved by Gauss–Newton in (κ1, κ2,
-zero 1, zero 2) together.
+(`calibration.cylinder:contacts_m`), and each pad reads counts = sign · counts_per_mm · (s − zero_mm). The nonlinearity
+of counts over φ2 determines the curvatures, and the zeros as well; counts_per_mm must be known already (`palmd
+calibrate pad`), because a larger scale has nearly the same effect as a less concave palm. Solved by Gauss–Newton in
+(κ1, κ2, zero 1, zero 2) together.
 """
 
 from __future__ import annotations
@@ -76,8 +76,9 @@ def pad_curvatures(
             raise CylinderError(f"the palms moved the cylinder by {travel * 1e3:.1f} mm only: was the plan stopped?")
         if not np.std(each[selected]) < _MAX_RESIDUAL_M:
             raise CylinderError(
-                f"pad {number}'s counts do not follow a cylinder on an arc (residual {np.std(each[selected]) * 1e3:.1f} mm):"
-                f" check pads.palm{number}.axis and its counts_per_mm, and that nothing else lies on the pad"
+                f"pad {number}'s counts do not follow a cylinder on an arc"
+                f" (residual {np.std(each[selected]) * 1e3:.1f} mm): check pads.palm{number}.axis and its counts_per_mm,"
+                " and that nothing else lies on the pad"
             )
     return _results(x, residuals, kept, opening, s, radius_m)
 

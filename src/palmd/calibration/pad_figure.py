@@ -80,11 +80,9 @@ def _noise(axes: Axes, touches: Sequence[Stroke], found: PadCharacteristic) -> N
     axes_found = (found.x, found.y)
     spread = 5.0 * max(np.hypot(each.noise_mm, each.step_mm / np.sqrt(12.0)) for each in axes_found)
     for axis, of_axis in zip(AXES, axes_found, strict=True):
-        fit_residuals = (
-            residuals(touches, axis, of_axis.step_counts).ravel() * scale * of_axis.step_mm / of_axis.step_counts
-        )
+        scaled = residuals(touches, axis, of_axis.step_counts).ravel() * scale * of_axis.step_mm / of_axis.step_counts
         axes.hist(
-            fit_residuals, np.linspace(-spread, spread, 81).tolist(), density=True, histtype="step", color=_COLOURS[axis],
+            scaled, np.linspace(-spread, spread, 81).tolist(), density=True, histtype="step", color=_COLOURS[axis],
             label=f"{axis}: noise {of_axis.noise_mm:.3f} ± {of_axis.noise_sd_mm:.3f} mm, step {of_axis.step_mm:.3f} mm",
         )  # fmt: skip
     axes.set(xlabel="residual of the local fit (mm)", ylabel="density (1/mm)", title="Noise and rounding")

@@ -1,8 +1,8 @@
 """Both pads' newtons per count from the weight of a solid cylinder between the palms. Pure.
 
-The palms rest in a sequence of poses; the mean pressure of each rest is one measurement. Friction at rest is unknown and
-does not average out: a cylinder that slid down is supported by friction, one that was pushed up is held down, by unequal
-amounts. But the difference of both forces does not depend on friction (`palmd.calibration.cylinder`), so that
+The palms rest in a sequence of poses; the mean pressure of each rest is one measurement. Friction at rest is unknown
+and does not average out: a cylinder that slid down is supported by friction, one that was pushed up is held down, by
+unequal amounts. But the difference of both forces does not depend on friction (`palmd.calibration.cylinder`), so that
 
     k1·c1 − k2·c2 = m·g·cos β/cos(φ2/2)
 
@@ -108,8 +108,8 @@ def pad_forces(
     rounds = round(len(rests) / poses)
     if rounds < MIN_ROUNDS or len(rests) < MIN_ROUNDS * poses - poses // 4:
         raise CylinderError(
-            f"the cylinder rested on both pads {len(rests)} times, at least {MIN_ROUNDS * poses} are needed: it must lie"
-            " on both palms all the time, and press less than the pads' full scale"
+            f"the cylinder rested on both pads {len(rests)} times, at least {MIN_ROUNDS * poses} are needed: it must"
+            " lie on both palms all the time, and press less than the pads' full scale"
         )
     wanted = _difference(rests, weight_n)
     if np.ptp(wanted) < _MIN_DIFFERENCE_SHARE * weight_n:

@@ -157,7 +157,7 @@ def _result(s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: in
 
 
 def _curve(position_mm: FloatArray, excess: FloatArray, length_mm: float) -> tuple[FloatArray, FloatArray]:
-    """The values at `PLACES` evenly spaced places of the pad that explain `excess` at `position_mm` (mm), and their fit.
+    """The curve's values at `PLACES` even places that explain `excess` at `position_mm` (mm), and the explained part.
 
     Where there are no readings the curve continues as straight as possible.
     """

@@ -84,8 +84,8 @@ def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> Piv
     height_range = float(np.ptp(np.quantile(readings.z, (0.02, 0.98))))
     if height_range < MIN_HEIGHT_RANGE_M:
         raise HeightError(
-            f"the pivot's height changed by only {height_range * 1e3:.2f} mm during contact: hold the cylinder 5 to 9 mm"
-            " off its axis under a rigid gripper, and let it turn"
+            f"the pivot's height changed by only {height_range * 1e3:.2f} mm during contact: hold the cylinder"
+            " 5 to 9 mm off its axis under a rigid gripper, and let it turn"
         )
     prior = np.array([np.inf] * 3 + [rig.pad.scale_sd, rig.angle_sd, rig.pad.sagitta_sd, rig.pad.lag_sd])
     x, kept = _initial_circle(readings, radius_m, len(prior))
@@ -95,8 +95,8 @@ def pivot_height(events: Iterable[Event], rig: PivotRig, radius_m: float) -> Piv
     residual_rms = math.sqrt(float(np.mean(_residuals(x, readings.select(kept), rig, radius_m) ** 2)))
     if not residual_rms < MAX_RESIDUAL_RATIO:
         raise HeightError(
-            f"the readings fit no cylinder (residual {residual_rms:.1f} times their noise): is it round, does it turn in"
-            " the pivot only, and is the pad's counts_per_mm right?"
+            f"the readings fit no cylinder (residual {residual_rms:.1f} times their noise): is it round, does it turn"
+            " in the pivot only, and is the pad's counts_per_mm right?"
         )
     sd = _sd(x, readings.select(kept), rig, radius_m, prior) * max(residual_rms, 1.0)
     if not sd[0] < MAX_SD_M:
@@ -130,7 +130,7 @@ def _read_events(events: Iterable[Event]) -> _Readings:
 
 
 def _initial_circle(readings: _Readings, radius_m: float, count: int) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Initial circle by linear least squares, e² + z² = 2 e e0 + 2 z z0 + b² − e0² − z0² (Kåsa 1976), and its inliers."""
+    """Initial circle by linear least squares, e² + z² = 2 e e0 + 2 z z0 + b² − e0² − z0² (Kåsa 1976); and inliers."""
     e, z = readings.s - readings.x, readings.z
     rows, squares = np.column_stack([2 * e, 2 * z, np.ones_like(e)]), e**2 + z**2
     kept = np.ones(len(e), dtype=np.bool_)

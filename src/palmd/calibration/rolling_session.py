@@ -125,7 +125,8 @@ class RollingSession:
     def _collect_rolls(self, where: Slope, before_count: int, progress: Progress) -> list[Acceleration]:
         """The new good rolls, until there are enough or the arm is no longer controlled."""
         _print(
-            f"{where}: place the roller at the upper end of palm {where.pad}, let go; {where.rolls - before_count} times"
+            f"{where}: place the roller at the upper end of palm {where.pad} and let go,"
+            f" {where.rolls - before_count} times"
         )
         pad = self._config.pads.of(where.pad)
         events: list[Event] = []

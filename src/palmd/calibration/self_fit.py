@@ -33,14 +33,14 @@ class RigFit:
 
     @property
     def independent_sds(self) -> FloatArray:
-        """1σ values that, assumed independent, are not smaller than the covariance allows, nor larger than the priors."""
+        """1σ values whose diagonal covariance bounds the joint covariance; limited to those of the priors."""
         correlation = self.covariance / np.outer(self.sds, self.sds)
         widening = math.sqrt(np.linalg.eigvalsh(correlation)[-1])
         return np.minimum(widening * self.sds, self.priors)
 
 
 def combined(runs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], priors: FloatArray) -> RigFit:
-    """Combine the runs: the sum of each posterior's (mean, covariance) information minus its prior's, plus `priors` once.
+    """Combine the runs: add each posterior's (mean, covariance) information beyond its prior's, and `priors` once.
 
     Priors have mean zero and nonzero 1σ; the third item of a run is the prior with which it was reconstructed.
     """

@@ -105,7 +105,7 @@ def _base(config: Config) -> tuple[float, float]:
 
 
 def _jogged(angles: Joints, home: Joints) -> Joints:
-    """Angles (rad) after the operator's jog: one step towards `home`, or away from it if there; always within limits."""
+    """Angles (rad) after the operator's jog: a step towards `home`, or away from it if there; always within limits."""
     remaining = [goal - angle for goal, angle in zip(home, angles, strict=True)]
     distance, step = max(map(abs, remaining)), math.radians(_JOG_DEG)
     if distance < step:

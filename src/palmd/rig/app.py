@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--uinput",
         action="store_true",
-        help="emulate input devices by the kernel's uinput; until palmd opens them a desktop also receives their events",
+        help="emulate input devices by the kernel's uinput; a desktop receives their events until palmd opens them",
     )
     parser.add_argument(
         "--ports", type=Path, metavar="FOLDER", help="folder of its ports, created if needed; default: a temporary one"

@@ -130,7 +130,7 @@ class CompiledStep:
         return _BODY.unpack_from(self._memory)
 
     def run(self, body: Sequence[float], drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
-        """Rows as `Row` in `plant.h`, one before each of `count` steps of `dt` (s), from the numbers of `Body` at t = 0.
+        """Rows as `Row` in `plant.h`, one before each of `count` steps of `dt` (s), from a `Body` in `plant.c` at t 0.
 
         They end where a contact violates its bounds.
         """

@@ -99,7 +99,7 @@ class CurvedPlant(Plant):
         worst = max(curvatures) * max_curvature_radius(body)
         if worst >= _TWO_CONTACTS_RATIO:
             raise ValueError(
-                f"the palms are too concave for the body: kappa v is {worst:.2f}, it must be below {_TWO_CONTACTS_RATIO}"
+                f"the palms are too concave for the body: kappa v is {worst:.2f}, must be below {_TWO_CONTACTS_RATIO}"
             )
         super().__init__(
             body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach

@@ -61,7 +61,7 @@ class EmulatedRig(ABC, Generic[Arm]):
 
     def receive(self, port: PortName, data: bytes, late_s: float = 0.0) -> None:
         """Take what the host wrote to a port just now, or up to late_s (s) later."""
-        corrupted = self.fault_injector.spoil(port, data, self._rng)
+        corrupted = self.fault_injector.corrupt(port, data, self._rng)
         if port == ARM:
             self._arm.receive(data, corrupted, self.t, late_s)
         else:
@@ -158,6 +158,6 @@ class EmulatedRig(ABC, Generic[Arm]):
         if data:
             wire = self._out[port]
             delay = self.fault_injector.strength("late", port) - wire.byte_s
-            corrupted = self.fault_injector.spoil(port, data, self._rng)
+            corrupted = self.fault_injector.corrupt(port, data, self._rng)
             self._tallies[port].take(data, corrupted, messages)
             wire.send(corrupted, t + delay)

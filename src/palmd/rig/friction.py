@@ -21,7 +21,7 @@ from palmd.rig.plant import AS_ASSUMED, PAD_LENGTH, FrictionLaw, FrictionSurface
 from palmd.rig.shaker import Shaking, drawn_shaking
 from palmd.rig.shapes import Body
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
-from palmd.rig.vibrating_plant import VibratingPlant, resolves
+from palmd.rig.vibrating_plant import VibratingPlant, can_resolve
 from palmd.system.arcs import FLAT
 from palmd.system.vibration import Vibration
 
@@ -91,7 +91,7 @@ def plant_on(
                 options=options, imperfections=imperfections, gravity=gravity, reach=reach,
             )  # fmt: skip
         return Plant(body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach)
-    if law == "resolved" and resolves(body):
+    if law == "resolved" and can_resolve(body):
         return VibratingPlant(
             body, hinge, surface, shaking, curvatures,
             options=options, imperfections=imperfections, gravity=gravity, reach=reach,

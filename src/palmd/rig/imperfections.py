@@ -48,7 +48,7 @@ class PadImperfection:
         return self.zero + self.scale * s + self.force * force + self.smooth_error.at(s)
 
     def tangent_plane(self, s: float, length: float) -> tuple[float, float]:
-        """Slope (rad) and height over the hinge (m) of the tangent to the surface at s (m), on a pad of this length (m)."""
+        """Slope (rad) and height over the hinge (m) of the surface's tangent at s (m), on a pad of this length (m)."""
         u = s / length
         return 4.0 * self.sagitta / length * (1.0 - 2.0 * u), self.standoff + 4.0 * self.sagitta * u * u
 

@@ -1,4 +1,4 @@
-"""The emulated serial lines: pacing at line rate (pure), and the pseudo-terminals or sockets that the host opens (I/O)."""
+"""Emulated serial lines: pacing at line rate (pure), and the pseudo-terminals or sockets that the host opens (I/O)."""
 
 from __future__ import annotations
 

@@ -74,9 +74,9 @@ def mjcf(
     return f"""
       <mujoco><compiler angle="radian"/><option timestep="{step_s}" {_SETTINGS}/>
         <worldbody>
-          <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}
-            <body pos="{-travel} 0 0">{_LIGHT}{palm1}
-              <body><joint name="turn2" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}{palm2}</body>
+          <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT_INERTIAL}
+            <body pos="{-travel} 0 0">{_LIGHT_INERTIAL}{palm1}
+              <body><joint name="turn2" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT_INERTIAL}{palm2}</body>
             </body>
           </body>
           <body name="object">
@@ -170,7 +170,7 @@ class MujocoPlant(Plant):
         self._palms = palms
         self._t_last_contact = [self._t] * len(PALMS)
         if self._turning:
-            self._turning.begin(self._t, q.psi, q.omega0)
+            self._turning.reset(self._t, q.psi, q.omega0)
         self._first_stage = self._second_stage = self.step_forces = self.body.mass * np.array(self._rates[3:])
         for palm, side, force, shaker in zip(PALMS, _TOUCHED_SIDES, self._first_stage, self._shakers, strict=True):
             if math.isfinite(shaker.mount.mass):  # the springs carry the body at rest

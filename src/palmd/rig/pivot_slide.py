@@ -19,7 +19,7 @@ class Slide:
     omega: float = 0.0
 
     def advance(self, before: Axis, now: Axis, step_s: float) -> float:
-        """Advance by a step (s) in which the arm moves along the pad from `before` to `now`; returns the pad's force (N).
+        """Advance by a step (s) in which the arm moves along the pad from `before` to `now`; returns the force (N).
 
         One step of the fourth-order Runge–Kutta method. NaN if the body tumbles.
         """

@@ -229,7 +229,8 @@ class Plant:
         hinge, surface, pads = self.hinge, self.surface, zip(self._pads, self.reach, strict=True)
         scene: Scene = {
             "rho2": self.body.rho**2, "mu": surface.mu, "dither": surface.dither, "damping": surface.damping,
-            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity, "shake": self._table_amplitude,
+            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity,
+            "shake": self._table_amplitude,
             "shaking_hz": _TABLE_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
             "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED, "lost_distance": _FALLEN_DISTANCE,
             "arc": hinge.mode == "arc", "bowed": self._bowed,

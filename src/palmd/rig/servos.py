@@ -65,7 +65,7 @@ class Backlash:
 
 
 class ServoShaft(ABC):
-    """One servo of any make. Shaft positions are in counts, which the configured sign relates to the palm's direction."""
+    """One servo of any make. Shaft positions are in counts; the configured sign relates them to palm directions."""
 
     refusals = 0
 
@@ -119,7 +119,7 @@ class ServoShaft(ABC):
     def set_blocked(self, blocked: bool, t: float) -> None:
         """Block the palm from t (s) on, or release it."""
         if blocked:
-            self._shaft.set_blocked(t)
+            self._shaft.block(t)
         else:
             self._shaft.release(t)
 

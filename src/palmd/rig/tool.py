@@ -128,7 +128,7 @@ class DrivenTool:
 
 
 def limits_around(poses: Sequence[Pose], *, v_max: float, a_max: float) -> ArmLimits:
-    """The controller's limits: the bounding box of these poses with a margin, and speed and acceleration (m/s, m/s²)."""
+    """The controller's limits: the bounding box of these poses with a margin, speed and acceleration (m/s, m/s²)."""
     xs, ys = [pose.x_m for pose in poses], [pose.y_m for pose in poses]
     return ArmLimits(
         min(xs) - _MARGIN_M,

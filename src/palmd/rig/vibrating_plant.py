@@ -131,7 +131,7 @@ class VibratingPlant(CurvedPlant):
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
         self._t_touched = [self._t] * _CONTACTS
-        self._turning.begin(self._t, q.psi, q.omega0)
+        self._turning.reset(self._t, q.psi, q.omega0)
         self._scene.place(self._memory, palms)
         self._copy_state()
 
@@ -214,10 +214,10 @@ class VibratingPlant(CurvedPlant):
         steps = [1.0 / (STEPS_PER_PERIOD * each.frequency) for each in shakers]
         steps += [math.tau / math.sqrt(palm["stiffness"]) / _STEPS_PER_RESONANCE for palm in palms if palm["yielding"]]
         numbers = {
-            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity, "shake": self._table_amplitude,
-            "shaking_hz": _TABLE_HZ, "travel": travel, "base": base, "drift_rate": _DRIFT_RATE,
-            "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED, "lost_distance": _FALLEN_DISTANCE,
-            "longest_step": min(steps), "force_lag": FORCE_LAG_S,
+            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity,
+            "shake": self._table_amplitude, "shaking_hz": _TABLE_HZ, "travel": travel, "base": base,
+            "drift_rate": _DRIFT_RATE, "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED,
+            "lost_distance": _FALLEN_DISTANCE, "longest_step": min(steps), "force_lag": FORCE_LAG_S,
             "arc": mode == "arc",
         }  # fmt: skip
         support = self.body.support

@@ -22,7 +22,7 @@ from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
-from palmd.rig.curved_plant import MAX_CURVATURE_RATIO, stable_on_arcs, widest
+from palmd.rig.curved_plant import MAX_CURVATURE_RATIO, max_curvature_radius, stable_on_arcs
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.friction import law_of, plant_on, shaken
@@ -198,7 +198,7 @@ class World(EmulatedRig[EmulatedActuator]):
         curvatures = rig.curvatures_per_m
         bodies = self._bodies
         body = bodies[self.objects % len(bodies)] if bodies else random_body(self.kind, self._rng)
-        while not bodies and any(curvatures) and max(curvatures) * widest(body) > MAX_CURVATURE_RATIO:
+        while not bodies and any(curvatures) and max(curvatures) * max_curvature_radius(body) > MAX_CURVATURE_RATIO:
             body = random_body(self.kind, self._rng)  # bodies that would nest in a concave palm are not used
         surface = self._surface or random_surface(self.kind, self._rng)
         shaking, surface = shaken(vibration_of(rig.vibration), surface, body.mass, self.seed)

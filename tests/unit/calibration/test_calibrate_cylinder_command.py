@@ -138,11 +138,11 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
     off = "rig: {imperfections: {palm1: {standoff_mm: 0.3}, palm2: {standoff_mm: -0.1}}}"
 
     def exchanged(*arguments):
-        world.mischief.add(order("swap", world.t))
+        world.fault_injector.add(order("swap", world.t))
         waited(*arguments)
 
     waited = standoff_command.wait_for_none
-    monkeypatch.setattr(standoff_command, "wait_for_none", exchanged)
+    monkeypatch.setattr(standoff_command, "wait_until_removed", exchanged)
     real = load_config(written(tmp_path, "off.yaml", REAL, more=off))
     with running(real, load_config(mine), 5, BODIES) as world:
         assert standoff(mine) == 0
@@ -166,7 +166,7 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
 
 def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
-    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     with rig():
         said = refused(mine, 3, capsys, calibrate=standoff)
     assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
@@ -174,7 +174,7 @@ def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
 
 def test_a_daemon_that_is_gone_between_the_cylinders_is_told_as_such(mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
-    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     assert "is a palmd running there" in refused(mine, 3, capsys, calibrate=standoff)
 
 
@@ -200,7 +200,7 @@ def test_a_daemon_with_another_configuration_is_noticed(rig, mine, capsys):
 
 def test_nothing_on_the_palms(rig, mine, capsys):
     with rig() as world:
-        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+        world.fault_injector.add(order("lift", world.t, strength=1.0, for_s=1e6))
         assert refused(mine, 3, capsys) == "nothing has touched the pads within 3 s: nothing has been moved"
         assert world.status()["arm_state"] == "R"
 
@@ -208,14 +208,14 @@ def test_nothing_on_the_palms(rig, mine, capsys):
 def test_a_cylinder_on_one_palm_only(rig, mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 1.0)  # the pad is silent for a moment before it is told so
     with rig() as world:
-        world.mischief.add(order("mute", world.t, port="pad2", for_s=1e6))
+        world.fault_injector.add(order("mute", world.t, port="pad2", for_s=1e6))
         said = refused(mine, 3, capsys)
     assert said == "the cylinder is felt on palm 1 and not on palm 2 within 3 s: nothing has been moved"
 
 
 def test_an_arm_that_may_not_be_armed(rig, mine, capsys):
     with rig() as world:
-        world.mischief.add(order("estop", world.t))
+        world.fault_injector.add(order("estop", world.t))
         time.sleep(0.3)
         said = refused(mine, 3, capsys)
     assert said.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
@@ -226,7 +226,7 @@ def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
 
     def lift():
         time.sleep(1.5)
-        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+        world.fault_injector.add(order("lift", world.t, strength=1.0, for_s=1e6))
 
     with rig() as world:
         thread = threading.Thread(target=lift)

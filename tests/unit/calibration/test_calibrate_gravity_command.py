@@ -11,7 +11,7 @@ import yaml
 from rolls import rolled
 
 from palmd.calibration import rolling_session
-from palmd.calibration.gravity import called_for, remarks
+from palmd.calibration.gravity import proposed_settings, remarks
 from palmd.calibration.linkage import changed
 from palmd.calibration.rolling_fit import GravityFit
 from palmd.calibration.rolling_session import Slope, slopes_within
@@ -286,7 +286,7 @@ def test_what_a_person_should_look_into():
 
 def test_an_exact_yaw_changes_nothing(path):
     config = load_config(path)
-    values = called_for(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
+    values = proposed_settings(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
     assert values == {
         "rig": {"gravity_m_s2": 9.5}, "arm": {"base_x_mm": -280.0, "base_y_mm": 30.0, "base_yaw_deg": 1.0}
     }  # fmt: skip

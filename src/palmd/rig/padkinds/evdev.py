@@ -15,8 +15,8 @@ REPORT_S, JITTER_S = 0.010, 0.001
 PRESSURE_MAX = 255
 POSITION_LIMIT = 1 << 15
 FULL_REPORT_EVERY = 50
-"""Every this many reports all values are sent, changed or not: unlike a device, a pseudo-terminal cannot be asked for its
-state, and the host may have flushed the first report when it opened the port."""
+"""Every this many reports all values are sent, changed or not: unlike a device, a pseudo-terminal cannot be asked for
+its state, and the host may have flushed the first report when it opened the port."""
 
 
 class EvdevEmulator(CountingPad):

@@ -127,7 +127,7 @@ def _command_size(head: Head) -> int | None:
 
 
 class _St0001:
-    """Answers requests; values are in millinewtons once selected; before that they are converter counts, a fifth of that."""
+    """Answers requests; values are in millinewtons once selected, before that in converter counts, a fifth as large."""
 
     def __init__(self, config: TaxelsConfig) -> None:
         self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)

@@ -25,7 +25,7 @@ KINK = 0.03
 """Of the vibration's speed: slower slip has proportionally less friction, so that a step can resolve a reversal."""
 INSTANTS = 64
 PHASES: FloatArray = 2.0 * math.pi * (np.outer(np.arange(INSTANTS), (1, 19, 27)) / INSTANTS % 1.0)
-"""(INSTANTS, 3 palms), rad: a lattice in which each palm's phases, and the pairs of any two palms, are evenly spread."""
+"""(INSTANTS, 3 palms), rad: a lattice in which each palm's phases, and all pairs of two palms, are evenly spread."""
 PHASE_SHIFT: FloatArray = 2.0 * math.pi * np.array([0.8191725134, 0.6710436067, 0.5497004779])
 """Shift of the lattice per step (rad): powers of 1/1.2207…, of which no integer combination is an integer."""
 
@@ -162,8 +162,8 @@ def step(
 
 
 def vibrate(
-    bodies: Bodies, friction: FrictionParameters, motion: Motion, state: BodyStates, phase: FloatArray, rate: FloatArray,
-    count: int, dt: float, gravity: float,
+    bodies: Bodies, friction: FrictionParameters, motion: Motion, state: BodyStates, phase: FloatArray,
+    rate: FloatArray, count: int, dt: float, gravity: float,
 ) -> tuple[BodyStates, FloatArray, list[PalmContacts]]:  # fmt: skip
     """(state, phases (3,), contacts of each step) after `count` midpoint steps with resolved vibrations.
 
