@@ -1,4 +1,4 @@
-"""Finds both palms' curvature with a solid cylinder; a running daemon opens and closes the palms around it.
+"""Finds both palms' curvature with a machined cylinder; a running daemon opens and closes the palms around it.
 
 The daemon runs with approximate curvatures, for example from a straight edge; the pads' counts_per_mm must be right.
 Arms the arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.

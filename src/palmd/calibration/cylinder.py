@@ -1,4 +1,4 @@
-"""A solid cylinder between the palms as a gauge: contact positions, normal forces, and plans to move it. Pure.
+"""A machined cylinder between the palms as a gauge: contact positions, normal forces, and plans to move it. Pure.
 
 A disc of radius R that touches both palms does so at s1 = s2 = R/tan(φ2/2), independent of friction and gravity: (3.13)
 and (3.14) of the paper with r1 = r2 = R and d1 = d2 = 0. At rest its weight m·g requires the normal forces (N)

@@ -43,7 +43,7 @@ def writable(folder: Path) -> Path:
     except OSError as error:
         raise not_written(folder, error) from None
     if not there.is_dir():
-        raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is not a folder")
+        raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
     if not takes_files(there):
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
     return folder

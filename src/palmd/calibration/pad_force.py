@@ -1,4 +1,4 @@
-"""Both pads' newtons per count from the weight of a solid cylinder between the palms. Pure.
+"""Both pads' newtons per count from the weight of a machined cylinder between the palms. Pure.
 
 The palms rest in a sequence of poses; the mean pressure of each rest is one measurement. Friction at rest is unknown
 and does not average out: a cylinder that slid down is supported by friction, one that was pushed up is held down, by

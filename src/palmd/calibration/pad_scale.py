@@ -1,4 +1,4 @@
-"""Both pads' zero, scale and sign from a solid cylinder between the palms. Pure.
+"""Both pads' zero, scale and sign from a machined cylinder between the palms. Pure.
 
 The cylinder touches each pad at s = R/tan(φ2/2), or at the corresponding place of palms with known curvature
 (`calibration.cylinder`), and a pad reads counts = sign · counts_per_mm · (s − zero_mm): a straight line of counts over
@@ -115,7 +115,7 @@ def _scale(
     if not residuals.var() < (1.0 - MIN_EXPLAINED) * counts.var():
         raise CylinderError(
             f"pad {number}'s counts do not follow the cylinder (from {counts.min():.0f} to {counts.max():.0f} over"
-            f" {np.ptp(s):.0f} mm of way): check pads.palm{number}.axis, and that nothing else lies on the pad"
+            f" {np.ptp(s):.0f} mm of travel): check pads.palm{number}.axis, and that nothing else lies on the pad"
         )
     return _result(s, counts, residuals, spoilt, length_mm)
 

@@ -1,4 +1,4 @@
-"""Height of both pads' surfaces over the hinge line, from two solid cylinders of known radii. Pure.
+"""Height of both pads' surfaces over the hinge line, from two machined cylinders of known radii. Pure.
 
 A disc of radius R between flat surfaces that lie d1 and d2 above the hinge line touches palm 1 at
 

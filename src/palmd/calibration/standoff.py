@@ -1,4 +1,4 @@
-"""Finds the height of both pads' surfaces over the hinge line, by two solid cylinders that a running daemon moves.
+"""Finds the height of both pads' surfaces over the hinge line, by two machined cylinders that a running daemon moves.
 
 Also determines both pads' zero, scale and sign; one cylinder alone cannot distinguish them from a standoff. Arms the
 arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.

@@ -291,7 +291,7 @@ class RigProcess:
         """Receive from the host, advance to t (s), transmit.
 
         Data read now was written after the last tick, and is dated to that tick; if that was long ago, the world is
-        told the possible error.
+        given the possible delay.
         """
         world = self.world
         late_s, self._t_last_tick = max(t - self._t_last_tick - PERIOD_S, 0.0), t

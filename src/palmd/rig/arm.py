@@ -32,7 +32,7 @@ class Linkage:
     _yaw_cos_sin: tuple[float, float] = field(init=False, repr=False, compare=False)  # cos, sin of the yaw
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_turn", (math.cos(self.yaw), math.sin(self.yaw)))
+        object.__setattr__(self, "_yaw_cos_sin", (math.cos(self.yaw), math.sin(self.yaw)))
 
     @property
     def lengths(self) -> tuple[float, float]:

@@ -34,14 +34,14 @@ INJECTABLE_FAULTS: dict[str, InjectableFault] = {
         InjectableFault("drop", "each byte is lost with this probability", PORTS, 0.05),
         InjectableFault("garble", "each byte is flipped, doubled or invented with this probability", PORTS, 0.05),
         InjectableFault("mute", "the device neither sends nor receives", PORTS),
-        InjectableFault("unplug", "the port disappears; it comes back under another number", PORTS),
+        InjectableFault("unplug", "the port disappears; it returns under another number", PORTS),
         InjectableFault("late", "everything the device sends arrives this many seconds later", PORTS, 0.05),
         InjectableFault("burst", "a USB adapter delivers only once in this many seconds", PORTS, 0.016),
         InjectableFault("misbaud", "the device runs at another speed than configured", PORTS),
         InjectableFault("touch", "a finger also presses on the pad, with this many newtons", PADS, 0.5),
         InjectableFault("break", "a break on the line: a moving arm treats it as loss of its link", ARM),
         InjectableFault("estop", "the emergency stop is pressed; off releases it and makes the arm ready", ARM),
-        InjectableFault("power_off", "arm power goes; off restores it", ARM),
+        InjectableFault("power_off", "arm power is lost; off restores it", ARM),
         InjectableFault("manual", "the operator takes over the arm and jogs it a little; off gives it back", ARM),
         InjectableFault("block", "something blocks the arm and its controller does not notice", ARM),
         InjectableFault("freeze", "the arm keeps moving but always reports the same pose", ARM),
@@ -57,8 +57,8 @@ INJECTABLE_FAULTS: dict[str, InjectableFault] = {
 SERVO_FAULTS: dict[str, InjectableFault] = {
     fault.name: fault
     for fault in (
-        InjectableFault("overload", f"palm {PALMS[0]}'s servo is overloaded and lets go", ARM),
-        InjectableFault("overheat", f"palm {PALMS[0]}'s servo gets too hot and lets go", ARM),
+        InjectableFault("overload", f"palm {PALMS[0]}'s servo is overloaded and switches its torque off", ARM),
+        InjectableFault("overheat", f"palm {PALMS[0]}'s servo gets too hot and switches its torque off", ARM),
         InjectableFault("undervoltage", f"palm {PALMS[0]}'s servo reports a supply out of range", ARM),
         InjectableFault("brownout", f"palm {PALMS[0]}'s servo restarts and has lost its settings", ARM),
     )

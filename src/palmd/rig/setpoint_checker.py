@@ -40,7 +40,7 @@ class SetPointChecker:
     _t_delay: float = -math.inf  # when the delay was noted
 
     def note_delay(self, t: float, delay_s: float) -> None:
-        """What arrives at t (s) may have been sent up to delay_s (s) later; call this for every arrival, even with 0."""
+        """What arrives at t (s) may have been sent up to delay_s (s) later; call for every arrival, even with 0."""
         if delay_s >= self._delay_s or t - self._t_delay >= _SEPARATE_S:
             self._delay_s, self._t_delay = delay_s, t
 

@@ -161,7 +161,7 @@ def test_one_palm_alone_is_too_little(configured, capsys):
 
 def test_nobody_swings_it(configured, capsys):
     with arm(swing=lambda _count: (0.6, 1.5)) as port:
-        assert "it has not moved within" in refused(configured(port), capsys)
+        assert "no motion within" in refused(configured(port), capsys)
 
 
 def test_nobody_answers(configured, capsys, monkeypatch):

@@ -116,4 +116,4 @@ def test_what_is_said_of_it():
     assert "palm 1: " in told
     assert "mm concave" in told
     assert set(proposed_settings(found)) == {"palm1_curvature_per_m", "palm2_curvature_per_m"}
-    assert any("pad 1's zero is" in each for each in remarks(found, default_config()))
+    assert any("pad 1's zero has an error of" in each for each in remarks(found, default_config()))

@@ -225,7 +225,7 @@ def test_a_log_of_another_rig_is_refused(misjudged, tmp_path, capsys):
     config.write_text(TEXT.format(length=130.0))
     said = refused(capsys, config, misjudged[1])
     assert said.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
-    assert f"and {config} says 130.0" in said
+    assert f"but {config} has 130.0" in said
 
 
 def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
@@ -234,7 +234,7 @@ def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
     run = file.path
     config = tmp_path / "palmd.yaml"
     config.write_text(TEXT.format(length=120.0).replace("port: p2", "port: p2, zero_mm: 27.7"))
-    assert f"{run}: was recorded with pads.palm2.zero_mm 28.0, and {config} says 27.7" in refused(capsys, config, run)
+    assert f"{run}: was recorded with pads.palm2.zero_mm 28.0, but {config} has 27.7" in refused(capsys, config, run)
     config.write_text(TEXT.format(length=120.0))
     assert "no run was reconstructed" in refused(capsys, config, run)  # it holds five ticks
 
