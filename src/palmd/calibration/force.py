@@ -1,4 +1,4 @@
-"""Finds both pads' newtons per count by the weight of a machined cylinder, which a running daemon tips between the palms.
+"""Finds both pads' newtons per count by the weight of a machined cylinder that a running daemon tips on the palms.
 
 Arms the arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.
 """

@@ -77,8 +77,8 @@ def pad_curvatures(
         if not np.std(each[selected]) < _MAX_RESIDUAL_M:
             raise CylinderError(
                 f"pad {number}'s counts do not follow a cylinder on an arc"
-                f" (residual {np.std(each[selected]) * 1e3:.1f} mm): check pads.palm{number}.axis and counts_per_mm, and"
-                " that nothing else lies on the pad"
+                f" (residual {np.std(each[selected]) * 1e3:.1f} mm): check pads.palm{number}.axis and counts_per_mm,"
+                " and that nothing else lies on the pad"
             )
     return _results(x, residuals, kept, opening, s, radius_m)
 

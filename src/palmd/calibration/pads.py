@@ -1,4 +1,4 @@
-"""Finds both pads' zero, scale and sign with a machined cylinder; a running daemon opens and closes the palms around it.
+"""Finds both pads' zero, scale and sign with a machined cylinder; a running daemon opens and closes the palms.
 
 Arms the arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.
 """
