@@ -130,7 +130,7 @@ def _result(s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: in
     deviations = s - s.mean()
     slope = float(deviations @ counts / (deviations @ deviations))
     curve: FloatArray = np.zeros(0)
-    if length_mm is not None:  # beyond the line: s = what is on it + the curve there
+    if length_mm is not None:  # s = value of the line + value of the curve
         excess = residuals / slope
         curve, explained = _curve(s + excess, -excess, length_mm)
         residuals = residuals + explained * slope

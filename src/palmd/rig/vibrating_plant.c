@@ -377,14 +377,14 @@ static void go_on(const Scene *scene, Body *body, const Motion *motion, double d
       for (int i = 0; i < CONTACTS && solved; i++) {
         if (!body->on[i]) continue;
         double piece_end = piece;
-        int has_stopped = 0;
+        int mode_ends = 0;
         if (body->mode[i] != 0.0 && body->mode[i] * after[i] < 0.0) {
-          piece_end = reversal(&scene->palms[i], start.t, left, before[i], after[i], body->mode[i]), has_stopped = 1;
+          piece_end = reversal(&scene->palms[i], start.t, left, before[i], after[i], body->mode[i]), mode_ends = 1;
         } else if (body->mode[i] == 0.0 && fabs(end.ratio[i]) > scene->palms[i].mu) {
           const double from = fabs(start.rates.ratio[i]), to = fabs(end.ratio[i]), mu = scene->palms[i].mu;
-          piece_end = from < mu && to < HUGE_VAL ? left * (mu - from) / (to - from) : 0.5 * left, has_stopped = 1;
+          piece_end = from < mu && to < HUGE_VAL ? left * (mu - from) / (to - from) : 0.5 * left, mode_ends = 1;
         }
-        if (has_stopped && piece_end <= piece) {
+        if (mode_ends && piece_end <= piece) {
           if (piece_end < piece) resting[0] = resting[1] = 0;
           piece = piece_end, resting[i] = 1;
         }
