@@ -15,7 +15,7 @@ from palmd.motion.segments import Move
 from palmd.observer.three_palms.body import ORDER
 from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
-from palmd.rig.three_palms.plant import Rubbing
+from palmd.rig.three_palms.plant import FrictionParameters
 from palmd.system.three_palms import palms_at, readings_of, room_on_pads
 from tools.studies.space_logs import KINDS, STEP_S, started
 
@@ -23,7 +23,7 @@ WIDE = ThreePalmsLimitsConfig(beta_deg=(10.0, 80.0), gamma2_deg=(15.0, 75.0), ga
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
 
 
-def known_parameters(body: Bodies, rubbing: Rubbing) -> FloatArray:
+def known_parameters(body: Bodies, rubbing: FrictionParameters) -> FloatArray:
     """Parameters of `model.three_palms` of the first of these bodies, by least squares over the sphere."""
     directions = icosphere()[0]
     h = body.support(directions[None])[0][0]
@@ -41,7 +41,7 @@ class BodyStand:
     def __init__(self, seed: int, gravity: float) -> None:
         random = np.random.default_rng(seed)
         body = random_bodies(1, random)
-        rubbing = Rubbing(random.uniform(*MU, 1), random.uniform(*DITHER_M_S, 1), np.zeros(1))
+        rubbing = FrictionParameters(random.uniform(*MU, 1), random.uniform(*DITHER_M_S, 1), np.zeros(1))
         self.plant = BodyOnPalms(body, rubbing, gravity)
         self.plant.state[:] = started(body, rubbing, KINDS["friction"], random, gravity)[0]
 

@@ -5,7 +5,7 @@ import math
 from palmd.devices.armconformance import CHECKS, examine
 from palmd.devices.armconformance_talk import Talk, TalkAnswer
 from palmd.devices.armlink import LineReader, Pose
-from palmd.rig.arm import Servo, turn
+from palmd.rig.arm import Servo, wrap_angle
 from palmd.rig.controller import CYCLE_S, ArmLimits, Controller
 from palmd.rig.line import Wire
 
@@ -33,7 +33,7 @@ class FarEnd:
     def _actual(self):
         x, y, angle = (servo.at(self.t)[0] for servo in self._servos)
         self.far_m = max(self.far_m, math.hypot(x - HOME.x_m, y - HOME.y_m))
-        return Pose(x, y, turn(angle))
+        return Pose(x, y, wrap_angle(angle))
 
     def _step(self):
         self._steps += 1

@@ -50,7 +50,7 @@ class PadBench:
     def write(self, data: bytes) -> None:
         """What the driver writes."""
         if self.plugged:
-            self._far.hear(data, self.t)
+            self._far.receive(data, self.t)
 
     def go(self, seconds: float) -> PadBench:
         """Live for so long."""

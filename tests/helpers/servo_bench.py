@@ -76,7 +76,7 @@ class ServoBench:
 
     def play(self, name: str, begins: bool = True) -> None:
         """Mischief with the servos."""
-        self.rig.play(FaultOrder(name, "arm", 1.0, self.t, math.inf), begins, HOME)
+        self.rig.inject_fault(FaultOrder(name, "arm", 1.0, self.t, math.inf), begins, HOME)
 
     @property
     def speed(self) -> float:

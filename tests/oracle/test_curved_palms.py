@@ -22,7 +22,7 @@ from palmd.model.shape_map import Z
 from palmd.model.symbolic import SX
 from palmd.observer.object_memory import DIRECTIONS, readings_on_arcs
 from palmd.rig import sign_pairs
-from palmd.rig.curved_plant import CurvedPlant, widest
+from palmd.rig.curved_plant import CurvedPlant, max_curvature_radius
 from palmd.rig.friction import plant_on
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
 from palmd.rig.plant import FrictionSurface, Hinge, PadPair, Plant, PlantOptions
@@ -72,7 +72,7 @@ def _body(seed: int, curvatures: tuple[float, float]) -> Body:
     random = np.random.default_rng(seed)
     while True:
         body = random_body("friction", random)
-        if max(curvatures) * widest(body) < 0.8:
+        if max(curvatures) * max_curvature_radius(body) < 0.8:
             return body
 
 
@@ -271,7 +271,7 @@ def test_motion_on_pads_that_are_bowed_and_off_their_lines(
 def test_what_is_too_concave_for_the_body_is_refused() -> None:
     body = _body(1, (0.0, 0.0))
     with pytest.raises(ValueError, match="too concave for the body: kappa v reaches"):
-        CurvedPlant(body, Hinge("fixed"), FrictionSurface(), (1.0 / widest(body), 0.0))
+        CurvedPlant(body, Hinge("fixed"), FrictionSurface(), (1.0 / max_curvature_radius(body), 0.0))
 
 
 def test_points_lie_on_circles_through_the_hinge() -> None:

@@ -72,12 +72,12 @@ def test_a_rigid_gripper_presses_as_the_constraints_say(grasp, psi, ratio, withi
     u = inputs_of(grasp, x, z)
     assert called("height", (psi, omega, alpha), p, u)[0] == pytest.approx(z[0], abs=1e-9)
     assert called("reading", (psi, omega, alpha), p, u)[0] == pytest.approx(x[0] + e, abs=1e-8)
-    signs = [grasp.torque_left(psi, omega, alpha, x, z, sign * grasp.mu)[1] for sign in (1.0, -1.0)]
+    signs = [grasp.torque_residual(psi, omega, alpha, x, z, sign * grasp.mu)[1] for sign in (1.0, -1.0)]
     forward = 0.5 + math.asin(min(ratio, 1.0)) / math.pi
     wanted = forward * signs[0] + (1.0 - forward) * signs[1]
     assert called("rigid_force", (psi, omega, alpha), p, u)[0] == pytest.approx(wanted, rel=within)
     if min(signs) > 0.0:
-        assert grasp.pressed(psi, omega, alpha, x, z) == pytest.approx(wanted, rel=1e-12)
+        assert grasp.rigid_contact_force(psi, omega, alpha, x, z) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_a_body_wedges_where_the_pivot_is_within_the_cone_of_friction(grasp):
@@ -87,7 +87,7 @@ def test_a_body_wedges_where_the_pivot_is_within_the_cone_of_friction(grasp):
         e, z = grasp.offset(psi), (grasp.height(psi), 0.0, 0.0)
         if abs(e) < 1.3 * grasp.mu * z[0]:
             wedged = abs(e) < grasp.mu * z[0]
-            assert not (wedged and grasp.pressed(psi, 0.0, 0.0, (0.02, 0.0, 0.0), z) > 0.0)
+            assert not (wedged and grasp.rigid_contact_force(psi, 0.0, 0.0, (0.02, 0.0, 0.0), z) > 0.0)
 
 
 @pytest.mark.parametrize(("ratio", "within"), [(STILL, 1e-8), (0.5, 1e-6), (FAST, 1e-5)])

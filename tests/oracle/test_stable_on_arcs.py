@@ -13,7 +13,7 @@ from palmd.model.shape import coefficients_of
 from palmd.model.stable_on_arcs import on_arcs
 from palmd.model.stable_poses import basins, touch
 from palmd.model.stable_surface import SurfaceLimits, stable_surface
-from palmd.rig.curved_plant import stable_on_arcs, widest
+from palmd.rig.curved_plant import max_curvature_radius, stable_on_arcs
 from palmd.rig.shapes import Body, random_body
 from palmd.system.arcs import joints_of, tangents
 
@@ -27,7 +27,7 @@ def _body(seed: int, curvatures: tuple[float, float]) -> Body:
     random = np.random.default_rng(seed)
     while True:
         body = random_body("nominal", random)
-        if max(curvatures) * widest(body) < 0.8:
+        if max(curvatures) * max_curvature_radius(body) < 0.8:
             return body
 
 

@@ -16,7 +16,7 @@ from palmd.observer.three_palms.path import joint_path
 from palmd.observer.three_palms.record import PadReadings, lay_out
 from palmd.observer.three_palms.smoother import BodyPrior, BodySmoother
 from palmd.rig.three_palms.bodies import Bodies, spread_directions
-from palmd.rig.three_palms.plant import BodyStates, PalmState, Rubbing, accelerations
+from palmd.rig.three_palms.plant import BodyStates, FrictionParameters, PalmState, accelerations
 from palmd.system.three_palms import ThreePalmsRig, palms_at, readings_of
 
 ORDER, GRAVITY = 8, 9.81
@@ -64,7 +64,7 @@ def test_accelerations_and_forces_are_those_of_free_bodies_held_by_constraints(p
     alpha, force = acceleration_kernel(ORDER)((by_columns(R), omega, palm_inputs(palms)), (p, (GRAVITY, 1.0)))[:2]
     T = len(R)
     bodies = Bodies(*(np.repeat(getattr(body, name), T, axis=0) for name in body.__dataclass_fields__))
-    rubbing = Rubbing(*(np.full(T, each) for each in (mu, 0.4, DAMPING)))
+    rubbing = FrictionParameters(*(np.full(T, each) for each in (mu, 0.4, DAMPING)))
     centre = centres_of(R, palm_inputs(palms), p)
     _, x, _ = bodies.support(-np.einsum("bji,bnj->bni", R, palms.normal))
     r = np.einsum("bij,bnj->bni", R, x)

@@ -80,7 +80,7 @@ class Bench:
         raise AssertionError(f"{name} was not answered")
 
     def play(self, name, **how):
-        self.rig.mischief.add(order(name, self.rig.t, **how))
+        self.rig.fault_injector.add(order(name, self.rig.t, **how))
 
     def copy(self):
         shared = (CONFIG, LIMITS, PLAN, self.core.setpoints.limits)

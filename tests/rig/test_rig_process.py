@@ -203,7 +203,7 @@ def test_a_configuration_is_obeyed(tmp_path):
     ("arguments", "text"),
     [
         (["nowhere.yaml"], "nowhere.yaml"),
-        (["--mischief", "nonsense"], "no mischief 'nonsense'"),
+        (["--mischief", "nonsense"], "unknown fault 'nonsense'"),
         (["--seed", "-1"], "--seed"),
         (["CONFIG"], "hinge: arc"),
     ],

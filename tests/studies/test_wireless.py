@@ -98,7 +98,7 @@ def test_commands_go_the_way_of_a_client():
 
 def test_a_rig_that_does_not_get_ready_is_told():
     run = light()
-    run.world.mischief.add(order("mute", 0.0, port="arm"))
+    run.world.fault_injector.add(order("mute", 0.0, port="arm"))
     with pytest.raises(WirelessError, match="not ready within 5 s, but idle: "):
         run.start()
 
@@ -106,7 +106,7 @@ def test_a_rig_that_does_not_get_ready_is_told():
 def test_after_a_hold_it_goes_on():
     run = light()
     run.start()
-    run.world.mischief.add(order("mute", run.t, port="pad1", for_s=0.5))
+    run.world.fault_injector.add(order("mute", run.t, port="pad1", for_s=0.5))
     states = [str(run.core.state) for _ in run.run(3.0)]
     assert "hold" in states
     assert states[-1] == "tracking"
@@ -172,7 +172,7 @@ def test_an_exploration_goes_on_after_a_hold_from_where_it_stood():
         if instant.messages["palm/estimate"]["valid"]:
             break
     list(run.run(1.0))
-    run.world.mischief.add(order("mute", run.t, port="pad2", for_s=0.6))
+    run.world.fault_injector.add(order("mute", run.t, port="pad2", for_s=0.6))
     instants = list(run.run(4.0))
     held = [i for i in instants if i.messages.get("palm/state", {}).get("state") == "hold"]
     assert held

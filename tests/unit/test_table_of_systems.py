@@ -133,7 +133,7 @@ def test_a_gauge_for_two_palms_is_refused_by_another_rig():
     command = [sys.executable, "-m", "palmd", "rig", str(shipped("pivot.yaml")), "--marble", "1"]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (refused.returncode, refused.stdout) == (1, "")
-    assert "are for two palms; this is a pivoting grasp" in refused.stderr
+    assert "need two palms; this is a pivoting grasp" in refused.stderr
 
 
 def test_every_systems_pads_have_faults_and_counters() -> None:

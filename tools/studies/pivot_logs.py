@@ -181,7 +181,7 @@ def _touched(
         omega = -at_z[1] / e
         h2 = grasp.body.support.at(-0.5 * math.pi - psi)[2] - grasp.arm(psi)[1]
         alpha = (h2 * omega * omega - at_z[2]) / e
-        force = grasp.pressed(psi, omega, alpha, at_x, at_z)
+        force = grasp.rigid_contact_force(psi, omega, alpha, at_x, at_z)
         s = at_x[0] + e
         if not (_LEAST_N < force < _MOST_N and _MARGIN_M < s < _PAD_M - _MARGIN_M):
             return None

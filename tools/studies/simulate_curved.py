@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
+from palmd.rig.curved_plant import MAX_CURVATURE_RATIO, max_curvature_radius, stable_on_arcs
 from palmd.rig.imperfections import Imperfections, drawn
 from palmd.rig.plant import AS_ASSUMED, Hinge, PadPair, PlantOptions, random_surface
 from palmd.rig.shapes import Body, Kind, random_body
@@ -25,11 +25,11 @@ from palmd.rig.simulate import (
     Rocking,
     SimulatedRun,
     Span,
+    draw_rock,
     log_lines,
-    rock,
-    run_of,
+    simulate_run,
     truth_of,
-    vibrating,
+    with_vibration,
 )
 from palmd.system.arcs import joints_of
 from palmd.system.description import RigDescription
@@ -67,8 +67,8 @@ def simulate_curved_log(
         scene = draw(kind, rng, curvatures, amplitude, off, body)
         if scene is None:
             continue
-        scene = vibrating(scene, vibration, _STREAM, seed)
-        history = run_of(scene, duration_s, options, ())
+        scene = with_vibration(scene, vibration, _STREAM, seed)
+        history = simulate_run(scene, duration_s, options, ())
         if history is not None:
             return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
 
@@ -89,12 +89,12 @@ def draw(
     amplitudes = [(amplitude * low, amplitude * high) for low, high in ((0.35, 0.70), (0.10, 0.28))]
     surface = random_surface(flat_kind, rng)
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if flat_kind == "nominal" else 0.0
-    if max(kappa) * widest(body) > MOST_LYING:
+    if max(kappa) * max_curvature_radius(body) > MAX_CURVATURE_RATIO:
         return None
     joints = joints_of(body.support.at(0.0)[0], (beta1, opening), kappa)
     rocking = Rocking(
         *(
-            rock(rng, (angle, angle), span, frequencies, ())
+            draw_rock(rng, (angle, angle), span, frequencies, ())
             for angle, span, frequencies in zip(joints, amplitudes, ((0.16, 0.38), (0.17, 0.42)), strict=True)
         )
     )

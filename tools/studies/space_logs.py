@@ -12,7 +12,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation, spread_directions
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
-from palmd.rig.three_palms.plant import Rubbing
+from palmd.rig.three_palms.plant import FrictionParameters
 from palmd.rig.three_palms.world import REST_POSE, SETTLING_DRAG, SETTLING_S
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
@@ -95,7 +95,7 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
     random = np.random.default_rng([seed, sum(map(ord, kind))])
     bodies = random_bodies(count, random)
     joints = _Joints(what, count, random)
-    rubbing = Rubbing(
+    rubbing = FrictionParameters(
         random.uniform(*what.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*what.drag, count)
     )
     steps = round(seconds / STEP_S)
@@ -116,15 +116,19 @@ def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRi
 
 
 def _alone(
-    bodies: Bodies, rubbing: Rubbing, which: int, gravity: float, frequencies: tuple[float, ...] | None = None
+    bodies: Bodies,
+    rubbing: FrictionParameters,
+    which: int,
+    gravity: float,
+    frequencies: tuple[float, ...] | None = None,
 ) -> BodyOnPalms:
     one = np.array([which])
-    rubs = Rubbing(*(getattr(rubbing, name)[one] for name in Rubbing.__dataclass_fields__))
-    return BodyOnPalms(bodies.take(one), rubs, gravity, frequencies=frequencies)
+    rubs = FrictionParameters(*(getattr(rubbing, name)[one] for name in FrictionParameters.__dataclass_fields__))
+    return BodyOnPalms(bodies.select(one), rubs, gravity, frequencies=frequencies)
 
 
 def started(
-    bodies: Bodies, rubbing: Rubbing, kind: Kind, random: np.random.Generator, gravity: float
+    bodies: Bodies, rubbing: FrictionParameters, kind: Kind, random: np.random.Generator, gravity: float
 ) -> FloatArray:  # fmt: skip
     """(B, 18) at rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
     count = len(bodies.ball)
@@ -142,7 +146,7 @@ def started(
         velocity = np.linalg.solve(normal, lift[..., None])[..., 0]
     states: FloatArray = np.concatenate([centre, velocity, R.reshape(count, 9), spin], axis=1)
     if kind.spin == 0.0:
-        slow = Rubbing(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
+        slow = FrictionParameters(0 * rubbing.mu, rubbing.dither, np.full(count, SETTLING_DRAG))
         palms = np.tile(palm_rows(at), (3, 1))
         for b, state in enumerate(states):
             plant = _alone(bodies, slow, b, gravity)
@@ -155,7 +159,7 @@ def started(
 
 
 def _logs(
-    rig: ThreePalmsRig, bodies: Bodies, rubbing: Rubbing, motion: list[FloatArray],
+    rig: ThreePalmsRig, bodies: Bodies, rubbing: FrictionParameters, motion: list[FloatArray],
     points: FloatArray, forces: FloatArray, kept: FloatArray, random: np.random.Generator, told: tuple[str, int],
 ) -> list[SimulatedBody]:  # fmt: skip
     """Readings and truth from what all bodies did at every step; motion: of the joints, each (T, B, 3)."""
@@ -180,7 +184,7 @@ def _logs(
         truth = {
             "kind": told[0], "seed": told[1], "body": b, "held_s": held,
             "directions": directions.tolist(),
-            "h_m": bodies.take(np.array([b])).support(directions[None])[0][0].tolist(),
+            "h_m": bodies.select(np.array([b])).support(directions[None])[0][0].tolist(),
             "inertia_m2": bodies.inertia[b].tolist(), "mass_kg": mass,
             "mu": float(rubbing.mu[b]), "dither_m_s": float(rubbing.dither[b]),
             "vibration_m_s": float(2.0 / np.pi * rubbing.dither[b]), "drag_m2_s": float(rubbing.drag[b]),

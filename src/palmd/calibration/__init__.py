@@ -1,1 +1,1 @@
-"""What the configuration must know of a rig, measured."""
+"""Calibrations: measurements of the rig's constants that the configuration needs."""

@@ -1,4 +1,4 @@
-"""Finds the arm's base and the palms' lengths while you swing the palms by hand; nothing moves by itself."""
+"""Finds the arm's base and the palms' lengths while you swing the palms by hand; the command moves nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.calibration.linkage import arm_base, changed, found, held_by, lines
+from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines
 from palmd.calibration.linkage_fit import LinkageFit, TooLittleSwingError, fit_linkage
 from palmd.config.two_palms import Config
 from palmd.console.arguments import seconds_within
@@ -27,15 +27,15 @@ from palmd.doctor.ports import holders
 
 FORMAT = 1
 FIRST_MOTION_S = 20.0
-"""How long the arm may stand at the beginning."""
+"""Longest time that the arm may stand still at the beginning."""
 EVERY_S = 0.02
 BY_HAND = (ArmState.MANUAL, ArmState.POWER_OFF)
-"""The controller's states in which nothing but a hand moves the arm."""
+"""The controller's states in which only a hand moves the arm."""
 
-_MISSED_MOST = 5  # answers in a row
-_APART_M, _APART_RAD = 1e-3, math.radians(0.5)  # poses that are nearer to each other count as one
-_NOTICED_RAD = math.radians(0.05)
-_ROUGH_M = 3e-4
+_MAX_MISSED = 5  # consecutive answers
+_MIN_DISTANCE_M, _MIN_ANGLE_RAD = 1e-3, math.radians(0.5)  # between poses that count as different
+_MIN_TOOL_ERROR_RAD = math.radians(0.05)
+_MAX_RMS_M = 3e-4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before all is measured; CliError when the input is wrong or the poses say too little."""
+    """Writes nothing before everything is measured; CliError if the input is wrong or the poses do not suffice."""
     config = configured(arguments.config)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
-    held_by(config)
+    adept_arm(config)
     poses = _listen(config, arguments.seconds)
     try:
         fit = fit_linkage(np.array([(pose.x_m, pose.y_m, pose.t_rad) for pose in poses]).reshape(-1, 3))
@@ -69,58 +69,60 @@ def run(arguments: argparse.Namespace) -> int:
     result = folder / "arm.yaml"
     write(result, document(fit, config))
     print(f"written: {result}")
-    print(f"{arguments.config}: write in these sections:\n{lines(called_for(fit, config))}")
+    print(f"{arguments.config}: write in these sections:\n{lines(proposed_settings(fit, config))}")
     return 0
 
 
 def table(fit: LinkageFit) -> str:
-    """The result in a few lines for a terminal."""
+    """The result as text for a terminal."""
     spans = (("palm 1", fit.span1), ("palm 2", fit.span2), ("opening", fit.span_opening))
     rows = {
         "palm 1": found(fit.palm1_length * 1e3, fit.palm1_length_sd * 1e3, "mm long", 3),
         "palm 2": found(fit.palm2_length * 1e3, fit.palm2_length_sd * 1e3, "mm long", 3),
         "hinge B": f"x {found(fit.base_x * 1e3, fit.base_x_sd * 1e3, 'mm', 3)},"
         f" y {found(fit.base_y * 1e3, fit.base_y_sd * 1e3, 'mm', 3)} in arm coordinates",
-        "tool": f"askew by {found(math.degrees(fit.tool), math.degrees(fit.tool_sd), '°', 3)}",
+        "tool": f"mounting error {found(math.degrees(fit.tool), math.degrees(fit.tool_sd), '°', 3)}",
         "swung": ", ".join(f"{name} {math.degrees(span):.0f}°" for name, span in spans),
     }
-    head = f"arm: {fit.poses} poses, which the linkage leaves {fit.rms * 1e3:.3f} mm of"
+    head = f"arm: {fit.poses} poses, residual {fit.rms * 1e3:.3f} mm"
     return "\n".join([head, *(f"  {what:8} {text}" for what, text in rows.items())])
 
 
 def remarks(fit: LinkageFit) -> list[str]:
-    """What a person should look into."""
-    said = []
-    if abs(fit.tool) > max(3.0 * fit.tool_sd, _NOTICED_RAD):
-        said.append(
-            f"arm: the tool angle is {math.degrees(fit.tool):+.2f}° short of palm 2's: mend the controller's TOOL"
+    """Warnings for the operator."""
+    warnings = []
+    if abs(fit.tool) > max(3.0 * fit.tool_sd, _MIN_TOOL_ERROR_RAD):
+        warnings.append(
+            f"arm: the tool angle is {math.degrees(fit.tool):+.2f}° short of palm 2's: correct the controller's TOOL"
             " transform by that much, and calibrate again"
         )
-    if fit.rms > _ROUGH_M:
-        said.append(f"arm: no linkage explains {fit.rms * 1e3:.2f} mm: look for play in hinges and gripper")
-    return said
+    if fit.rms > _MAX_RMS_M:
+        warnings.append(
+            f"arm: a residual of {fit.rms * 1e3:.2f} mm fits no linkage: look for play in hinges and gripper"
+        )
+    return warnings
 
 
-def called_for(fit: LinkageFit, config: Config) -> dict[str, dict[str, float]]:
-    """What the configuration should say, by section; yaw and the palms' base stay as configured."""
+def proposed_settings(fit: LinkageFit, config: Config) -> dict[str, dict[str, float]]:
+    """Settings for the configuration, by section; yaw and the palms' base stay as configured."""
     return {
         "rig": {
             "palm1_length_mm": round(fit.palm1_length * 1e3, 3),
             "palm2_length_mm": round(fit.palm2_length * 1e3, 3),
         },
-        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), held_by(config).base_yaw_deg),
+        "arm": arm_base(config, (fit.base_x * 1e3, fit.base_y * 1e3), adept_arm(config).base_yaw_deg),
     }
 
 
 def document(fit: LinkageFit, config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` holds what it calls for, the hash is of sections rig and arm with it."""
-    values = called_for(fit, config)
+    """The stored result; `configuration` has the proposed settings, the hash is of sections rig and arm with them."""
+    values = proposed_settings(fit, config)
     numbers = {name: value for name, value in asdict(fit).items() if name != "poses"}
     return {
         "palmd_arm_calibration": FORMAT,
         **provenance(changed(config, values["rig"], values["arm"])),
         "configuration": values,
-        "found": {"poses": fit.poses} | plain({_named(name): _scaled(name, value) for name, value in numbers.items()}),
+        "found": {"poses": fit.poses} | plain({_key(name): _scaled(name, value) for name, value in numbers.items()}),
     }
 
 
@@ -128,7 +130,7 @@ def _is_angle(name: str) -> bool:
     return name.startswith(("tool", "span"))
 
 
-def _named(name: str) -> str:
+def _key(name: str) -> str:
     return f"{name}_{'deg' if _is_angle(name) else 'mm'}"
 
 
@@ -137,14 +139,14 @@ def _scaled(name: str, value: float) -> float:
 
 
 def _listen(config: Config, seconds: float) -> list[Pose]:
-    """The poses of a swinging arm; CliError when the port fails, the arm is not in manual mode, or nobody swings it."""
+    """The poses of a swinging arm; CliError if the port fails, the arm is not in manual mode, or it does not move."""
     path = config.arm.port
     for number, name in holders(path):
         if name == "palmd":
             raise CliError(RIG_FAILED, f"arm: {path} is held by palmd (process {number}): stop the daemon first")
     try:
         with ArmLine(path, config.arm.baud) as line, Progress("arm", math.ceil(seconds), "s") as progress:
-            return line.play(_swings(Talk(config.arm.baud), seconds, progress))
+            return line.play(_record_swing(Talk(config.arm.baud), seconds, progress))
     except ArmLineError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     except DeviationError as error:
@@ -153,8 +155,8 @@ def _listen(config: Config, seconds: float) -> list[Pose]:
         ) from None
 
 
-def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
-    """Asks where the arm is until it has been swung for so long; poses that are apart. DeviationError, CliError."""
+def _record_swing(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]]:
+    """Query the arm's pose for that time after its first motion; distinct poses. Raises DeviationError, CliError."""
     poses: list[Pose] = []
     missed = 0
     t = time.monotonic()
@@ -164,9 +166,9 @@ def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]
             ack = yield from talk.report(t + EVERY_S)
         except DeviationError:
             missed += 1
-            if missed == _MISSED_MOST:
+            if missed == _MAX_MISSED:
                 raise
-            t = (yield from talk.raw(b"")).t  # an answer that came late must not be taken for the next one's
+            t = (yield from talk.raw(b"")).t  # discard a late answer, which would be taken for the next one
             continue
         missed, t = 0, talk.t
         if ack.state not in BY_HAND:
@@ -177,16 +179,16 @@ def _swings(talk: Talk, seconds: float, progress: Progress) -> Script[list[Pose]
             )
         if not poses:
             print("arm: swing both palms by hand through their whole range, each against the other", file=sys.stderr)
-        if not poses or _apart(poses[-1], ack.pose):
+        if not poses or _are_distinct(poses[-1], ack.pose):
             poses.append(ack.pose)
             if len(poses) == 2:
                 t_begin, t_end = t, t + seconds
         progress.at(int(max(t - t_begin, 0.0)))
     if len(poses) < 2:
-        raise CliError(RIG_FAILED, f"arm: it has not moved within {FIRST_MOTION_S:.0f} s: swing the palms by hand")
+        raise CliError(RIG_FAILED, f"arm: no motion within {FIRST_MOTION_S:.0f} s: swing the palms by hand")
     return poses
 
 
-def _apart(a: Pose, b: Pose) -> bool:
-    turned = math.remainder(b.t_rad - a.t_rad, math.tau)
-    return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > _APART_M or abs(turned) > _APART_RAD
+def _are_distinct(a: Pose, b: Pose) -> bool:
+    angle = math.remainder(b.t_rad - a.t_rad, math.tau)
+    return math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > _MIN_DISTANCE_M or abs(angle) > _MIN_ANGLE_RAD

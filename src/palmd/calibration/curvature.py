@@ -1,7 +1,7 @@
-"""Finds both palms' curvature by a turned cylinder; a running daemon opens and closes the palms about it.
+"""Finds both palms' curvature with a machined cylinder; a running daemon opens and closes the palms around it.
 
-The daemon runs with the curvatures as they are believed, from a straight edge say; the pads' counts_per_mm must be
-right. Arms the arm if that has not been done, and then stops it in the end. A hand at the emergency stop.
+The daemon runs with approximate curvatures, for example from a straight edge; the pads' counts_per_mm must be right.
+Arms the arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from palmd.system.mechanism import PALMS
 
 FORMAT = 1
 FILE = "curvature.yaml"
-_SURE = 4.0  # standard deviations
-_SHAKES = 3.0  # of the pad's noise
+_SIGNIFICANCE = 4.0  # standard deviations
+_MAX_NOISE_RATIO = 3.0  # of the residuals to the pad's noise
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,52 +30,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before both palms are known; CliError when the input is wrong or the rig fails."""
-    config, folder, found = cylinder_session.turned(arguments, pad_curvatures)
+    """Writes nothing before both palms are measured; CliError if the input is wrong or the rig fails."""
+    config, folder, found = cylinder_session.turn_and_measure(arguments, pad_curvatures)
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)
-    called = called_for(found)
-    origin = provenance(config.rig.model_copy(update=called))
-    told = {f"palm{number}": plain(asdict(palm)) for number, palm in zip(PALMS, found, strict=True)}
+    settings = proposed_settings(found)
+    origin = provenance(config.rig.model_copy(update=settings))
+    results = {f"palm{number}": plain(asdict(palm)) for number, palm in zip(PALMS, found, strict=True)}
     content = {"palmd_curvature": FORMAT, "radius_mm": arguments.radius_mm, **origin}
-    write(folder / FILE, {**content, "configuration": {"rig": called}, "found": told})
+    write(folder / FILE, {**content, "configuration": {"rig": settings}, "found": results})
     print(f"written: {folder / FILE}")
-    settings = ", ".join(f"{name}: {value}" for name, value in called.items())
-    print(f"{arguments.config}: write in rig: {settings}")
+    text = ", ".join(f"{name}: {value}" for name, value in settings.items())
+    print(f"{arguments.config}: write in rig: {text}")
     return 0
 
 
 def table(found: tuple[PadCurvature, PadCurvature]) -> str:
-    """The result in a few lines for a terminal; one sigma behind each ±, the radius taken for exact."""
+    """The result as text for a terminal; 1σ after each ±, for an exact radius."""
     return "\n".join(
         f"palm {number}: {palm.readings} readings\n"
         f"  curvature_per_m {palm.curvature_per_m:.3f} ± {palm.curvature_sd_per_m:.3f}{_radius(palm)}\n"
         f"  zero_mm         {palm.zero_mm:.3f} ± {palm.zero_sd_mm:.3f}\n"
-        f"  left            {palm.noise_mm:.3f} mm of each reading"
+        f"  residual        {palm.noise_mm:.3f} mm per reading"
         for number, palm in zip(PALMS, found, strict=True)
     )
 
 
 def remarks(found: tuple[PadCurvature, PadCurvature], config: Config) -> Iterator[str]:
-    """What a person should look into."""
+    """Warnings for the operator."""
     for number, palm, pad in zip(PALMS, found, config.pads.each(), strict=True):
-        if abs(palm.curvature_per_m) < _SURE * palm.curvature_sd_per_m:
-            yield f"palm {number} may as well be flat"
-        if abs(palm.zero_mm - pad.zero_mm) > _SURE * palm.zero_sd_mm:
+        if abs(palm.curvature_per_m) < _SIGNIFICANCE * palm.curvature_sd_per_m:
+            yield f"palm {number} is not significantly curved"
+        if abs(palm.zero_mm - pad.zero_mm) > _SIGNIFICANCE * palm.zero_sd_mm:
             yield (
-                f"pad {number}'s zero is {palm.zero_mm - pad.zero_mm:+.2f} mm off: `palmd calibrate pads` when the"
-                " curvatures are written"
+                f"pad {number}'s zero has an error of {palm.zero_mm - pad.zero_mm:+.2f} mm: run `palmd calibrate pads`"
+                " after writing the curvatures"
             )
-        if palm.noise_mm > _SHAKES * pad.noise_mm:
+        if palm.noise_mm > _MAX_NOISE_RATIO * pad.noise_mm:
             yield (
-                f"pad {number}: {palm.noise_mm:.2f} mm are left of each reading, much more than its noise_mm of"
+                f"pad {number}: {palm.noise_mm:.2f} mm residual per reading, much more than its noise_mm of"
                 f" {pad.noise_mm:g}: is the palm an arc?"
             )
 
 
-def called_for(found: tuple[PadCurvature, PadCurvature]) -> dict[str, Any]:
-    """What the configuration's section `rig` should say."""
+def proposed_settings(found: tuple[PadCurvature, PadCurvature]) -> dict[str, Any]:
+    """Settings for the configuration's section `rig`."""
     return {
         f"palm{number}_curvature_per_m": round(palm.curvature_per_m, 3)
         for number, palm in zip(PALMS, found, strict=True)

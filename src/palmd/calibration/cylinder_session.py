@@ -1,4 +1,4 @@
-"""A calibration with a cylinder between the palms: a running daemon turns it by a plan, and we listen to the pads."""
+"""A calibration with a cylinder between the palms: a running daemon moves it by a plan while the pads are recorded."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ from palmd.motion.check import motion_limits
 from palmd.quantities import CONTACT, EVENTS
 from palmd.system.mechanism import PALMS
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 FIRST_TOUCH_S = 30.0
-"""How long it may take until the cylinder lies on both palms."""
+"""Longest wait until the cylinder lies on both palms."""
 TAKE_OUT_S = 60.0
-"""And until one that is to be exchanged has been taken out."""
+"""Longest wait until a cylinder that is to be exchanged is removed."""
 TOUCHED_S = 1.0
-"""How long both pads must have been touched without a break before anything moves."""
+"""How long both pads must be touched without interruption before anything moves."""
 
 _LOOK_S = 0.25
-LARGEST_RADIUS_MM = 1000.0
+MAX_RADIUS_MM = 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser, written: str) -> None:
     """The configuration, the cylinder's radius, the folder for the file `written`, and the key."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the running daemon's configuration, palmd.yaml")
-    add("--radius-mm", type=within(LARGEST_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
+    add("--radius-mm", type=within(MAX_RADIUS_MM), required=True, metavar="R", help="of the cylinder")
     add("-o", "--output", type=Path, metavar="FOLDER",
         help=f"for {written}, which is overwritten (default: calibration/ beside CONFIG)")  # fmt: skip
     add_key(parser)
     parser.set_defaults(resumes=None)  # of `PlanRun`; a guided capture sets it
 
 
-def within(most: float) -> Callable[[str], float]:
-    """Takes a number of more than 0 and at most `most`."""
+def within(upper: float) -> Callable[[str], float]:
+    """A parser of numbers greater than 0 and at most `upper`."""
 
     def number(text: str) -> float:
         value = float(text)
-        if not 0.0 < value <= most:
-            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}")
+        if not 0.0 < value <= upper:
+            raise argparse.ArgumentTypeError(f"must be more than 0 and at most {upper:g}, got {text}")
         return value
 
     return number
@@ -71,21 +71,21 @@ def pads(config: Config) -> tuple[PadConfig, ...]:
 
 
 @contextmanager
-def ending(status: int) -> Iterator[None]:
-    """A measurement that cannot be used ends the command with this status."""
+def exit_on_error(status: int) -> Iterator[None]:
+    """Convert a CylinderError to the end of the command with this exit status."""
     try:
         yield
     except CylinderError as error:
         raise CliError(status, str(error)) from None
 
 
-def heard(
+def recorded_events(
     arguments: argparse.Namespace, config: Config, plan: Mapping[str, Any], *, cylinder: str = "the cylinder"
 ) -> list[Event]:
-    """All that the observer was fed while the daemon ran the plan; `cylinder` is what is asked for.
+    """The observer's events while the daemon runs the plan; `cylinder` is the name in the prompt.
 
-    Nothing moves before both pads are touched. CliError when there is no daemon, it refuses, the plan is not run to
-    its end, or the daemon finds the pads swapped.
+    Nothing moves before both pads are touched. CliError if there is no daemon, it refuses, the plan does not end
+    normally, or the daemon detects swapped pads.
     """
     key = credentials(arguments)
     command, publish = from_here(config.bus.command), from_here(config.bus.publish)
@@ -108,7 +108,7 @@ def heard(
         )
         operation.begin(plan)
         try:
-            status = operation.watch(stop, progress)
+            status = operation.watch(stop, progress_line)
         finally:
             operation.end()
         if stop.made:
@@ -116,93 +116,95 @@ def heard(
         if "pads-swapped" in status["faults"]:
             raise CliError(
                 RIG_FAILED,
-                "the pressures move the wrong way as the V is tipped: the pads are swapped; exchange"
-                f" {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)}, start the daemon anew, and calibrate"
+                "the pressures change in the wrong direction as the V is tipped: the pads are swapped; exchange"
+                f" {' and '.join(f'pads.palm{palm}.port' for palm in PALMS)}, restart the daemon, and calibrate"
                 " again",
             )
         return events
 
 
-def turned(
+def turn_and_measure(
     arguments: argparse.Namespace,
-    measure: Callable[[Sequence[Event], tuple[PadConfig, ...], float, Sequence[float]], Found],
-) -> tuple[Config, Path, Found]:
-    """The configuration, the folder for what is found, and what `measure` makes of a cylinder that the palms turn.
+    measure: Callable[[Sequence[Event], tuple[PadConfig, ...], float, Sequence[float]], Result],
+) -> tuple[Config, Path, Result]:
+    """The configuration, the folder for the result, and what `measure` returns for a cylinder that the palms turn.
 
-    It is given the events, the pads, the radius (m) and the palms' configured curvatures (1/m). CliError when the input
-    is wrong, before anything has moved, or the rig fails.
+    `measure` is called with the events, the pads, the radius (m) and the configured curvatures (1/m). CliError if the
+    input is wrong, before anything has moved, or if the rig fails.
     """
     config = configured(arguments.config)
     radius_m = arguments.radius_mm * 1e-3
-    with ending(BAD_INPUT):
+    with exit_on_error(BAD_INPUT):
         plan = turning_plan(radius_m, motion_limits(config))
     folder = writable(arguments.output or arguments.config.parent / "calibration")
-    events = heard(arguments, config, plan)
-    with ending(RIG_FAILED):
+    events = recorded_events(arguments, config, plan)
+    with exit_on_error(RIG_FAILED):
         return config, folder, measure(events, pads(config), radius_m, config.rig.curvatures_per_m)
 
 
-def store(
+def store_result(
     path: Path,
-    kind: Mapping[str, Any],
+    header: Mapping[str, Any],
     arguments: argparse.Namespace,
     config: Config,
-    called_for: Mapping[str, Mapping[str, Any]],
+    proposed: Mapping[str, Mapping[str, Any]],
     found: Mapping[str, Any],
 ) -> None:
-    """Write the result and say what to write into the configuration, palm by palm.
+    """Write the result and print the settings to write into the configuration, by palm.
 
-    `kind` begins the file. The hash is that of the whole section `pads` with what is called for.
+    `header` begins the file. The hash is that of the whole section `pads` with the proposed settings.
     """
-    updated = {palm: getattr(config.pads, palm).model_copy(update=new) for palm, new in called_for.items()}
-    settings = {palm: dict(new) for palm, new in called_for.items()}
+    updated = {palm: getattr(config.pads, palm).model_copy(update=new) for palm, new in proposed.items()}
+    settings = {palm: dict(new) for palm, new in proposed.items()}
     origin = provenance(config.pads.model_copy(update=updated))
-    write(path, {**kind, **origin, "configuration": settings, "found": plain(dict(found))})
+    write(path, {**header, **origin, "configuration": settings, "found": plain(dict(found))})
     print(f"written: {path}")
     for palm, new in settings.items():
-        told = ", ".join(f"{key}: {value}" for key, value in new.items())
-        print(f"{arguments.config}: write in pads.{palm}: {told}")
+        text = ", ".join(f"{key}: {value}" for key, value in new.items())
+        print(f"{arguments.config}: write in pads.{palm}: {text}")
 
 
-def progress(status: Status, seconds: float) -> str:
-    """One line on how it stands."""
-    more = f"  {why(status)} (palmd ctl start goes on)" if status["state"] == "hold" else ""
-    return f"{seconds:5.0f} s  {status['state']:8}  {status['progress']:4.0%}{more}"
+def progress_line(status: Status, seconds: float) -> str:
+    """One line of progress."""
+    hint = f"  {why(status)} (palmd ctl start goes on)" if status["state"] == "hold" else ""
+    return f"{seconds:5.0f} s  {status['state']:8}  {status['progress']:4.0%}{hint}"
 
 
-def wait_for_none(arguments: argparse.Namespace, config: Config, cylinder: str) -> None:
-    """Until nothing has touched the pads for a while; CliError when it stays, or nobody tells."""
+def wait_until_removed(arguments: argparse.Namespace, config: Config, cylinder: str) -> None:
+    """Wait until nothing has touched the pads for a while; CliError if the cylinder stays or no messages arrive."""
     print(f"take {cylinder} out", file=sys.stderr, flush=True)
     publish = from_here(config.bus.publish)
     with StopRequest() as stop, Subscriber(publish, topics=(CONTACT.name,), key=credentials(arguments)) as subscriber:
-        left = _touched_otherwise(subscriber, stop, (False, False), TAKE_OUT_S)
-    if left is None:
+        contacts = _wait_for_contacts(subscriber, stop, (False, False), TAKE_OUT_S)
+    if contacts is None:
         return
     if stop.made:
         raise CliError(RIG_FAILED, "stopped between the cylinders: nothing is stored")
-    if not left:
-        raise CliError(RIG_FAILED, _unheard(publish))
+    if not contacts:
+        raise CliError(RIG_FAILED, _no_messages(publish))
     raise CliError(RIG_FAILED, f"{cylinder} was not taken out within {TAKE_OUT_S:.0f} s: nothing is stored")
 
 
 def wait_for_touch(subscriber: Subscriber, address: str, stop: StopRequest, cylinder: str) -> None:
-    """Asks for `cylinder`, and waits until both pads have been touched for a while; CliError when they are not."""
+    """Ask for `cylinder`, and wait until both pads have been touched for a while; CliError if they are not."""
     print(f"lay {cylinder} between the palms, across both pads", file=sys.stderr, flush=True)
-    left = _touched_otherwise(subscriber, stop, (True, True), FIRST_TOUCH_S)
-    if left is None:
+    contacts = _wait_for_contacts(subscriber, stop, (True, True), FIRST_TOUCH_S)
+    if contacts is None:
         return
     if stop.made:
         raise CliError(RIG_FAILED, "stopped before anything moved")
-    if not left:
-        raise CliError(RIG_FAILED, _unheard(address))
-    raise CliError(RIG_FAILED, f"{_untouched(left, cylinder)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved")
+    if not contacts:
+        raise CliError(RIG_FAILED, _no_messages(address))
+    raise CliError(
+        RIG_FAILED, f"{_missing_contacts(contacts, cylinder)} within {FIRST_TOUCH_S:.0f} s: nothing has been moved"
+    )
 
 
-def _touched_otherwise(
+def _wait_for_contacts(
     subscriber: Subscriber, stop: StopRequest, wanted: tuple[bool, bool], seconds: float
 ) -> tuple[bool, ...] | None:
-    """None once the pads have been touched as `wanted` for `TOUCHED_S`; else, when the time is over or a stop is asked
-    for, how they were touched last, empty where nothing was heard."""
+    """None once the pads have been touched as `wanted` for `TOUCHED_S`; the last contacts if the time is over or a stop
+    is requested, empty if no message arrived."""
     t_end, t_since = time.monotonic() + seconds, math.inf
     touched: tuple[bool, ...] = ()
     while time.monotonic() < t_end and not stop.made:
@@ -215,12 +217,12 @@ def _touched_otherwise(
     return touched
 
 
-def _unheard(address: str) -> str:
-    return f"nothing is heard from {address}: is a palmd running there?"
+def _no_messages(address: str) -> str:
+    return f"no messages from {address}: is a palmd running there?"
 
 
-def _untouched(touched: tuple[bool, ...], cylinder: str) -> str:
+def _missing_contacts(touched: tuple[bool, ...], cylinder: str) -> str:
     if any(touched):
-        feels, lacks = PALMS if touched[0] else PALMS[::-1]
-        return f"{cylinder} is felt on palm {feels} and not on palm {lacks}"
+        touched_palm, other_palm = PALMS if touched[0] else PALMS[::-1]
+        return f"{cylinder} touches palm {touched_palm} but not palm {other_palm}"
     return "nothing has touched the pads"

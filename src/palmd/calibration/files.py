@@ -1,4 +1,4 @@
-"""The files that calibrations leave: YAML with the date, the version, and the hash of the settings they call for."""
+"""Result files of calibrations: YAML with the date, the version, and the hash of the proposed settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from palmd.console.folders import nearest, takes_files
 
 
 def provenance(section: Strict) -> dict[str, Any]:
-    """When and with what it was measured, and the hash of the configuration's section as the result has it."""
+    """Date and version of the measurement, and the hash of the configuration's section with the result."""
     return {
         "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "palmd": __version__,
@@ -25,7 +25,7 @@ def provenance(section: Strict) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Maps, lists and rounded numbers only."""
+    """Convert to maps, lists and rounded numbers only."""
     if isinstance(value, dict):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, tuple):
@@ -34,9 +34,9 @@ def plain(value: Any) -> Any:
 
 
 def writable(folder: Path) -> Path:
-    """The folder, before anybody goes to the trouble of a calibration; CliError unless `write` can make it and write.
+    """Check the folder before the calibration begins; CliError unless `write` can create it and write to it.
 
-    Nothing is made yet: a calibration that is refused leaves nothing.
+    Nothing is created yet, so that a calibration that fails leaves nothing.
     """
     try:
         there = nearest(folder)
@@ -50,7 +50,7 @@ def writable(folder: Path) -> Path:
 
 
 def write(path: Path, content: dict[str, Any]) -> None:
-    """Makes the folder if need be; an earlier result stays until the new one is complete; raises CliError."""
+    """Write a result, creating the folder if needed; an old result stays until the new one is complete. CliError."""
     partial = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,5 +61,5 @@ def write(path: Path, content: dict[str, Any]) -> None:
 
 
 def not_written(path: Path, error: OSError) -> CliError:
-    """Says which file cannot be written, and why."""
+    """The error for a file that cannot be written."""
     return CliError(BAD_INPUT, f"{path}: cannot be written: {error.strerror or error}")

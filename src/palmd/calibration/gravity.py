@@ -1,7 +1,7 @@
 """Finds gravity in the plane and the error of the arm's yaw, with a ball or cylinder that you let roll down the palms.
 
-Needs a running daemon. It arms the arm if that has not been done, and then stops it in the end; the palms go to one
-slope after the other, and stand there while you let it roll.
+Needs a running daemon. Arms the arm if necessary, and then stops it at the end; the palms move to one slope after the
+other, where you let it roll.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH, add_key, credentials
 from palmd.bus.subscriber import Subscriber
 from palmd.calibration.files import plain, provenance, writable, write
-from palmd.calibration.linkage import arm_base, changed, found, held_by, lines, palm_base_in_arm
+from palmd.calibration.linkage import adept_arm, arm_base, changed, found, lines, palm_base_in_arm
 from palmd.calibration.rolling_fit import (
     INERTIA,
-    LEAST_PER_PALM,
+    MIN_ROLLS_PER_PALM,
     Acceleration,
     GravityFit,
     RollerKind,
@@ -37,19 +37,19 @@ from palmd.harness.processes import StopRequest
 from palmd.quantities import EVENTS, INFO
 
 FORMAT = 1
-_UPRIGHT_M_S2 = 9.84
-_SCATTER_MOST = 2.0
+_MAX_GRAVITY_M_S2 = 9.84
+_MAX_SCATTER = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the configuration that the daemon runs with, palmd.yaml")
-    add("--roller", choices=INERTIA, default="ball", help="what rolls; a cylinder must be full (default: %(default)s)")
+    add("--roller", choices=INERTIA, default="ball", help="what rolls; a cylinder must be solid (default: %(default)s)")
     add("--rolls", type=_rolls, default=40, metavar="N",
-        help="on each steep slope, a third of it on each shallow one (default: %(default)s)")  # fmt: skip
+        help="on each steep slope, a third of it on each gentle one (default: %(default)s)")  # fmt: skip
     add("--clear", type=_clear, default=3.0, metavar="S",
-        help="both pads must be free for so long before the palms move (default: %(default)g)")  # fmt: skip
+        help="how long both pads must be free before the palms move (default: %(default)g)")  # fmt: skip
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
     add("-o", "--output", type=Path, metavar="FOLDER",
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before all is measured; CliError when the daemon refuses, or the rolls say too little."""
+    """Writes nothing before everything is measured; CliError if the daemon refuses or the rolls do not suffice."""
     config = with_flat_palms(arguments.config, "what rolls down a palm")
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     key = credentials(arguments)
@@ -74,40 +74,40 @@ def run(arguments: argparse.Namespace) -> int:
         session.begin(slopes)
         try:
             for each in slopes:
-                session.roll_on(each)
-            session.over = True
+                session.collect(each)
+            session.is_complete = True
         finally:
             session.end()
     try:
         fit = fit_gravity(session.rolls, arguments.roller)
     except TooFewRollsError as error:
         raise CliError(RIG_FAILED, f"gravity: {error}") from None
-    print(table(fit, arguments.roller, session.too_short, session.rough))
+    print(table(fit, arguments.roller, session.too_short, session.not_smooth))
     for remark in remarks(fit, arguments.roller):
         print(remark, file=sys.stderr)
     result = folder / "gravity.yaml"
     write(result, document(fit, arguments.roller, config))
     print(f"written: {result}")
-    print(f"{arguments.config}: write in these sections:\n{lines(called_for(fit, config))}")
+    print(f"{arguments.config}: write in these sections:\n{lines(proposed_settings(fit, config))}")
     return 0
 
 
-def table(fit: GravityFit, kind: RollerKind, too_short: int, rough: int) -> str:
-    """The result in a few lines for a terminal."""
-    out = causes(too_short, rough, fit.strange)
-    said = ", ".join(f"{count} {cause}" for cause, count in out.items())
+def table(fit: GravityFit, kind: RollerKind, too_short: int, not_smooth: int) -> str:
+    """The result as text for a terminal."""
+    counts = causes(too_short, not_smooth, fit.inconsistent)
+    reasons = ", ".join(f"{count} {cause}" for cause, count in counts.items())
     rows = {
         "gravity": found(fit.g, fit.g_sd, "m/s² in the plane", 4),
-        "yaw": f"wrong by {found(math.degrees(fit.delta), math.degrees(fit.delta_sd), '°', 3)}",
+        "yaw": f"error {found(math.degrees(fit.delta), math.degrees(fit.delta_sd), '°', 3)}",
         "rolling": f"resistance {found(fit.resistance, fit.resistance_sd, '', 5)}",
     }
-    head = f"gravity: {len(fit.used)} rolls of a {kind}" + (f"; left out: {said}" if said else "")
+    head = f"gravity: {len(fit.used)} rolls of a {kind}" + (f"; left out: {reasons}" if reasons else "")
     return "\n".join([head, *(f"  {what:8} {text}" for what, text in rows.items()), *map(_row, by_slope(fit, kind))])
 
 
 @dataclass(frozen=True, slots=True)
-class OnSlope:
-    """The rolls on one slope: mean acceleration, and by how much the fit misses it, with its one sigma (m/s²)."""
+class SlopeResult:
+    """The rolls on one slope: mean acceleration, and its residual with 1σ (m/s²)."""
 
     pad: int
     slope_deg: float
@@ -117,8 +117,8 @@ class OnSlope:
     left_sd_m_s2: float
 
 
-def by_slope(fit: GravityFit, kind: RollerKind) -> list[OnSlope]:
-    """What the fit leaves of the rolls on each slope, gentle ones first."""
+def by_slope(fit: GravityFit, kind: RollerKind) -> list[SlopeResult]:
+    """Residuals of the fit by slope, gentle ones first."""
     groups: dict[tuple[int, float], list[Acceleration]] = {}
     for roll in fit.used:
         groups.setdefault((roll.pad, round(math.degrees(slope(roll.pad, roll.phi)), 1)), []).append(roll)
@@ -126,35 +126,35 @@ def by_slope(fit: GravityFit, kind: RollerKind) -> list[OnSlope]:
     for (pad, slope_deg), rolls in sorted(groups.items()):
         weights = [roll.a_sd**-2 for roll in rolls]
         mean = sum(w * roll.a for w, roll in zip(weights, rolls, strict=True)) / sum(weights)
-        expected = fit.acceleration(rolls[0].phi, kind)
-        rows.append(OnSlope(pad, slope_deg, len(rolls), mean, mean - expected, sum(weights) ** -0.5))
+        predicted = fit.acceleration(rolls[0].phi, kind)
+        rows.append(SlopeResult(pad, slope_deg, len(rolls), mean, mean - predicted, sum(weights) ** -0.5))
     return rows
 
 
-def _row(row: OnSlope) -> str:
-    left = found(row.left_m_s2, row.left_sd_m_s2, "m/s² left", 4)
-    return f"  palm {row.pad} {row.slope_deg:6.1f}°  {row.rolls:3} rolls  {row.mean_m_s2:8.4f} m/s², {left}"
+def _row(row: SlopeResult) -> str:
+    residual = found(row.left_m_s2, row.left_sd_m_s2, "m/s² residual", 4)
+    return f"  palm {row.pad} {row.slope_deg:6.1f}°  {row.rolls:3} rolls  {row.mean_m_s2:8.4f} m/s², {residual}"
 
 
 def remarks(fit: GravityFit, kind: RollerKind) -> list[str]:
-    """What a person should look into."""
-    said = []
-    if fit.g - 3.0 * fit.g_sd > _UPRIGHT_M_S2:
-        said.append(
-            f"gravity: {fit.g:.3f} m/s² is more than there is: check the pads' counts_per_mm, and that it is a {kind}"
+    """Warnings for the operator."""
+    warnings = []
+    if fit.g - 3.0 * fit.g_sd > _MAX_GRAVITY_M_S2:
+        warnings.append(
+            f"gravity: {fit.g:.3f} m/s² is more than possible: check the pads' counts_per_mm, and that it is a {kind}"
         )
     if fit.resistance < -3.0 * fit.resistance_sd:
-        said.append("gravity: a resistance below zero: it was pushed, it slipped, or a pad's scale is bent")
-    if fit.scatter > _SCATTER_MOST:
-        said.append(
-            f"gravity: the rolls scatter {fit.scatter:.1f} times as much as their readings: is it round and clean?"
+        warnings.append("gravity: a negative resistance: it was pushed, it slipped, or a pad's scale is not linear")
+    if fit.scatter > _MAX_SCATTER:
+        warnings.append(
+            f"gravity: the rolls scatter {fit.scatter:.1f} times as much as expected: is it round and clean?"
         )
-    return said
+    return warnings
 
 
-def called_for(fit: GravityFit, config: Config) -> dict[str, dict[str, float]]:
-    """What the configuration should say, by section: the yaw is turned about the palms' base, which stays."""
-    yaw_deg = round(held_by(config).base_yaw_deg + math.degrees(fit.delta), 4)
+def proposed_settings(fit: GravityFit, config: Config) -> dict[str, dict[str, float]]:
+    """Settings for the configuration, by section: the yaw is rotated about the palms' base, which stays."""
+    yaw_deg = round(adept_arm(config).base_yaw_deg + math.degrees(fit.delta), 4)
     return {
         "rig": {"gravity_m_s2": round(fit.g, 4)},
         "arm": {**arm_base(config, palm_base_in_arm(config), yaw_deg), "base_yaw_deg": yaw_deg},
@@ -162,8 +162,8 @@ def called_for(fit: GravityFit, config: Config) -> dict[str, dict[str, float]]:
 
 
 def document(fit: GravityFit, kind: RollerKind, config: Config) -> dict[str, Any]:
-    """The stored result; `configuration` holds what it calls for, the hash is of sections rig and arm with it."""
-    values = called_for(fit, config)
+    """The stored result; `configuration` has the proposed settings, the hash is of sections rig and arm with them."""
+    values = proposed_settings(fit, config)
     numbers = {
         "gravity_m_s2": fit.g,
         "gravity_sd_m_s2": fit.g_sd,
@@ -184,8 +184,8 @@ def document(fit: GravityFit, kind: RollerKind, config: Config) -> dict[str, Any
 
 def _rolls(text: str) -> int:
     value = int(text)
-    if not LEAST_PER_PALM <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"must be {LEAST_PER_PALM} to 1000, got {text}")
+    if not MIN_ROLLS_PER_PALM <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"must be {MIN_ROLLS_PER_PALM} to 1000, got {text}")
     return value
 
 

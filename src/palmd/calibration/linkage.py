@@ -1,4 +1,4 @@
-"""What the calibrations of arm and gravity share: the sections they change, and where the arm's base comes to stand."""
+"""Shared by the calibrations of arm and gravity: the sections that they change, and the position of the arm's base."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from palmd.console.errors import BAD_INPUT, CliError
 
 
 class Sections(Strict):
-    """The sections that tell where the palms are, and what pulls at what lies on them."""
+    """The sections that determine the palms' position, and gravity."""
 
     rig: RigConfig
     arm: ArmConfig
 
 
-def held_by(config: Config) -> AdeptConfig:
-    """The arm that holds the palms; CliError where servos turn them, which have no linkage to calibrate."""
+def adept_arm(config: Config) -> AdeptConfig:
+    """The arm that holds the palms; CliError if servos turn them, which have no linkage to calibrate."""
     if not isinstance(config.arm, AdeptConfig):
         raise CliError(
             BAD_INPUT,
             f"arm.kind {config.arm.kind} turns the palms about a fixed hinge, which has no linkage to calibrate:"
-            " palmd calibrate self finds the servos' centre_deg",
+            " use `palmd calibrate self`, which finds the servos' centre_deg",
         )
     return config.arm
 
@@ -33,24 +33,24 @@ def changed(config: Config, rig: dict[str, float], arm: dict[str, float]) -> Sec
     return Sections(rig=config.rig.model_copy(update=rig), arm=config.arm.model_copy(update=arm))
 
 
-def lines(called_for: dict[str, dict[str, float]]) -> str:
-    """What to write into the configuration, as it is written there."""
+def lines(settings: dict[str, dict[str, float]]) -> str:
+    """The settings in the syntax of the configuration file."""
     return "\n".join(
         f"  {section}: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
-        for section, values in called_for.items()
+        for section, values in settings.items()
     )
 
 
 def palm_base_in_arm(config: Config) -> tuple[float, float]:
     """B in arm coordinates (mm) as configured: R(−yaw)·(B − base)."""
-    arm = held_by(config)
+    arm = adept_arm(config)
     yaw = math.radians(arm.base_yaw_deg)
     dx, dy = config.rig.base_mm[0] - arm.base_x_mm, config.rig.base_mm[1] - arm.base_y_mm
     return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
 
 
 def arm_base(config: Config, palm_base: tuple[float, float], yaw_deg: float) -> dict[str, float]:
-    """Where the arm's base is in the world for B at `palm_base` in arm coordinates (mm): B − R(yaw)·palm_base."""
+    """Position of the arm's base in the world for B at `palm_base` in arm coordinates (mm): B − R(yaw)·palm_base."""
     yaw = math.radians(yaw_deg)
     (bx, by), (x, y) = config.rig.base_mm, palm_base
     return {
@@ -60,5 +60,5 @@ def arm_base(config: Config, palm_base: tuple[float, float], yaw_deg: float) -> 
 
 
 def found(value: float, sd: float, unit: str, digits: int) -> str:
-    """A result with its one sigma, for a table."""
+    """A value with its 1σ, for a table."""
     return f"{value:.{digits}f} ± {sd:.{digits}f} {unit}".rstrip()

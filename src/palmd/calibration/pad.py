@@ -1,4 +1,4 @@
-"""Characterises a touchpad by a marble that you roll all over it, slowly and fast, lifting it now and then."""
+"""Characterises a touchpad by a marble that you roll over it, slowly and fast, lifting it now and then."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from palmd.system.mechanism import PALMS
 from palmd.yamlfile import ConfigError, load_config
 
 FIRST_TOUCH_S = 15.0
-"""How long the pad may be left alone at the beginning."""
+"""Longest time that the pad may remain untouched at the beginning."""
 FORMAT = 1
 
 _LOOK_S = 0.1
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     add = parser.add_argument
     add("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
-    add("--characterise", action="store_true", help=argparse.SUPPRESS)  # was needed once
+    add("--characterise", action="store_true", help=argparse.SUPPRESS)  # kept for compatibility
     add("--pad", type=int, choices=PALMS, required=True, help="of which palm")
     add(
         "--seconds",
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before the pad has been measured; CliError when the input is wrong or the pad says too little."""
+    """Writes nothing before the pad is measured; CliError if the input is wrong or the reports do not suffice."""
     name = f"pad{arguments.pad}"
     config = _pad_config(arguments.config, arguments.pad)
     folder = writable(arguments.output or arguments.config.parent / "calibration")
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def table(name: str, found: PadCharacteristic, config: PadConfig) -> str:
-    """The result in a few lines for a terminal."""
+    """The result as text for a terminal."""
     bands = ", ".join(f"{band.share:.0%} at {band.mean_ms:.1f} ms" for band in found.bands)
     discarded = found.bad_header_bytes + found.bad_data_bytes + found.truncated_bytes
     rows = {
@@ -89,9 +89,9 @@ def table(name: str, found: PadCharacteristic, config: PadConfig) -> str:
 
 
 def remarks(name: str, found: PadCharacteristic, config: PadConfig) -> Iterator[str]:
-    """What a person should look into."""
+    """Warnings for the operator."""
     if found.out_of_range > _SUSPICIOUS_SHARE * found.reports:
-        yield f"{name}: {found.out_of_range} reports are no place on the pad: check zero_mm, sign and counts_per_mm"
+        yield f"{name}: {found.out_of_range} reports are outside the pad: check zero_mm, sign and counts_per_mm"
     if found.along(config).step_counts > 1:
         yield (
             f"{name}: positions come in steps of {found.along(config).step_counts} counts: the pad is coarser than"
@@ -105,19 +105,19 @@ def remarks(name: str, found: PadCharacteristic, config: PadConfig) -> Iterator[
 
 
 def noise_mm(found: PadCharacteristic, config: PadConfig) -> float:
-    """What the configuration should say; where rounding hides the noise, what it may at most be (one sigma)."""
+    """The value for the configuration; where rounding hides the noise, its upper limit (1σ)."""
     along = found.along(config)
     return max(round(max(along.noise_mm, along.noise_sd_mm), 3), _LEAST_NOISE_MM)
 
 
 def document(pad: int, found: PadCharacteristic, config: PadConfig) -> dict[str, Any]:
-    """The stored result; `configuration` holds what it calls for in the pad's section, the hash is of both together."""
-    called_for = {"noise_mm": noise_mm(found, config)}
+    """The stored result; `configuration` has the pad's proposed settings, the hash is of the section with them."""
+    settings = {"noise_mm": noise_mm(found, config)}
     return {
         "palmd_pad_characteristic": FORMAT,
-        **provenance(config.model_copy(update=called_for)),
+        **provenance(config.model_copy(update=settings)),
         "pad": pad,
-        "configuration": called_for,
+        "configuration": settings,
         "found": plain(asdict(found)),
     }
 
@@ -138,7 +138,7 @@ def _pad_config(path: Path, pad: int) -> PadConfig:
 
 
 def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> list[PadReport]:
-    """Everything the pad says from its first report on; CliError when the port fails or nobody touches the pad."""
+    """All reports from the first on; CliError if the port fails or nobody touches the pad."""
     port = pad.port()
     t = time.monotonic()
     if not port.poll_open(t):

@@ -1,9 +1,10 @@
-"""Both palms' curvature from a turned cylinder of known radius between them. Pure.
+"""Both palms' curvature from a machined cylinder of known radius between them. Pure.
 
-On palms that are arcs the cylinder touches both at places that follow from φ2, R and both curvatures
-(`calibration.cylinder:contacts_m`), and each pad says counts = sign · counts_per_mm · (s − zero_mm). The bend of counts
-over φ2 tells the curvatures, and the zeros beside them; what a millimetre is, a pad must know already (`palmd calibrate
-pad`), for a longer one looks much like a less concave palm. By Gauss–Newton in (κ1, κ2, zero 1, zero 2) at once.
+On curved palms the cylinder touches both at places that follow from φ2, R and both curvatures
+(`calibration.cylinder:contacts_m`), and each pad reads counts = sign · counts_per_mm · (s − zero_mm). The nonlinearity
+of counts over φ2 determines the curvatures, and the zeros as well; counts_per_mm must be known already (`palmd
+calibrate pad`), because a larger scale has nearly the same effect as a less concave palm. Solved by Gauss–Newton in
+(κ1, κ2, zero 1, zero 2) together.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.calibration.cylinder import LEAST_TRAVEL_M, CylinderError, contacts_m, not_spoilt, readings
+from palmd.calibration.cylinder import MIN_TRAVEL_M, CylinderError, contacts_m, inliers, readings
 from palmd.calibration.pad_scale import slow_readings
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
@@ -24,22 +25,22 @@ from palmd.system.mechanism import PALMS
 Bools = npt.NDArray[np.bool_]
 
 SCALE_SD = 3e-3
-"""One-sigma of counts_per_mm, as a share, that is in the curvatures' error: what `palmd calibrate pad` is good for."""
-LARGEST = 25.0
-"""1/m: of curvatures that are looked for."""
+"""Relative 1σ of counts_per_mm that is included in the curvatures' errors: the accuracy of `palmd calibrate pad`."""
+MAX_CURVATURE = 25.0
+"""1/m: limit of the search."""
 
-_ROUNDS, _SETTLED = 30, 1e-6  # 1/m
+_ROUNDS, _CONVERGED = 30, 1e-6  # 1/m
 _LONGEST_STEP = 3.0  # 1/m
-_NOT_FLAT = 1e-3  # 1/m: at exactly none there is no difference to go by
-_STEPS = (1e-2, 1e-2, 1e-6, 1e-6)  # of the differences: 1/m, m
-_LEFT_M = 5e-4  # of each reading, beyond which the counts do not follow any arc
+_MIN_START = 1e-3  # 1/m: start for flat palms, where differences would vanish
+_STEPS = (1e-2, 1e-2, 1e-6, 1e-6)  # of finite differences: 1/m, m
+_MAX_RESIDUAL_M = 5e-4  # standard deviation beyond which the counts do not follow any arc
 
 
 @dataclass(frozen=True, slots=True)
 class PadCurvature:
-    """One palm: curvature (1/m, > 0 concave) and zero (mm), with one sigma; the radius taken for exact.
+    """One palm: curvature (1/m, > 0 concave) and zero (mm), with 1σ; for an exact radius.
 
-    curvature_sd has in it what a scale that is off by `SCALE_SD` does. noise_mm: left of each reading.
+    curvature_sd includes the effect of a scale error of `SCALE_SD`. noise_mm: RMS residual of a reading.
     """
 
     curvature_per_m: float
@@ -54,9 +55,9 @@ class PadCurvature:
 def pad_curvatures(
     events: Iterable[Event], configs: Sequence[PadConfig], radius_m: float, believed: Sequence[float]
 ) -> tuple[PadCurvature, PadCurvature]:
-    """Both palms; `configs` are those the daemon ran with, and so are the curvatures `believed` (1/m) to begin with.
+    """Both palms; `configs` and the initial curvatures `believed` (1/m) are those the daemon ran with.
 
-    Raises CylinderError for readings that do not suffice.
+    Raises CylinderError if the readings do not suffice.
     """
     opening, s = [], []
     for number, config, found in zip(PALMS, configs, readings(events, configs), strict=True):
@@ -64,30 +65,33 @@ def pad_curvatures(
         opening.append(angles)
         s.append(config.sign * counts / config.counts_per_mm * 1e-3)  # from the pad's zero
     kept = [np.ones(len(each), dtype=np.bool_) for each in s]
-    x = np.array([*(kappa or _NOT_FLAT for kappa in believed), 0.0, 0.0])
+    x = np.array([*(kappa or _MIN_START for kappa in believed), 0.0, 0.0])
     for _ in range(2):
-        x = _solved(x, opening, s, kept, radius_m)
-        left = _left(x, opening, s, radius_m)
-        kept = [not_spoilt(each, least=1e-5) for each in left]
-    for number, each, some, angles in zip(PALMS, left, kept, opening, strict=True):
-        way = np.ptp(contacts_m(radius_m, angles[some], x[:2].tolist())[number - 1])
-        if way < 0.8 * LEAST_TRAVEL_M:
-            raise CylinderError(f"the palms moved the cylinder by {way * 1e3:.1f} mm only: was the plan stopped?")
-        if not np.std(each[some]) < _LEFT_M:
+        x = _solve(x, opening, s, kept, radius_m)
+        residuals = _residuals(x, opening, s, radius_m)
+        kept = [inliers(each, min_scale=1e-5) for each in residuals]
+    for number, each, selected, angles in zip(PALMS, residuals, kept, opening, strict=True):
+        travel = np.ptp(contacts_m(radius_m, angles[selected], x[:2].tolist())[number - 1])
+        if travel < 0.8 * MIN_TRAVEL_M:
+            raise CylinderError(f"the palms moved the cylinder by {travel * 1e3:.1f} mm only: was the plan stopped?")
+        if not np.std(each[selected]) < _MAX_RESIDUAL_M:
             raise CylinderError(
-                f"pad {number}'s counts do not follow a cylinder on an arc ({np.std(each[some]) * 1e3:.1f} mm are left"
-                f" of each): check pads.palm{number}.axis and its counts_per_mm, and that nothing else lies on the pad"
+                f"pad {number}'s counts do not follow a cylinder on an arc"
+                f" (residual {np.std(each[selected]) * 1e3:.1f} mm): check pads.palm{number}.axis and counts_per_mm,"
+                " and that nothing else lies on the pad"
             )
-    return _told(x, left, kept, opening, s, radius_m)
+    return _results(x, residuals, kept, opening, s, radius_m)
 
 
 def _model(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:
-    """What each pad says (m from its zero) for x = (κ1, κ2, zero 1, zero 2)."""
+    """Reading of each pad (m from its zero) for x = (κ1, κ2, zero 1, zero 2)."""
     return [contacts_m(radius_m, each, x[:2].tolist())[i] - x[2 + i] for i, each in enumerate(opening)]
 
 
-def _left(x: FloatArray, opening: Sequence[FloatArray], s: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:
-    return [said - of for said, of in zip(s, _model(x, opening, radius_m), strict=True)]
+def _residuals(
+    x: FloatArray, opening: Sequence[FloatArray], s: Sequence[FloatArray], radius_m: float
+) -> list[FloatArray]:
+    return [read - predicted for read, predicted in zip(s, _model(x, opening, radius_m), strict=True)]
 
 
 def _gradient(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> list[FloatArray]:
@@ -98,37 +102,43 @@ def _gradient(x: FloatArray, opening: Sequence[FloatArray], radius_m: float) -> 
     return [np.stack([column[i] for column in columns], axis=1) for i in range(len(opening))]
 
 
-def _solved(
+def _solve(
     x: FloatArray, opening: Sequence[FloatArray], s: Sequence[FloatArray], kept: Sequence[Bools], radius_m: float
 ) -> FloatArray:
     for _ in range(_ROUNDS):
-        rows = np.concatenate([each[some] for each, some in zip(_gradient(x, opening, radius_m), kept, strict=True)])
-        left = np.concatenate([each[some] for each, some in zip(_left(x, opening, s, radius_m), kept, strict=True)])
-        step = np.linalg.lstsq(rows, left, rcond=None)[0]
+        rows = np.concatenate(
+            [each[selected] for each, selected in zip(_gradient(x, opening, radius_m), kept, strict=True)]
+        )
+        residuals = np.concatenate(
+            [each[selected] for each, selected in zip(_residuals(x, opening, s, radius_m), kept, strict=True)]
+        )
+        step = np.linalg.lstsq(rows, residuals, rcond=None)[0]
         step *= min(1.0, _LONGEST_STEP / np.abs(step[:2]).max())
         x = x + step
-        if np.abs(x[:2]).max() > LARGEST:
+        if np.abs(x[:2]).max() > MAX_CURVATURE:
             break
-        if np.abs(step[:2]).max() < _SETTLED:
+        if np.abs(step[:2]).max() < _CONVERGED:
             return np.asarray(x)
     raise CylinderError("no pair of arcs explains the readings: is the radius right, and the pads' counts_per_mm?")
 
 
-def _told(
+def _results(
     x: FloatArray,
-    left: Sequence[FloatArray],
+    residuals: Sequence[FloatArray],
     kept: Sequence[Bools],
     opening: Sequence[FloatArray],
     s: Sequence[FloatArray],
     radius_m: float,
 ) -> tuple[PadCurvature, PadCurvature]:
-    noise = [math.sqrt(float(np.mean(each[some] ** 2))) for each, some in zip(left, kept, strict=True)]
+    noise = [math.sqrt(float(np.mean(each[selected] ** 2))) for each, selected in zip(residuals, kept, strict=True)]
     gradients = _gradient(x, opening, radius_m)
-    rows = np.concatenate([each[some] / sd for each, some, sd in zip(gradients, kept, noise, strict=True)])
+    rows = np.concatenate([each[selected] / sd for each, selected, sd in zip(gradients, kept, noise, strict=True)])
     covariance, shifts = np.linalg.inv(rows.T @ rows), []
-    for own in range(len(PALMS)):  # a scale that is off moves that pad's readings in proportion
-        moved = [each[some] * (i == own) / sd for i, (each, some, sd) in enumerate(zip(s, kept, noise, strict=True))]
-        shifts.append(SCALE_SD * covariance @ (rows.T @ np.concatenate(moved)))
+    for own in range(len(PALMS)):  # a scale error changes that pad's readings in proportion
+        change = [
+            each[selected] * (i == own) / sd for i, (each, selected, sd) in enumerate(zip(s, kept, noise, strict=True))
+        ]
+        shifts.append(SCALE_SD * covariance @ (rows.T @ np.concatenate(change)))
     covariance = covariance + sum(np.outer(shift, shift) for shift in shifts)
     sd = np.sqrt(np.diag(covariance))
     one, two = (

@@ -1,4 +1,4 @@
-"""A pad's characteristic as one figure of four panels, after figure 3.12 of the paper; needs matplotlib."""
+"""A pad's characteristic as a figure with four panels, after figure 3.12 of the paper; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LONGEST_PACKETS = 4.5
 
 
 def save(packets: Sequence[PadReport], found: PadCharacteristic, config: PadConfig, path: Path) -> None:
-    """Draws the reports and what was found in them into an SVG; the same reports give the same file."""
+    """Draw the reports and the results into an SVG; the same reports give the same file."""
     touches = strokes(packets, config)
     gaps_ms = intervals_s(touches) * 1e3
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
@@ -75,14 +75,14 @@ def _histogram(axes: Axes, gaps_ms: FloatArray, found: PadCharacteristic) -> Non
 
 
 def _noise(axes: Axes, touches: Sequence[Stroke], found: PadCharacteristic) -> None:
-    """The residuals, scaled up for what the fit has taken from them."""
+    """The residuals, scaled by the degrees of freedom that the fit has taken."""
     scale = np.sqrt(WINDOW / DEGREES_OF_FREEDOM)
-    both = (found.x, found.y)
-    spread = 5.0 * max(np.hypot(each.noise_mm, each.step_mm / np.sqrt(12.0)) for each in both)
-    for axis, of_axis in zip(AXES, both, strict=True):
-        left = residuals(touches, axis, of_axis.step_counts).ravel() * scale * of_axis.step_mm / of_axis.step_counts
+    axes_found = (found.x, found.y)
+    spread = 5.0 * max(np.hypot(each.noise_mm, each.step_mm / np.sqrt(12.0)) for each in axes_found)
+    for axis, of_axis in zip(AXES, axes_found, strict=True):
+        scaled = residuals(touches, axis, of_axis.step_counts).ravel() * scale * of_axis.step_mm / of_axis.step_counts
         axes.hist(
-            left, np.linspace(-spread, spread, 81).tolist(), density=True, histtype="step", color=_COLOURS[axis],
+            scaled, np.linspace(-spread, spread, 81).tolist(), density=True, histtype="step", color=_COLOURS[axis],
             label=f"{axis}: noise {of_axis.noise_mm:.3f} ± {of_axis.noise_sd_mm:.3f} mm, step {of_axis.step_mm:.3f} mm",
         )  # fmt: skip
     axes.set(xlabel="residual of the local fit (mm)", ylabel="density (1/mm)", title="Noise and rounding")

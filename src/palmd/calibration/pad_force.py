@@ -1,18 +1,18 @@
-"""Both pads' newtons per count from the weight of a turned cylinder between the palms. Pure.
+"""Both pads' newtons per count from the weight of a machined cylinder between the palms. Pure.
 
-The palms stand in one pose after the other; the mean pressure of each rest is one measurement. Friction at rest is not
-known, and it does not average out: a cylinder that slid down is held up, and one that was pushed up is held down, by
-unequal amounts. But it leaves the difference of both forces alone (`palmd.calibration.cylinder`), so that
+The palms rest in a sequence of poses; the mean pressure of each rest is one measurement. Friction at rest is unknown
+and does not average out: a cylinder that slid down is supported by friction, one that was pushed up is held down, by
+unequal amounts. But the difference of both forces does not depend on friction (`palmd.calibration.cylinder`), so that
 
     k1·c1 − k2·c2 = m·g·cos β/cos(φ2/2)
 
-holds in every pose for the pressures c1, c2 (counts) and the wanted k1, k2 (N per count). Tipping the V to both sides
-makes two numbers of the one: upright the difference vanishes, which gives k1/k2, and tipped it gives their size.
+holds in every pose for the pressures c1, c2 (counts) and the unknown k1, k2 (N per count). Tipping the V to both sides
+determines both: upright the difference vanishes, which gives k1/k2, and tipped it gives their size.
 
-Least squares would come out low, as the noise is in c1 and c2. The pose is exact and goes with them, so its
-frictionless forces N1, N2 are the instruments: Zᵀ(M·k − y) = 0 with the rows Z = (N1, −N2), M = (c1, −c2). Each round
-of poses is also solved by itself: a resistive pad's gain creeps within a minute, and the scatter between rounds tells
-by how much.
+Least squares would be biased low, because the noise is in c1 and c2. The pose is exact and correlated with them, so its
+frictionless forces N1, N2 serve as instrumental variables: Zᵀ(M·k − y) = 0 with the rows Z = (N1, −N2), M = (c1, −c2).
+Each round of poses is also solved separately: a resistive pad's gain creeps within a minute, and the scatter between
+rounds shows by how much.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmd.calibration.cylinder import CylinderError, CylinderReadings, lying, normal_forces, readings
+from palmd.calibration.cylinder import CylinderError, CylinderReadings, equivalent_flat_angles, normal_forces, readings
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
 
-LEAST_ROUNDS = 2
+MIN_ROUNDS = 2
 
 _STILL_RAD_S = 1e-4
-_SETTLING_S = 0.3  # of each rest that is left out
-_LEAST_REST_S = 0.3
-_LEAST_READINGS = 10
-_WANDERING = 1.25
-"""What one sigma of a mean of rounds is larger by, as neighbours of a minute share some of a drift of 20 s."""
-_LEAST_TIP_N_SHARE = 0.2  # of the weight that the difference of the forces must vary by
+_SETTLING_S = 0.3  # left out at the beginning of each rest
+_MIN_REST_S = 0.3
+_MIN_READINGS = 10
+_DRIFT_FACTOR = 1.25
+"""Factor on 1σ of a mean of rounds, as neighbouring rounds of a minute are correlated by a drift of 20 s."""
+_MIN_DIFFERENCE_SHARE = 0.2  # of the weight, by which the difference of the forces must vary
 
 
 @dataclass(frozen=True, slots=True)
 class PadForce:
-    """One pad: newtons_per_count with one sigma, and what a line with an offset would say instead.
+    """One pad: newtons_per_count with 1σ, and the result of a line with an offset.
 
-    share_left: what is left of a force at rest, one sigma relative to the force: drift, hysteresis and friction.
-    offset_n: the force at which the pressure would be zero, friction taken to average out.
-    least_n, greatest_n: the forces it was measured at.
+    share_left: RMS residual of the force at rest, relative to the force: drift, hysteresis and friction.
+    offset_n: the force at which the pressure would be zero, if friction averages out.
+    least_n, greatest_n: range of the forces.
     """
 
     newtons_per_count: float
@@ -61,7 +61,7 @@ class PadForce:
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """Of both pads; `friction` is the largest share of a normal force that friction at rest bears (mean over poses)."""
+    """Both pads; `friction`: largest share of a normal force that friction carries at rest (mean over poses)."""
 
     pads: tuple[PadForce, ...]
     friction: float
@@ -71,9 +71,9 @@ class Forces:
 
 @dataclass(frozen=True, slots=True)
 class _Rests:
-    """Of n rests: mean pressures of each pad (2, n) in counts, the first palm's angle and the opening (n) in rad.
+    """n rests: mean pressures of each pad (2, n) in counts, the first palm's angle and the opening (n) in rad.
 
-    Of palms that are arcs the angles come to be those of their tangents.
+    For curved palms the angles are replaced by those of their tangents.
     """
 
     counts: FloatArray
@@ -96,34 +96,34 @@ def pad_forces(
     radius_m: float,
     curvatures: Sequence[float] = FLAT,
 ) -> Forces:
-    """Both pads from at least LEAST_ROUNDS rounds of so many poses; `configs` are those the daemon ran with.
+    """Both pads from at least MIN_ROUNDS rounds of this many poses; `configs` are those the daemon ran with.
 
-    The cylinder's radius tells how palms of these curvatures (1/m) lie where it touches them. Raises CylinderError for
-    readings that do not suffice.
+    The cylinder's radius determines the tangents of palms of these curvatures (1/m). Raises CylinderError if the
+    readings do not suffice.
     """
     pads = readings(events, configs)
     rests = _rests(*pads)
-    first, opening = lying(radius_m, rests.first, rests.opening, curvatures)
+    first, opening = equivalent_flat_angles(radius_m, rests.first, rests.opening, curvatures)
     rests = replace(rests, first=first, opening=opening)
     rounds = round(len(rests) / poses)
-    if rounds < LEAST_ROUNDS or len(rests) < LEAST_ROUNDS * poses - poses // 4:
+    if rounds < MIN_ROUNDS or len(rests) < MIN_ROUNDS * poses - poses // 4:
         raise CylinderError(
-            f"the cylinder rested on both pads {len(rests)} times, of {LEAST_ROUNDS * poses} at least: it must lie"
-            " on both palms all the time, and press less than the pads' full scale"
+            f"the cylinder rested on both pads {len(rests)} times, at least {MIN_ROUNDS * poses} are needed: it must"
+            " lie on both palms all the time, and press less than the pads' full scale"
         )
     wanted = _difference(rests, weight_n)
-    if np.ptp(wanted) < _LEAST_TIP_N_SHARE * weight_n:
-        raise CylinderError("the palms have hardly tipped the cylinder: was the plan stopped?")
+    if np.ptp(wanted) < _MIN_DIFFERENCE_SHARE * weight_n:
+        raise CylinderError("the palms hardly tipped the cylinder: was the plan stopped?")
     gains = _gains(rests, weight_n)
     each = np.array([_gains(part, weight_n) for part in _parts(rests, rounds)])
-    sds = _WANDERING * each.std(axis=0, ddof=1) / math.sqrt(rounds)
+    sds = _DRIFT_FACTOR * each.std(axis=0, ddof=1) / math.sqrt(rounds)
     if gains.min() <= 0.0:
         raise CylinderError(
-            "the pressures do not follow the weight as the V is tipped: are the pads swapped, is anything else on them?"
+            "the pressures do not follow the weight as the V is tipped: check for swapped pads and for other objects"
         )
     friction = _friction(rests, weight_n, gains)
     each_pad = tuple(
-        _pad(number, rests, rounds, weight_n, float(gain), float(sd), found)
+        _pad_result(number, rests, rounds, weight_n, float(gain), float(sd), found)
         for number, (gain, sd, found) in enumerate(zip(gains, sds, pads, strict=True))
     )
     return Forces(each_pad, friction, len(rests), rounds)
@@ -148,14 +148,14 @@ def _gains(rests: _Rests, weight_n: float) -> FloatArray:
 
 
 def _friction(rests: _Rests, weight_n: float, gains: FloatArray) -> float:
-    """Root mean square of T over the normal force: N1 + N2 = m·g·sin β/sin(φ2/2) − 2T/tan(φ2/2)."""
-    both = gains[0] * rests.counts[0] + gains[1] * rests.counts[1]
-    half = rests.opening / 2.0
-    held = (weight_n * np.sin(rests.first + half) / np.sin(half) - both) * np.tan(half)
-    return float(np.sqrt(np.mean((held / both) ** 2)))
+    """RMS of T over the normal force: N1 + N2 = m·g·sin β/sin(φ2/2) − 2T/tan(φ2/2)."""
+    total = gains[0] * rests.counts[0] + gains[1] * rests.counts[1]
+    half_opening = rests.opening / 2.0
+    friction = (weight_n * np.sin(rests.first + half_opening) / np.sin(half_opening) - total) * np.tan(half_opening)
+    return float(np.sqrt(np.mean((friction / total) ** 2)))
 
 
-def _pad(
+def _pad_result(
     number: int, rests: _Rests, rounds: int, weight_n: float, gain: float, gain_sd: float, found: CylinderReadings
 ) -> PadForce:
     force, counts = normal_forces(weight_n, rests.first, rests.opening)[number], rests.counts[number]
@@ -173,20 +173,24 @@ def _pad(
 
 
 def _offset(rests: _Rests, number: int, weight_n: float) -> float:
-    """Where the line of the pressures over the frictionless forces crosses zero pressure (N)."""
+    """The force (N) at which the line of pressure over frictionless force crosses zero pressure."""
     force = normal_forces(weight_n, rests.first, rests.opening)[number]
     slope, level = np.polyfit(force, rests.counts[number], 1)
     return float(-level / slope)
 
 
 def _rests(*pads: CylinderReadings) -> _Rests:
-    """The rests in time order; one in which a pad was silent or at full scale is left out."""
+    """The rests in time order, without those in which a pad was silent or at full scale."""
     rows = []
-    for begin, end in _still(pads[0]):
+    for begin, end in _rest_intervals(pads[0]):
         means = [
-            (float(pad.pressure[some].mean()), float(pad.first[some].mean()), float(pad.opening[some].mean()))
+            (
+                float(pad.pressure[selected].mean()),
+                float(pad.first[selected].mean()),
+                float(pad.opening[selected].mean()),
+            )
             for pad in pads
-            if np.sum(some := (pad.t >= begin) & (pad.t <= end)) >= _LEAST_READINGS
+            if np.sum(selected := (pad.t >= begin) & (pad.t <= end)) >= _MIN_READINGS
         ]
         if len(means) == len(pads) and all(math.isfinite(pressure) for pressure, _, _ in means):
             rows.append((*(pressure for pressure, _, _ in means), *means[0][1:]))
@@ -194,9 +198,9 @@ def _rests(*pads: CylinderReadings) -> _Rests:
     return _Rests(table[: len(pads)], *table[len(pads) :])
 
 
-def _still(found: CylinderReadings) -> list[tuple[float, float]]:
-    """From when to when the palms stood (s), without the time to settle."""
-    still = (found.rate <= _STILL_RAD_S).astype(np.int8)
-    edges = np.flatnonzero(np.diff(still, prepend=0, append=0)).reshape(-1, 2).tolist()
-    stood = [(float(found.t[low]) + _SETTLING_S, float(found.t[high - 1])) for low, high in edges]
-    return [(begin, end) for begin, end in stood if end - begin >= _LEAST_REST_S]
+def _rest_intervals(found: CylinderReadings) -> list[tuple[float, float]]:
+    """Beginning and end of each rest (s), without the time to settle."""
+    is_at_rest = (found.rate <= _STILL_RAD_S).astype(np.int8)
+    edges = np.flatnonzero(np.diff(is_at_rest, prepend=0, append=0)).reshape(-1, 2).tolist()
+    intervals = [(float(found.t[low]) + _SETTLING_S, float(found.t[high - 1])) for low, high in edges]
+    return [(begin, end) for begin, end in intervals if end - begin >= _MIN_REST_S]

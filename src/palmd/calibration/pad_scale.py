@@ -1,8 +1,8 @@
-"""Both pads' zero, scale and sign from a turned cylinder between the palms. Pure.
+"""Both pads' zero, scale and sign from a machined cylinder between the palms. Pure.
 
-The cylinder touches each pad at s = R/tan(φ2/2), or where it does on arcs of known curvature (`calibration.cylinder`),
-and a pad says counts = sign · counts_per_mm · (s − zero_mm): a straight line through counts over s, fitted by least
-squares. Opening and closing weigh the same, so that a pad that speaks later than the arm shifts nothing.
+The cylinder touches each pad at s = R/tan(φ2/2), or at the corresponding place of palms with known curvature
+(`calibration.cylinder`), and a pad reads counts = sign · counts_per_mm · (s − zero_mm): a straight line of counts over
+s, fitted by least squares. Opening and closing have equal weights, so that a lag of the pad causes no shift.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.calibration.cylinder import (
-    LEAST_TRAVEL_M,
+    MIN_TRAVEL_M,
     SLOW_RAD_S,
     CylinderError,
     CylinderReadings,
     contacts_m,
-    not_spoilt,
+    inliers,
     readings,
 )
 from palmd.config.pads import PadConfig
@@ -28,25 +28,25 @@ from palmd.events import Event, FloatArray
 from palmd.system.arcs import FLAT
 from palmd.system.mechanism import PALMS
 
-LEAST_READINGS = 500
-LEAST_FOLLOWED = 0.9
-"""Of the counts' scatter that the line must explain, or they do not follow the cylinder."""
+MIN_READINGS = 500
+MIN_EXPLAINED = 0.9
+"""Share of the counts' variance that the line must explain, or they do not follow the cylinder."""
 PLACES = 13
-"""Of a curve, from the hinge to the pad's end."""
+"""Number of values of a curve, from the hinge to the pad's end."""
 
-_SLOW_ENOUGH = 1.05 * SLOW_RAD_S  # faster ones are from the way to the plan's beginning
+_MAX_RATE_RAD_S = 1.05 * SLOW_RAD_S  # faster readings are from the approach to the plan's first pose
 _STRETCHES = 10
-_STIFF = 3.0  # readings' worth, of each place's bend
-_LEAST_IN_STRETCH = 30
+_SMOOTHNESS = 3.0  # weight of the curve's second differences, in readings
+_MIN_IN_STRETCH = 30
 
 
 @dataclass(frozen=True, slots=True)
 class PadScale:
-    """One pad: s = zero_mm + sign · counts/counts_per_mm, with one sigma of both, the radius taken for exact.
+    """One pad: s = zero_mm + sign · counts/counts_per_mm, with 1σ of both, for an exact radius.
 
-    noise_mm: one sigma of a reading about the line, rounding included. bend_mm: the largest mean deviation from the
-    line over a tenth of the way, with its own sd; it is what a straight line, and the curve, cannot explain. low_mm,
-    high_mm: the way. curve_mm: by how much s is more than on the line, at so many even places of the pad, where asked.
+    noise_mm: 1σ of a reading about the line, rounding included. bend_mm: the largest mean deviation from the line over
+    a tenth of the range, with its own sd; neither line nor curve explain it. low_mm, high_mm: the range. curve_mm: s
+    minus the line's value, at evenly spaced places of the pad, if requested.
     """
 
     sign: int
@@ -72,9 +72,9 @@ def pad_scales(
     *,
     curved: bool = False,
 ) -> tuple[PadScale, PadScale]:
-    """Both pads; `configs` are those the daemon ran with, `curvatures` the palms' (1/m); `curved`: their curves too.
+    """Both pads; `configs` and `curvatures` (1/m) are those the daemon ran with; `curved`: fit the pads' curves too.
 
-    Raises CylinderError for readings that do not suffice.
+    Raises CylinderError if the readings do not suffice.
     """
     one, two = (
         _scale(number, found, config.length_mm if curved else None, radius_m, curvatures)
@@ -83,61 +83,61 @@ def pad_scales(
     return one, two
 
 
-def slow_enough(found: CylinderReadings) -> npt.NDArray[np.bool_]:
-    """Which readings are of the plan, and not of the way to its beginning."""
-    return np.asarray(found.rate <= _SLOW_ENOUGH)
+def is_slow(found: CylinderReadings) -> npt.NDArray[np.bool_]:
+    """Which readings belong to the plan, and not to the approach to its first pose."""
+    return np.asarray(found.rate <= _MAX_RATE_RAD_S)
 
 
 def slow_readings(number: int, found: CylinderReadings) -> tuple[FloatArray, FloatArray]:
-    """Opening (rad) and counts of a pad's readings while the palms moved slowly; CylinderError for too few."""
-    slow = slow_enough(found)
-    counts = found.counts[slow]
-    if len(counts) < LEAST_READINGS:
+    """Opening (rad) and counts of a pad's readings while the palms moved slowly; CylinderError if there are too few."""
+    selected = is_slow(found)
+    counts = found.counts[selected]
+    if len(counts) < MIN_READINGS:
         raise CylinderError(
-            f"pad {number}: {len(counts)} readings while both pads were touched, of at least {LEAST_READINGS}:"
+            f"pad {number}: {len(counts)} readings while both pads were touched, at least {MIN_READINGS} are needed:"
             " does the cylinder lie on both palms all the time?"
         )
-    return found.opening[slow], counts
+    return found.opening[selected], counts
 
 
 def _scale(
     number: int, found: CylinderReadings, length_mm: float | None, radius_m: float, curvatures: Sequence[float]
 ) -> PadScale:
-    """With a `length_mm` a curve over it is found anew; without, the configured one has been allowed for."""
+    """With a `length_mm` a new curve over it is fitted; otherwise the configured curve has been applied."""
     opening, counts = slow_readings(number, found if length_mm is None else replace(found, counts=found.raw))
     s = contacts_m(radius_m, opening, curvatures)[number - 1] * 1e3
-    if np.ptp(s) < 0.8 * LEAST_TRAVEL_M * 1e3:
+    if np.ptp(s) < 0.8 * MIN_TRAVEL_M * 1e3:
         raise CylinderError(f"the palms moved the cylinder by {np.ptp(s):.1f} mm only: was the plan stopped?")
-    left = counts - _line(s, counts)
-    kept = not_spoilt(left, least=1.0)
+    residuals = counts - _line(s, counts)
+    kept = inliers(residuals, min_scale=1.0)
     spoilt, s, counts = int(np.sum(~kept)), s[kept], counts[kept]
-    left = counts - _line(s, counts)
-    if not left.var() < (1.0 - LEAST_FOLLOWED) * counts.var():
+    residuals = counts - _line(s, counts)
+    if not residuals.var() < (1.0 - MIN_EXPLAINED) * counts.var():
         raise CylinderError(
             f"pad {number}'s counts do not follow the cylinder (from {counts.min():.0f} to {counts.max():.0f} over"
-            f" {np.ptp(s):.0f} mm of way): check pads.palm{number}.axis, and that nothing else lies on the pad"
+            f" {np.ptp(s):.0f} mm of travel): check pads.palm{number}.axis, and that nothing else lies on the pad"
         )
-    return _result(s, counts, left, spoilt, length_mm)
+    return _result(s, counts, residuals, spoilt, length_mm)
 
 
 def _line(s: FloatArray, counts: FloatArray) -> FloatArray:
     return np.asarray(np.polynomial.Polynomial.fit(s, counts, 1)(s))
 
 
-def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int, length_mm: float | None) -> PadScale:
-    """The line counts = mean + slope·(s − mean s), whose two numbers err independently of each other."""
+def _result(s: FloatArray, counts: FloatArray, residuals: FloatArray, spoilt: int, length_mm: float | None) -> PadScale:
+    """The line counts = mean + slope·(s − mean s), whose two parameters have independent errors."""
     n = len(s)
-    away = s - s.mean()
-    slope = float(away @ counts / (away @ away))
+    deviations = s - s.mean()
+    slope = float(deviations @ counts / (deviations @ deviations))
     curve: FloatArray = np.zeros(0)
-    if length_mm is not None:  # beyond the line: s = what is on it + the curve there
-        beyond = left / slope
-        curve, explained = _curve(s + beyond, -beyond, length_mm)
-        left = left + explained * slope
-    noise = math.sqrt(float(left @ left) / (n - 2))
-    slope_sd, mean_sd = noise / math.sqrt(float(away @ away)), noise / math.sqrt(n)
+    if length_mm is not None:  # s = value of the line + value of the curve
+        excess = residuals / slope
+        curve, explained = _curve(s + excess, -excess, length_mm)
+        residuals = residuals + explained * slope
+    noise = math.sqrt(float(residuals @ residuals) / (n - 2))
+    slope_sd, mean_sd = noise / math.sqrt(float(deviations @ deviations)), noise / math.sqrt(n)
     zero = float(s.mean() - counts.mean() / slope)
-    bend, bend_sd = _bend(s, left)
+    bend, bend_sd = _bend(s, residuals)
     scale = abs(slope)
     return PadScale(
         sign=1 if slope > 0.0 else -1,
@@ -156,27 +156,29 @@ def _result(s: FloatArray, counts: FloatArray, left: FloatArray, spoilt: int, le
     )
 
 
-def _curve(straight: FloatArray, more: FloatArray, length_mm: float) -> tuple[FloatArray, FloatArray]:
-    """The values at `PLACES` even places of the pad that explain `more` at `straight` (mm), and what they explain.
+def _curve(position_mm: FloatArray, excess: FloatArray, length_mm: float) -> tuple[FloatArray, FloatArray]:
+    """The curve's values at `PLACES` even places that explain `excess` at `position_mm` (mm), and the explained part.
 
-    Where nothing was felt they go on as straight as can be.
+    Where there are no readings the curve continues as straight as possible.
     """
-    at = np.clip(straight / length_mm, 0.0, 1.0) * (PLACES - 1)
-    before = np.minimum(at.astype(np.int64), PLACES - 2)
-    rows = np.zeros((len(at), PLACES))
-    each = np.arange(len(at))
-    rows[each, before], rows[each, before + 1] = 1.0 - (at - before), at - before
+    grid_position = np.clip(position_mm / length_mm, 0.0, 1.0) * (PLACES - 1)
+    lower = np.minimum(grid_position.astype(np.int64), PLACES - 2)
+    rows = np.zeros((len(grid_position), PLACES))
+    rows_index = np.arange(len(grid_position))
+    rows[rows_index, lower], rows[rows_index, lower + 1] = 1.0 - (grid_position - lower), grid_position - lower
     bends = np.diff(np.eye(PLACES), 2, axis=0)
-    values = np.asarray(np.linalg.solve(rows.T @ rows + _STIFF * bends.T @ bends, rows.T @ more), dtype=np.float64)
+    values = np.asarray(
+        np.linalg.solve(rows.T @ rows + _SMOOTHNESS * bends.T @ bends, rows.T @ excess), dtype=np.float64
+    )
     return values, np.asarray(rows @ values)
 
 
-def _bend(s: FloatArray, left: FloatArray) -> tuple[float, float]:
-    """The largest mean that is left over a tenth of the way, and its sd (counts)."""
+def _bend(s: FloatArray, residuals: FloatArray) -> tuple[float, float]:
+    """The largest mean residual over a tenth of the range, and its sd (counts)."""
     stretch = np.minimum(((s - s.min()) / np.ptp(s) * _STRETCHES).astype(np.int64), _STRETCHES - 1)
     means = [
-        (float(abs(some.mean())), float(some.std()) / math.sqrt(len(some)))
-        for some in (left[stretch == number] for number in range(_STRETCHES))
-        if len(some) >= _LEAST_IN_STRETCH
+        (float(abs(members.mean())), float(members.std()) / math.sqrt(len(members)))
+        for members in (residuals[stretch == number] for number in range(_STRETCHES))
+        if len(members) >= _MIN_IN_STRETCH
     ]
     return max(means, default=(0.0, 0.0))

@@ -1,13 +1,13 @@
-"""How high both pads' surfaces lie above the hinge line, from two turned cylinders of known radii. Pure.
+"""Height of both pads' surfaces over the hinge line, from two machined cylinders of known radii. Pure.
 
 A disc of radius R between flat surfaces that lie d1 and d2 above the hinge line touches palm 1 at
 
     s1 = ((R + d1) cos φ2 + R + d2)/sin φ2,
 
-and palm 2 with the two exchanged: what one cylinder tells is R + d times the pad's scale, and a second, smaller one
-tells them apart. Beside zero, scale and standoff of each pad the fit has what else moves a reading, held by the
-configured one-sigmas: bow, how it moves with the force, the palm angle φ2, and how well the radii are measured. By
-Gauss–Newton over both pads and both cylinders at once.
+and palm 2 with the two exchanged: one cylinder determines the product of R + d and the pad's scale, and a second,
+smaller one separates them. Besides zero, scale and standoff of each pad the fit has further parameters, with the
+configured 1σ as priors: bow, displacement by the force, the palm angle φ2, and the radii. Solved by Gauss–Newton over
+both pads and both cylinders together.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.calibration.cylinder import CylinderError, CylinderReadings, not_spoilt, readings
-from palmd.calibration.pad_scale import PadScale, pad_scales, slow_enough
+from palmd.calibration.cylinder import CylinderError, CylinderReadings, inliers, readings
+from palmd.calibration.pad_scale import PadScale, is_slow, pad_scales
 from palmd.config.pads import PadConfig
 from palmd.events import Event, FloatArray
 from palmd.system.mechanism import PALMS
 
-LEAST_RATIO = 1.3
-"""Of the radii, for the scale and the standoff to be told apart."""
+MIN_RATIO = 1.3
+"""Smallest ratio of the radii, to distinguish scale and standoff."""
 RADIUS_SD_MM = 0.01
-"""How well a radius is measured, one-sigma."""
+"""1σ of a measured radius."""
 
-_ROUNDS, _SETTLED_MM = 20, 1e-7
-_STEP = 1e-4  # of the differences, in mm, shares, rad
-_BOWS = 3  # rounds until the place on a bowed pad and its slope there agree
+_ROUNDS, _CONVERGED_MM = 20, 1e-7
+_STEP = 1e-4  # of finite differences, in mm, shares, rad
+_BOW_ROUNDS = 3  # iterations for the contact and the slope on a bowed pad
 
 Bools = npt.NDArray[np.bool_]
 
@@ -40,9 +40,9 @@ Bools = npt.NDArray[np.bool_]
 @dataclass(frozen=True, slots=True)
 class PadStandoff:
     """One pad: s = zero_mm + sign · counts/counts_per_mm, surface standoff_mm above the hinge line, on the object's
-    side; with one sigma of each, which has the radii's in it.
+    side; with 1σ of each, which includes that of the radii.
 
-    noise_mm: what is left of a reading, one sigma.
+    noise_mm: RMS residual of a reading.
     """
 
     sign: int
@@ -59,16 +59,16 @@ class PadStandoff:
 
 @dataclass(frozen=True, slots=True)
 class _Session:
-    """One cylinder: its radius (mm), and of each pad openings (rad), counts over the nominal scale (mm), forces (N)."""
+    """One cylinder: radius (mm), and by pad openings (rad), counts over the nominal scale (mm), forces (N)."""
 
     radius_mm: float
     opening: tuple[FloatArray, ...]
-    said_mm: tuple[FloatArray, ...]
+    reading_mm: tuple[FloatArray, ...]
     force_n: tuple[FloatArray, ...]
 
 
 class _Unknown:
-    """Places in the fit's vector; of pad i: base + i."""
+    """Indices in the fit's vector; of pad i: base + i."""
 
     ZERO, SCALE, STANDOFF, SAGITTA, FORCE = 0, 2, 4, 6, 8  # mm, share, mm, mm, mm/N
     OPENING, RADIUS = 10, 11  # rad, mm of each cylinder
@@ -81,45 +81,45 @@ def pad_standoffs(
     radii_m: tuple[float, float],
     opening_sd_rad: float,
 ) -> tuple[PadStandoff, ...]:
-    """Both pads, from the events with either cylinder; `configs` are those that the daemon ran with.
+    """Both pads, from the events with each cylinder; `configs` are those the daemon ran with.
 
-    Raises CylinderError for readings that do not suffice.
+    Raises CylinderError if the readings do not suffice.
     """
-    heard = [list(events) for events in sessions]
-    first = pad_scales(heard[0], tuple(configs), radii_m[0])
-    pad_scales(heard[1], tuple(configs), radii_m[1])  # which says what is wrong with it
-    taken = [
+    recorded = [list(events) for events in sessions]
+    first = pad_scales(recorded[0], tuple(configs), radii_m[0])
+    pad_scales(recorded[1], tuple(configs), radii_m[1])  # raises an error if the second session is unusable
+    prepared = [
         _session(readings(events, configs), configs, first, radius)
-        for events, radius in zip(heard, radii_m, strict=True)
+        for events, radius in zip(recorded, radii_m, strict=True)
     ]
     prior_sd = _prior_sd(configs, opening_sd_rad)
-    kept = [np.ones(len(each), dtype=np.bool_) for each in _said(taken)]
-    noise_mm = [pad.noise_mm for pad in first] * len(taken)
+    kept = [np.ones(len(each), dtype=np.bool_) for each in _readings_mm(prepared)]
+    noise_mm = [pad.noise_mm for pad in first] * len(prepared)
     x, covariance = np.zeros(_Unknown.COUNT), np.zeros((_Unknown.COUNT,) * 2)
     for _ in range(2):
-        x, covariance = _solved(x, taken, configs, kept, noise_mm, prior_sd)
-        left = _left(x, taken, configs)
-        kept = [not_spoilt(each, least=1e-2) for each in left]
-        noise_mm = [max(float(np.std(each[some])), 1e-3) for each, some in zip(left, kept, strict=True)]
-    return tuple(_told(i, x, np.sqrt(np.diag(covariance)), first[i], left, kept) for i in range(len(PALMS)))
+        x, covariance = _solve(x, prepared, configs, kept, noise_mm, prior_sd)
+        residuals = _residuals(x, prepared, configs)
+        kept = [inliers(each, min_scale=1e-2) for each in residuals]
+        noise_mm = [max(float(np.std(each[selected])), 1e-3) for each, selected in zip(residuals, kept, strict=True)]
+    return tuple(_result(i, x, np.sqrt(np.diag(covariance)), first[i], residuals, kept) for i in range(len(PALMS)))
 
 
 def _session(
     found: Sequence[CylinderReadings], configs: Sequence[PadConfig], nominal: Sequence[PadScale], radius_m: float
 ) -> _Session:
-    opening, said, force = [], [], []
+    opening, reading, force = [], [], []
     for own, config, pad in zip(found, configs, nominal, strict=True):
-        slow = slow_enough(own)
-        pressure = own.pressure[slow]
-        at_most = np.nanmax(pressure, initial=0.0)  # of what is at full scale nothing more is known
-        opening.append(own.opening[slow])
-        said.append(pad.sign * own.counts[slow] / pad.counts_per_mm + pad.zero_mm)
-        force.append(np.where(np.isfinite(pressure), pressure, at_most) * config.newtons_per_count)
-    return _Session(radius_m * 1e3, tuple(opening), tuple(said), tuple(force))
+        selected = is_slow(own)
+        pressure = own.pressure[selected]
+        largest = np.nanmax(pressure, initial=0.0)  # substitute at full scale, where the pressure is unknown
+        opening.append(own.opening[selected])
+        reading.append(pad.sign * own.counts[selected] / pad.counts_per_mm + pad.zero_mm)
+        force.append(np.where(np.isfinite(pressure), pressure, largest) * config.newtons_per_count)
+    return _Session(radius_m * 1e3, tuple(opening), tuple(reading), tuple(force))
 
 
 def _prior_sd(configs: Sequence[PadConfig], opening_sd_rad: float) -> FloatArray:
-    """Of the fit's unknowns; zeros, scales and standoffs are what is asked for."""
+    """1σ of the fit's unknowns; zeros, scales and standoffs have no prior."""
     sd = np.full(_Unknown.COUNT, np.inf)
     sd[_Unknown.SAGITTA : _Unknown.FORCE] = [pad.sagitta_sd_mm for pad in configs]
     sd[_Unknown.FORCE : _Unknown.OPENING] = [pad.force_sd_mm_per_n for pad in configs]
@@ -128,43 +128,48 @@ def _prior_sd(configs: Sequence[PadConfig], opening_sd_rad: float) -> FloatArray
     return np.asarray(np.maximum(sd, 1e-9))
 
 
-def _said(taken: Sequence[_Session]) -> list[FloatArray]:
-    return [said for session in taken for said in session.said_mm]
+def _readings_mm(prepared: Sequence[_Session]) -> list[FloatArray]:
+    return [reading for session in prepared for reading in session.reading_mm]
 
 
-def _model(x: FloatArray, taken: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
-    """What each pad says (mm) of either cylinder, in the order of `_said`."""
-    found = []
-    for number, session in enumerate(taken):
+def _model(x: FloatArray, prepared: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
+    """Predicted reading of each pad (mm) for each cylinder, in the order of `_readings_mm`."""
+    predicted = []
+    for number, session in enumerate(prepared):
         radius = session.radius_mm + x[_Unknown.RADIUS + number]
         for i, (opening, force) in enumerate(zip(session.opening, session.force_n, strict=True)):
-            s = _foot_mm(x, i, radius, opening + x[_Unknown.OPENING], configs)
-            found.append((1.0 + x[_Unknown.SCALE + i]) * s + x[_Unknown.ZERO + i] + x[_Unknown.FORCE + i] * force)
-    return found
+            s = _contact_mm(x, i, radius, opening + x[_Unknown.OPENING], configs)
+            predicted.append((1.0 + x[_Unknown.SCALE + i]) * s + x[_Unknown.ZERO + i] + x[_Unknown.FORCE + i] * force)
+    return predicted
 
 
-def _foot_mm(x: FloatArray, i: int, radius_mm: float, opening: FloatArray, configs: Sequence[PadConfig]) -> FloatArray:
-    """Where the disc touches palm i + 1: a bowed pad is its tangent there, turned and raised at the hinge."""
+def _contact_mm(
+    x: FloatArray, i: int, radius_mm: float, opening: FloatArray, configs: Sequence[PadConfig]
+) -> FloatArray:
+    """Contact of the disc with palm i + 1: a bowed pad is its tangent there, rotated and raised at the hinge."""
     other = 1 - i
     s = radius_mm / np.tan(opening / 2)
-    for _ in range(_BOWS):
-        turned, raised = np.zeros_like(opening), []
+    for _ in range(_BOW_ROUNDS):
+        rotation, heights = np.zeros_like(opening), []
         for pad in (i, other):
             sagitta, length = x[_Unknown.SAGITTA + pad], configs[pad].length_mm
-            turned = turned + 4.0 * sagitta / length * (1.0 - 2.0 * s / length)
-            raised.append(radius_mm + x[_Unknown.STANDOFF + pad] + 4.0 * sagitta * (s / length) ** 2)
-        between = opening - turned
-        s = (raised[0] * np.cos(between) + raised[1]) / np.sin(between)
+            rotation = rotation + 4.0 * sagitta / length * (1.0 - 2.0 * s / length)
+            heights.append(radius_mm + x[_Unknown.STANDOFF + pad] + 4.0 * sagitta * (s / length) ** 2)
+        angle = opening - rotation
+        s = (heights[0] * np.cos(angle) + heights[1]) / np.sin(angle)
     return np.asarray(s)
 
 
-def _left(x: FloatArray, taken: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
-    return [said - of for said, of in zip(_said(taken), _model(x, taken, configs), strict=True)]
+def _residuals(x: FloatArray, prepared: Sequence[_Session], configs: Sequence[PadConfig]) -> list[FloatArray]:
+    return [
+        reading - predicted
+        for reading, predicted in zip(_readings_mm(prepared), _model(x, prepared, configs), strict=True)
+    ]
 
 
-def _solved(
+def _solve(
     x: FloatArray,
-    taken: Sequence[_Session],
+    prepared: Sequence[_Session],
     configs: Sequence[PadConfig],
     kept: Sequence[Bools],
     noise_mm: Sequence[float],
@@ -172,29 +177,31 @@ def _solved(
 ) -> tuple[FloatArray, FloatArray]:
     """The unknowns and their covariance."""
 
-    def weighed(each: Sequence[FloatArray]) -> FloatArray:
-        return np.concatenate([part[some] / sd for part, some, sd in zip(each, kept, noise_mm, strict=True)])
+    def weighted(each: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([part[selected] / sd for part, selected, sd in zip(each, kept, noise_mm, strict=True)])
 
     for _ in range(_ROUNDS):
         columns = []
         for unit in _STEP * np.eye(len(x)):
-            sides = (_model(x + sign * unit, taken, configs) for sign in (1.0, -1.0))
-            columns.append(weighed([(a - b) / (2 * _STEP) for a, b in zip(*sides, strict=True)]))
+            sides = (_model(x + sign * unit, prepared, configs) for sign in (1.0, -1.0))
+            columns.append(weighted([(a - b) / (2 * _STEP) for a, b in zip(*sides, strict=True)]))
         rows = np.stack(columns, axis=1)
         information = rows.T @ rows + np.diag(prior_sd**-2)
-        step = np.linalg.solve(information, rows.T @ weighed(_left(x, taken, configs)) - x * prior_sd**-2)
+        step = np.linalg.solve(information, rows.T @ weighted(_residuals(x, prepared, configs)) - x * prior_sd**-2)
         x = x + step
-        if np.abs(step).max() < _SETTLED_MM:
+        if np.abs(step).max() < _CONVERGED_MM:
             return x, np.asarray(np.linalg.inv(information), dtype=np.float64)
-    raise CylinderError("no standoff explains the readings: are the radii right, in the order in which they lay there?")
+    raise CylinderError("no standoff explains the readings: check the radii and the order of the cylinders")
 
 
-def _told(
-    i: int, x: FloatArray, sd: FloatArray, nominal: PadScale, left: Sequence[FloatArray], kept: Sequence[Bools]
+def _result(
+    i: int, x: FloatArray, sd: FloatArray, nominal: PadScale, residuals: Sequence[FloatArray], kept: Sequence[Bools]
 ) -> PadStandoff:
-    own = [(each, some) for number, (each, some) in enumerate(zip(left, kept, strict=True)) if number % 2 == i]
+    own = [
+        (each, selected) for number, (each, selected) in enumerate(zip(residuals, kept, strict=True)) if number % 2 == i
+    ]
     scale = 1.0 + float(x[_Unknown.SCALE + i])
-    # said = (1 + scale)·s + zero in nominal millimetres: so s = (nominal zero − zero)/(1 + scale) + counts/…
+    # reading = (1 + scale)·s + zero in nominal millimetres, so s = (nominal zero − zero)/(1 + scale) + counts/…
     return PadStandoff(
         sign=nominal.sign,
         zero_mm=(nominal.zero_mm - float(x[_Unknown.ZERO + i])) / scale,
@@ -203,7 +210,7 @@ def _told(
         scale_sd=float(sd[_Unknown.SCALE + i]),
         standoff_mm=float(x[_Unknown.STANDOFF + i]),
         standoff_sd_mm=float(sd[_Unknown.STANDOFF + i]),
-        noise_mm=math.sqrt(float(np.mean(np.concatenate([each[some] for each, some in own]) ** 2))),
-        readings=sum(int(some.sum()) for _, some in own),
-        spoilt=sum(int((~some).sum()) for _, some in own),
+        noise_mm=math.sqrt(float(np.mean(np.concatenate([each[selected] for each, selected in own]) ** 2))),
+        readings=sum(int(selected.sum()) for _, selected in own),
+        spoilt=sum(int((~selected).sum()) for _, selected in own),
     )

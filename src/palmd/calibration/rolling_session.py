@@ -1,4 +1,4 @@
-"""What a daemon and a person do together for gravity: to one slope after the other, and there the roller rolls."""
+"""The session of the gravity calibration: the daemon moves to one slope after the other, where a person rolls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from palmd.bus.command_client import CommandClient
 from palmd.bus.subscriber import Subscriber
-from palmd.calibration.rolling_fit import LEAST_PER_PALM, Acceleration, accelerate, causes, find_rolls
+from palmd.calibration.rolling_fit import MIN_ROLLS_PER_PALM, Acceleration, accelerate, causes, find_rolls
 from palmd.config.any_config import config_hash
 from palmd.config.pads import PadConfig
 from palmd.config.two_palms import Config, LimitsConfig
@@ -26,47 +26,47 @@ from palmd.system.mechanism import JOINTS, OPENING, PALMS
 
 LOOK_S = 0.25
 PATIENCE_S = 60.0
-"""How long nothing may roll, or the palms may be on their way."""
+"""Longest time without a roll, or for the palms to arrive."""
 SETTLED_S = 0.3
 INTRODUCTION_S = 3.0
 TOUR_S = 600.0
 
 _SHALLOW_DEG, _STEEPER_DEG = 8.0, 18.0
 _OPENING_DEG = 110.0
-_MOST_PHI12_DEG = 169.0  # leaves room for a yaw that is wrong
+_MAX_PHI12_DEG = 169.0  # leaves room for an error of the yaw
 _MARGIN_DEG = 1.0
-_LEAST_STEEPER_DEG = 6.0
+_MIN_STEEPER_DEG = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Where the palms stand while it rolls on one of them."""
+    """The palms' pose while the roller rolls on one of them."""
 
     pad: int
     angles_deg: tuple[float, float]
     rolls: int
 
     def __str__(self) -> str:
-        falls = self.angles_deg[0] if self.pad == PALMS[0] else 180.0 - sum(self.angles_deg)
-        return f"palm {self.pad}, {falls:.0f}°"
+        slope = self.angles_deg[0] if self.pad == PALMS[0] else 180.0 - sum(self.angles_deg)
+        return f"palm {self.pad}, {slope:.0f}°"
 
 
 def slopes_within(limits: LimitsConfig, rolls: int) -> Iterator[Slope]:
-    """A gentle and a steep slope of each palm, by the first one's angle; CliError where the limits leave no room."""
+    """A gentle and a steep slope of each palm, by the first one's angle; CliError if the limits leave no room."""
     (low1, high1), (low2, high2) = limits.angles_deg
     low1, high1, low2, high2 = low1 + _MARGIN_DEG, high1 - _MARGIN_DEG, low2 + _MARGIN_DEG, high2 - _MARGIN_DEG
     opening = min(max(_OPENING_DEG, low2), high2)
     gentle1 = max(_SHALLOW_DEG, low1)
-    steep1 = min(gentle1 + _STEEPER_DEG, high1, _MOST_PHI12_DEG - opening)
-    gentle2 = min(_MOST_PHI12_DEG - opening, high1)  # palm 1's angle where palm 2 is gentle
+    steep1 = min(gentle1 + _STEEPER_DEG, high1, _MAX_PHI12_DEG - opening)
+    gentle2 = min(_MAX_PHI12_DEG - opening, high1)  # palm 1's angle where palm 2 is gentle
     steep2 = max(gentle2 - _STEEPER_DEG, low1)
-    if min(steep1 - gentle1, gentle2 - steep2) < _LEAST_STEEPER_DEG or low2 > high2:
+    if min(steep1 - gentle1, gentle2 - steep2) < _MIN_STEEPER_DEG or low2 > high2:
         raise CliError(
             BAD_INPUT,
-            f"limits: they leave no two slopes {_LEAST_STEEPER_DEG:g}° apart on each palm,"
-            f" at {JOINTS[OPENING]} {opening:g}°: widen",
+            f"limits: they allow no two slopes {_MIN_STEEPER_DEG:g}° apart on each palm,"
+            f" at {JOINTS[OPENING]} {opening:g}°: widen them",
         )
-    few = max(rolls // 3, LEAST_PER_PALM)
+    few = max(rolls // 3, MIN_ROLLS_PER_PALM)
     first, second = PALMS
     yield Slope(first, (gentle1, opening), few)
     yield Slope(first, (steep1, opening), rolls)
@@ -75,21 +75,21 @@ def slopes_within(limits: LimitsConfig, rolls: int) -> Iterator[Slope]:
 
 
 class RollingSession:
-    """The rolls on one slope after the other; each method raises CliError when it cannot be done."""
+    """The rolls on one slope after the other; each method raises CliError if it cannot be completed."""
 
     def __init__(
         self, config: Config, client: CommandClient, subscriber: Subscriber, stop: StopRequest, clear_s: float
     ) -> None:
         self.rolls: list[Acceleration] = []
-        self.too_short = self.rough = 0
-        self.over = False
+        self.too_short = self.not_smooth = 0
+        self.is_complete = False
         self._armed = False
         self._config, self._client, self._subscriber = config, client, subscriber
         self._stop, self._clear_s = stop, clear_s
 
     def begin(self, slopes: Sequence[Slope]) -> None:
-        """Arm, once the daemon has been heard and has nothing against the whole tour; CliError where it has."""
-        self._introduce()
+        """Check the daemon and the whole tour, and arm; CliError if the daemon refuses."""
+        self._check_configuration()
         can_move(self._client)
         self._load(*slopes)
         if self._status()["state"] == "ready":
@@ -97,11 +97,11 @@ class RollingSession:
             self._armed = True
 
     def end(self) -> None:
-        """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure it is stopped."""
-        leave(self._client, armed=self._armed, over=self.over)
+        """Leave the palms standing, and the arm as it was found; after Ctrl-C or a failure the arm is stopped."""
+        leave(self._client, armed=self._armed, over=self.is_complete)
 
-    def _introduce(self) -> None:
-        """CliError unless the daemon runs with our configuration: the angles that it tells rest on its own."""
+    def _check_configuration(self) -> None:
+        """CliError unless the daemon runs with the same configuration, which its angles are based on."""
         t_end = time.monotonic() + INTRODUCTION_S
         for message in self._subscriber.until(t_end):
             if message.topic == INFO.name:
@@ -110,42 +110,45 @@ class RollingSession:
                         BAD_INPUT, "gravity: the daemon runs with another configuration: restart it with this one"
                     )
                 return
-        raise CliError(RIG_FAILED, "gravity: the daemon says nothing of itself: is --listen where it publishes?")
+        raise CliError(RIG_FAILED, "gravity: no information from the daemon: is --listen where it publishes?")
 
-    def roll_on(self, where: Slope) -> None:
-        """Go there and take in as many good rolls as are wanted; after a fault that is mended it goes on from there."""
+    def collect(self, where: Slope) -> None:
+        """Move there and collect the required good rolls; resumes after a fault has been cleared."""
         good: list[Acceleration] = []
         with Progress(str(where), where.rolls, "rolls") as progress:
             while len(good) < where.rolls:
                 self._wait_until_commanded()
-                if self._go(where):
-                    good += self._stand(where, len(good), progress)
+                if self._move_to(where):
+                    good += self._collect_rolls(where, len(good), progress)
         self.rolls += good
 
-    def _stand(self, where: Slope, had: int, progress: Progress) -> list[Acceleration]:
-        """The good rolls besides those that we had, until they are enough or the arm is commanded no longer."""
-        _tell(f"{where}: lay the roller at the upper end of palm {where.pad} and let go, {where.rolls - had} times")
+    def _collect_rolls(self, where: Slope, before_count: int, progress: Progress) -> list[Acceleration]:
+        """The new good rolls, until there are enough or the arm is no longer controlled."""
+        _print(
+            f"{where}: place the roller at the upper end of palm {where.pad} and let go,"
+            f" {where.rolls - before_count} times"
+        )
         pad = self._config.pads.of(where.pad)
         events: list[Event] = []
         good: list[Acceleration] = []
-        too_short = rough = 0
+        too_short = not_smooth = 0
         t_good = time.monotonic()
-        while had + len(good) < where.rolls and self._status()["state"] == "tracking":
+        while before_count + len(good) < where.rolls and self._status()["state"] == "tracking":
             events += self._events()
             rolls, too_short = find_rolls(events)
             each = [accelerate(roll, reading_sd(pad)) for roll in rolls if roll.pad == where.pad]
             before, good = len(good), [roll for roll in each if roll is not None]
-            rough = len(each) - len(good)
+            not_smooth = len(each) - len(good)
             if len(good) > before:
                 t_good = time.monotonic()
-            self._refuse_to_wait(t_good, _nothing(where, had + len(good), too_short, rough))
-            progress.at(had + len(good))
+            self._check_patience(t_good, _no_rolls_text(where, before_count + len(good), too_short, not_smooth))
+            progress.at(before_count + len(good))
         self.too_short += too_short
-        self.rough += rough
+        self.not_smooth += not_smooth
         return good
 
     def _load(self, first: Slope, *others: Slope) -> None:
-        """A way to a slope, or to several one after the other, so slow that only its poses can be refused."""
+        """Load a plan to one or several slopes, so slow that it can be refused for its poses only."""
         segments = [
             {
                 "move": {f"{joint}_deg": angle for joint, angle in zip(JOINTS, each.angles_deg, strict=True)},
@@ -156,45 +159,45 @@ class RollingSession:
         load(self._client, {"name": "gravity", "segments": segments})
 
     def _wait_until_commanded(self) -> None:
-        """Nothing to wait for unless a fault has stopped the arm, which a person can mend."""
-        told = False
+        """Wait until the arm is controlled; after a fault an operator must clear it."""
+        is_announced = False
         t_begin = time.monotonic()
-        while not _commanded(status := self._status()):
-            if not told:
-                _tell(f"{why(status)}; when that is mended: palmd ctl reset, palmd ctl arm")
-                told = True
-            self._refuse_to_wait(t_begin, why(status))
+        while not _is_controlled(status := self._status()):
+            if not is_announced:
+                _print(f"{why(status)}; after clearing it: palmd ctl reset, palmd ctl arm")
+                is_announced = True
+            self._check_patience(t_begin, why(status))
             self._events()
 
-    def _go(self, where: Slope) -> bool:
-        """Bring the palms there once nothing touches them; whether they have arrived, and not been stopped."""
+    def _move_to(self, where: Slope) -> bool:
+        """Move the palms there once nothing touches them; returns whether they have arrived without being stopped."""
         self._load(where)
-        _tell(f"{where}: take the roller off and keep clear, the palms will move")
+        _print(f"{where}: take the roller off and keep clear, the palms will move")
         t_free = t_begin = time.monotonic()
         while time.monotonic() < t_free + self._clear_s:
             if any(isinstance(event, PadSample) for event in self._events()):
                 t_free = time.monotonic()
-            self._refuse_to_wait(t_begin, "something touches the pads: take it off")
-        if not _commanded(self._status()):
+            self._check_patience(t_begin, "something touches the pads: take it off")
+        if not _is_controlled(self._status()):
             return False
         do(self._client, "start")
         t_begin = time.monotonic()
-        while _commanded(status := self._status()):
+        while _is_controlled(status := self._status()):
             if status["state"] == "tracking" and status["over"]:
                 for _ in self._subscriber.until(time.monotonic() + SETTLED_S):
                     pass
                 return True
             self._events()
-            self._refuse_to_wait(t_begin, f"the palms do not arrive; {why(status)}")
+            self._check_patience(t_begin, f"the palms do not arrive; {why(status)}")
         return False
 
-    def _refuse_to_wait(self, t_begin: float, text: str) -> None:
+    def _check_patience(self, t_begin: float, text: str) -> None:
         if time.monotonic() > t_begin + PATIENCE_S:
             raise CliError(RIG_FAILED, f"gravity: {text}")
 
     def _status(self) -> dict[str, Any]:
         if self._stop.made:
-            raise CliError(RIG_FAILED, "gravity: given up")
+            raise CliError(RIG_FAILED, "gravity: aborted")
         return do(self._client, "status")
 
     def _events(self) -> list[Event]:
@@ -203,22 +206,19 @@ class RollingSession:
 
 
 def reading_sd(pad: PadConfig) -> float:
-    """One sigma of a position (m), rounding included."""
+    """1σ of a position (m), rounding included."""
     return math.hypot(pad.noise_mm, 1.0 / (pad.counts_per_mm * math.sqrt(12.0))) * 1e-3
 
 
-def _commanded(status: Mapping[str, Any]) -> bool:
+def _is_controlled(status: Mapping[str, Any]) -> bool:
     return status["state"] in ("tracking", "hold")
 
 
-def _nothing(where: Slope, good: int, too_short: int, rough: int) -> str:
-    out = causes(too_short, rough, 0)
-    said = ", ".join(f"{count} were {cause}" for cause, count in out.items()) or "nothing touches its pad"
-    return (
-        f"{where}: nothing rolls: {good} good rolls of {where.rolls} wanted, and no more within"
-        f" {PATIENCE_S:.0f} s; {said}"
-    )
+def _no_rolls_text(where: Slope, good: int, too_short: int, not_smooth: int) -> str:
+    counts = causes(too_short, not_smooth, 0)
+    reasons = ", ".join(f"{count} were {cause}" for cause, count in counts.items()) or "nothing touches its pad"
+    return f"{where}: {good} good rolls of {where.rolls} needed, and no more within {PATIENCE_S:.0f} s; {reasons}"
 
 
-def _tell(text: str) -> None:
+def _print(text: str) -> None:
     print(f"gravity: {text}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""What runs with several objects tell of the one rig: their information about its constants, added up. Pure."""
+"""Combines the information of several runs, with different objects, about the one rig's constants. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from palmd.system.rig_constants import told
 
 @dataclass(frozen=True, slots=True)
 class RigFit:
-    """What each constant of `system.rig_constants.RIG_TABLE` is off by, their covariance, their priors' one-sigmas."""
+    """Errors of the constants in `system.rig_constants.RIG_TABLE`, their covariance, and their priors' 1σ."""
 
     values: FloatArray
     covariance: FloatArray
@@ -23,26 +23,26 @@ class RigFit:
 
     @property
     def sds(self) -> FloatArray:
-        """One-sigma of each."""
+        """1σ of each constant."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
-    def told(self) -> npt.NDArray[np.bool_]:
-        """Which of them the runs have told."""
+    def determined(self) -> npt.NDArray[np.bool_]:
+        """Which constants the runs determine."""
         return told(self.sds, self.priors)
 
     @property
     def independent_sds(self) -> FloatArray:
-        """One-sigmas that, taken for independent, claim no more than the covariance; never more than the priors."""
+        """1σ values whose diagonal covariance bounds the joint covariance; limited to those of the priors."""
         correlation = self.covariance / np.outer(self.sds, self.sds)
         widening = math.sqrt(np.linalg.eigvalsh(correlation)[-1])
         return np.minimum(widening * self.sds, self.priors)
 
 
 def combined(runs: Iterable[tuple[FloatArray, FloatArray, FloatArray]], priors: FloatArray) -> RigFit:
-    """All runs together: the sum of what each posterior (mean, covariance) tells beyond its prior, and `priors` once.
+    """Combine the runs: add each posterior's (mean, covariance) information beyond its prior's, and `priors` once.
 
-    Priors have mean zero, and one-sigmas that are not zero; the last of three is that which the run was found with.
+    Priors have mean zero and nonzero 1σ; the third item of a run is the prior with which it was reconstructed.
     """
     units, own = np.outer(priors, priors), np.eye(len(priors))
     information: FloatArray = own.copy()

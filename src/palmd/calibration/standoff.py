@@ -1,7 +1,7 @@
-"""Finds how high both pads' surfaces lie above the hinge line, by two turned cylinders that a daemon moves.
+"""Finds the height of both pads' surfaces over the hinge line, by two machined cylinders that a running daemon moves.
 
-With it come both pads' zero, scale and sign, which one cylinder alone cannot tell from a standoff. Arms the arm if that
-has not been done, and then stops it in the end. A hand at the emergency stop.
+Also determines both pads' zero, scale and sign; one cylinder alone cannot distinguish them from a standoff. Arms the
+arm if necessary, and then stops it at the end. Keep a hand at the emergency stop.
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ from typing import Any
 
 from palmd.calibration import cylinder_session
 from palmd.calibration.cylinder import turning_plan
-from palmd.calibration.cylinder_session import ending, heard, pads, store, wait_for_none, within
+from palmd.calibration.cylinder_session import (
+    exit_on_error,
+    pads,
+    recorded_events,
+    store_result,
+    wait_until_removed,
+    within,
+)
 from palmd.calibration.files import writable
-from palmd.calibration.pad_standoff import LEAST_RATIO, PadStandoff, pad_standoffs
+from palmd.calibration.pad_standoff import MIN_RATIO, PadStandoff, pad_standoffs
 from palmd.config.two_palms import Config
 from palmd.console.configured import with_flat_palms
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
@@ -27,98 +34,98 @@ from palmd.system.mechanism import PALMS
 
 FORMAT = 1
 FILE = "standoff.yaml"
-_SURE = 3.0  # standard deviations
-_SHAKES = 3.0  # of the pad's noise
+_SIGNIFICANCE = 3.0  # standard deviations
+_MAX_NOISE_RATIO = 3.0  # of the residuals to the pad's noise
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The calibration's arguments."""
     cylinder_session.add_arguments(parser, FILE)
-    parser.add_argument("--second-radius-mm", type=within(1000.0), required=True, metavar="R", help="of the other one")
+    parser.add_argument("--second-radius-mm", type=within(1000.0), required=True, metavar="R", help="of the second one")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before both pads are known; CliError when the input is wrong or the rig fails."""
-    measure(arguments, partial(wait_for_none, arguments))
+    """Writes nothing before both pads are measured; CliError if the input is wrong or the rig fails."""
+    measure(arguments, partial(wait_until_removed, arguments))
     return 0
 
 
 def measure(arguments: argparse.Namespace, exchange: Callable[[Config, str], None]) -> None:
-    """The whole calibration; `exchange` is given configuration and name of the cylinder that must go for the other."""
+    """The whole calibration; `exchange` is called with the configuration and the name of the cylinder to remove."""
     config = with_flat_palms(arguments.config, "a pad's standoff")
     radii_mm = (arguments.radius_mm, arguments.second_radius_mm)
-    if max(radii_mm) < LEAST_RATIO * min(radii_mm):
+    if max(radii_mm) < MIN_RATIO * min(radii_mm):
         raise CliError(
             BAD_INPUT,
-            f"cylinders of {radii_mm[0]:g} and {radii_mm[1]:g} mm radius are too much alike: one must be"
-            f" {LEAST_RATIO:g} times the other or more",
+            f"cylinders of {radii_mm[0]:g} and {radii_mm[1]:g} mm radius are too similar: one radius must be at least"
+            f" {MIN_RATIO:g} times the other",
         )
-    with ending(BAD_INPUT):
+    with exit_on_error(BAD_INPUT):
         plans = [turning_plan(radius_mm * 1e-3, motion_limits(config)) for radius_mm in radii_mm]
     folder = writable(arguments.output or arguments.config.parent / "calibration")
     names = [f"the cylinder of {radius_mm:g} mm" for radius_mm in radii_mm]
-    sessions = [heard(arguments, config, plans[0], cylinder=names[0])]
+    sessions = [recorded_events(arguments, config, plans[0], cylinder=names[0])]
     exchange(config, names[0])
-    sessions.append(heard(arguments, config, plans[1], cylinder=names[1]))
+    sessions.append(recorded_events(arguments, config, plans[1], cylinder=names[1]))
     radii_m = (radii_mm[0] * 1e-3, radii_mm[1] * 1e-3)
-    with ending(RIG_FAILED):
+    with exit_on_error(RIG_FAILED):
         found = pad_standoffs(sessions, pads(config), radii_m, math.radians(_opening_sd_deg(config)))
     print(table(found))
     for remark in remarks(found, config):
         print(remark, file=sys.stderr)
-    told = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
+    results = {f"palm{number}": asdict(pad) for number, pad in zip(PALMS, found, strict=True)}
     kind = {"palmd_standoff": FORMAT, "radius_mm": radii_mm[0], "second_radius_mm": radii_mm[1]}
-    store(folder / FILE, kind, arguments, config, called_for(found), told)
+    store_result(folder / FILE, kind, arguments, config, proposed_settings(found), results)
 
 
 def _opening_sd_deg(config: Config) -> float:
-    """One-sigma of φ2: its own constant, and the play between each palm and its actuator."""
+    """1σ of φ2: of the constant itself, and of the play between each palm and its actuator."""
     return math.hypot(config.rig.angle_sd_deg, math.sqrt(len(PALMS)) * config.arm.play_sd_deg)
 
 
 def table(found: Sequence[PadStandoff]) -> str:
-    """The result in a few lines for a terminal; one sigma behind each ±."""
+    """The result as text for a terminal; 1σ after each ±."""
     return "\n".join(
         f"pad{number}: {pad.readings} readings\n"
         f"  standoff_mm   {pad.standoff_mm:+.3f} ± {pad.standoff_sd_mm:.3f}\n"
         f"  zero_mm       {pad.zero_mm:.3f} ± {pad.zero_sd_mm:.3f}\n"
         f"  counts_per_mm {pad.counts_per_mm:.4f} ± {pad.counts_per_mm * pad.scale_sd:.4f}\n"
         f"  sign          {pad.sign}\n"
-        f"  left          {pad.noise_mm:.3f} mm of each reading"
+        f"  residual      {pad.noise_mm:.3f} mm per reading"
         for number, pad in zip(PALMS, found, strict=True)
     )
 
 
 def remarks(found: Sequence[PadStandoff], config: Config) -> Iterator[str]:
-    """What a person should look into."""
-    for number, pad, told in zip(PALMS, found, pads(config), strict=True):
-        if abs(pad.standoff_mm) > _SURE * pad.standoff_sd_mm:
-            where, mend = ("above", "lower") if pad.standoff_mm > 0.0 else ("below", "raise")
+    """Warnings for the operator."""
+    for number, pad, pad_config in zip(PALMS, found, pads(config), strict=True):
+        if abs(pad.standoff_mm) > _SIGNIFICANCE * pad.standoff_sd_mm:
+            side, verb = ("above", "lower") if pad.standoff_mm > 0.0 else ("below", "raise")
             yield (
-                f"pad {number}'s surface lies {abs(pad.standoff_mm):.2f} mm {where} the hinge line, seen from the"
-                f" object: {mend} it by that with shims, and calibrate again; until then every band has it in"
+                f"pad {number}'s surface lies {abs(pad.standoff_mm):.2f} mm {side} the hinge line, seen from the"
+                f" object: {verb} it by that with shims, and calibrate again; until then every 1σ includes it"
             )
-        if pad.noise_mm > _SHAKES * told.noise_mm:
+        if pad.noise_mm > _MAX_NOISE_RATIO * pad_config.noise_mm:
             yield (
-                f"pad {number}: {pad.noise_mm:.2f} mm are left of each reading, much more than its noise_mm of"
-                f" {told.noise_mm:g}: does anything shake, and was each cylinder where its radius says?"
+                f"pad {number}: {pad.noise_mm:.2f} mm residual per reading, much more than its noise_mm of"
+                f" {pad_config.noise_mm:g}: look for vibration, and check each cylinder's radius and order"
             )
 
 
-def called_for(found: Sequence[PadStandoff]) -> dict[str, dict[str, Any]]:
-    """What the configuration should say, palm by palm; a standoff is left where it is, so its size counts."""
+def proposed_settings(found: Sequence[PadStandoff]) -> dict[str, dict[str, Any]]:
+    """Settings for the configuration, by palm; the standoff is not corrected, so its size adds to its 1σ."""
     return {
         f"palm{number}": {
             "sign": pad.sign,
             "zero_mm": round(pad.zero_mm, 3),
             "counts_per_mm": round(pad.counts_per_mm, 4),
-            "zero_sd_mm": _up(pad.zero_sd_mm, 1e-3),
-            "scale_sd": _up(pad.scale_sd, 1e-4),
-            "standoff_sd_mm": _up(math.hypot(pad.standoff_mm, pad.standoff_sd_mm), 1e-3),
+            "zero_sd_mm": _rounded_up(pad.zero_sd_mm, 1e-3),
+            "scale_sd": _rounded_up(pad.scale_sd, 1e-4),
+            "standoff_sd_mm": _rounded_up(math.hypot(pad.standoff_mm, pad.standoff_sd_mm), 1e-3),
         }
         for number, pad in zip(PALMS, found, strict=True)
     }
 
 
-def _up(value: float, unit: float) -> float:
+def _rounded_up(value: float, unit: float) -> float:
     return round(math.ceil(value / unit) * unit, 6)

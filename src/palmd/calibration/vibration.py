@@ -1,8 +1,7 @@
-"""Finds the amplitude of the palms' speed along themselves, V, from an accelerometer on a vibrating pad.
+"""Finds the amplitude V of the palms' speed along themselves from an accelerometer on a vibrating pad.
 
-Measure on the pad, along the palm, while the shaker runs; the amplitude is √2 times an RMS value. The relation between
-the palms and the ripple transmission are not measured: what the configuration says of them stays. Nothing moves, and no
-daemon is needed.
+Measure on the pad, along the palm, while the shaker runs; the amplitude is √2 times the RMS value. The relation between
+the palms and the ripple transmission are not measured and stay as configured. Nothing moves, and no daemon is needed.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from palmd.system.vibration import vibration_line
 FORMAT = 1
 FILE = "vibration.yaml"
 _MOST_M_S2 = 1e4  # (derivation: 1 m/s at 1.6 kHz, more than `rig.vibration` allows)
-_MOST_SHARE = 0.5  # of a speed that its standard deviation may be (convention)
+_MOST_SHARE = 0.5  # largest standard deviation of a speed over the speed (convention)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """CliError, and nothing is written, when the palms do not vibrate or the figures give no usable speed."""
+    """CliError, and nothing is written, if the palms do not vibrate or the figures give no usable speed."""
     config = any_configured(arguments.config)
     if config.rig.vibration.relation == "none":
         raise CliError(
@@ -95,7 +94,7 @@ def speed_from_acceleration(acceleration: tuple[float, float], frequency: tuple[
 
 
 def table(speed: float, sd: float, config: AnyConfig) -> str:
-    """The result in a few lines for a terminal, and what stays as it was."""
+    """The result as text for a terminal, and what stays unchanged."""
     known = vibration_of(config.rig.vibration)
     given = "transmission" in vibration_line(known)
     transmission = found(known.likeliest_transmission, known.likeliest_transmission_sd, "", 2)
@@ -107,7 +106,7 @@ def table(speed: float, sd: float, config: AnyConfig) -> str:
 
 
 def with_vibration(config: AnyConfig, values: dict[str, Any], path: Path) -> AnyConfig:
-    """The configuration with these values in `rig.vibration`; CliError where it does not allow them."""
+    """The configuration with these values in `rig.vibration`; CliError if it does not allow them."""
     before = config.rig.vibration
     try:
         vibration = VibrationConfig.model_validate(before.model_dump(exclude_unset=True) | values)
@@ -125,5 +124,5 @@ def _shown(speed: float, sd: float) -> str:
 
 
 def _rounded(value: float) -> float:
-    """To four digits, so that no small speed or sd becomes 0."""
+    """Round to four digits, so that no small speed or sd becomes 0."""
     return float(f"{value:.4g}")

@@ -24,7 +24,7 @@ import yaml
 
 from palmd.calibration import pads as pads_calibration
 from palmd.calibration import standoff as standoff_calibration
-from palmd.calibration.cylinder_session import progress, wait_for_none, wait_for_touch
+from palmd.calibration.cylinder_session import progress_line, wait_for_touch, wait_until_removed
 from palmd.cli.build import made_ready
 from palmd.cli.capture_bundle import Bundle, with_pads
 from palmd.cli.init import Prompt, asked, number, one_of
@@ -161,7 +161,7 @@ class Guide:
         _say("Taken over: there is nothing to write by hand.")
         if not self._emulated:
             there = self.config.model_copy(update={"bus": self._stack.bus})
-            wait_for_none(arguments, there, "the last cylinder")
+            wait_until_removed(arguments, there, "the last cylinder")
         self._begin_rig()
         self._begin_daemon()
 
@@ -169,7 +169,7 @@ class Guide:
         if self._emulated:
             self._stack.ask_rig("new_object")
         else:
-            wait_for_none(arguments, config, cylinder)
+            wait_until_removed(arguments, config, cylinder)
 
     def record(self, index: int) -> Measured:
         """One object on the palms for the plan, then between calipers."""
@@ -239,7 +239,7 @@ class Guide:
                 )  # fmt: skip
                 operation.begin(self._plan)
                 try:
-                    operation.watch(stop, progress)
+                    operation.watch(stop, progress_line)
                 finally:
                     operation.end()
                 if stop.made:

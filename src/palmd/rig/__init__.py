@@ -1,1 +1,1 @@
-"""The emulated rig, the far side of the wires: written apart from the observer, so each can be wrong."""
+"""The emulated rig: the devices at the far end of the wires. Implemented independently of the observer, to check it."""

@@ -1,4 +1,4 @@
-"""What the emulated world asks of whatever turns its palms: an arm that holds palm 2's end, or servos. Pure."""
+"""Interfaces between the emulated rig and the actuator that turns its palms (an arm that holds palm 2, or servos)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from palmd.rig.plant import Hinge, PlantContact
 from palmd.rig.tally import Decoder
 
 
-class Utterance(NamedTuple):
-    """Bytes that the device says, from `t` (s) on; so many messages of its protocol."""
+class Transmission(NamedTuple):
+    """Bytes that a device sends from `t` (s) on; they hold `messages` messages of its protocol."""
 
     data: bytes
     t: float
@@ -21,41 +21,44 @@ class Utterance(NamedTuple):
 
 
 class LineDevice(Protocol):
-    """The far side of the actuator's line. Times are seconds of the rig's clock."""
+    """A device at the far end of the actuator's line. Times are seconds of the rig's clock."""
 
     baud: int
 
     @property
     def state(self) -> ArmState:
-        """As a host would be told."""
+        """The state that a host would read."""
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:
-        """The host has written `heard` at t (s) or up to late_s (s) later, of which `spoilt` is left on the line."""
+    def receive(self, sent: bytes, corrupted: bytes, t: float, late_s: float = 0.0) -> None:
+        """Receive what the host wrote at t (s), or up to late_s (s) later.
 
-    def step(self, t: float) -> Sequence[Utterance]:
-        """Lives on to t (s) and says what there is to say."""
+        `sent` is what the host wrote, `corrupted` what arrives after fault injection.
+        """
+
+    def step(self, t: float) -> Sequence[Transmission]:
+        """Advance to t (s) and return what the device transmits."""
 
     def status(self) -> dict[str, Any]:
-        """Counts for end-to-end checks."""
+        """Counters for end-to-end checks."""
 
-    def listener(self) -> Decoder:
-        """A new decoder of what it says."""
+    def make_decoder(self) -> Decoder:
+        """A new decoder of the bytes that the device transmits."""
 
 
 class EmulatedActuator(LineDevice, Protocol):
-    """An actuator, and the palms that it turns."""
+    """An actuator and the palms that it turns."""
 
     hinge: Hinge
     jams: int
 
     def palms_at(self, t: float) -> PalmMotion:
-        """Where the palms are and how they move, as the actuator has them; t (s) no earlier than the last step."""
+        """The palms' angles and rates as the actuator positions them; t (s) must not precede the last step."""
 
-    def feel(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
-        """What presses on the palms at t (s), for one that can tell: `contacts` finds it out."""
+    def apply_contacts(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
+        """Apply the loads on the palms at t (s), if the actuator yields to them; `contacts` computes them on demand."""
 
-    def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:
-        """Mischief that is an act rather than a state of the line; `palms` are where they stand (rad)."""
+    def inject_fault(self, order: FaultOrder, begins: bool, palms: Joints) -> None:
+        """Begin or end a fault that acts on the actuator itself; `palms` are the present joint angles (rad)."""
 
-    def hold_by_hand(self, palms: Joints) -> None:
-        """A hand turns the palms, which the actuator allows; ValueError where it does not."""
+    def move_by_hand(self, palms: Joints) -> None:
+        """Set the palms to where a hand holds them (rad); raises ValueError if the actuator cannot be moved by hand."""

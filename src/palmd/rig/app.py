@@ -1,14 +1,14 @@
-"""`palmd rig`: the emulated rig as a process, its ports on pseudo-terminals, in real time.
+"""`palmd rig`: the emulated rig as a process, with its ports on pseudo-terminals, in real time.
 
-Standard output gets one JSON line with the ports' paths and two ZeroMQ addresses, then nothing more. `truth`
-publishes what is really there (`rig/truth` at 100 Hz, `rig/object` at 1 Hz) in the daemon's own three frames;
-`control` takes `{id, cmd, args}` like the daemon's command socket:
+It prints one JSON line with the ports' paths and two ZeroMQ addresses. `truth` publishes the true state (`rig/truth` at
+100 Hz, `rig/object` at 1 Hz) in the daemon's format of three frames; `control` takes `{id, cmd, args}` like the
+daemon's command socket:
 
-    status      counts for end-to-end checks
-    tricks      every mischief by name with its description
-    mischief    {name, port?, strength?, after_s?, for_s?}: on; tells when, on the monotonic clock
-    calm        {name, port?}: off
-    new_object  a hand exchanges the object
+    status      counters for end-to-end checks
+    tricks      all injectable faults by name, with descriptions
+    mischief    {name, port?, strength?, after_s?, for_s?}: inject a fault; returns its start on the monotonic clock
+    calm        {name, port?}: end a fault
+    new_object  exchange the object
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from palmd.rig.line import LineWaiter, PtyLine, SocketLine
 from palmd.rig.plant import AS_ASSUMED, PHYSICS
 from palmd.rig.roller import KINDS as ROLLERS
 from palmd.rig.shapes import EVERY_KIND, Body, cylinder
-from palmd.rig.tally import Listener
+from palmd.rig.tally import ReferenceHost
 from palmd.rig.uinput import UinputLine
 from palmd.rig.world import default_config
 from palmd.systems import LIVE, SYSTEMS, load_part
@@ -70,46 +70,46 @@ _LATE_S, _STALLED_S = 2e-3, 20e-3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments, for `palmd rig`."""
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="palmd.yaml; default: as shipped")
-    parser.add_argument("--seed", type=int, help="which object, pads and noise; default: a random one, printed")
+    parser.add_argument("--seed", type=int, help="seed of object, pads and noise; default: a random one, printed")
     add_object_arguments(parser)
     gauge = parser.add_mutually_exclusive_group()
-    gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; then there is no object")
+    gauge.add_argument("--marble", choices=MARBLES, help="a marble rolls over this pad; there is no other object")
     gauge.add_argument("--cylinder", type=_cylinder, action="append", default=[], metavar="RADIUS_MM,MASS_G",
-                       help="a turned cylinder is the object; given again: it is exchanged for that one")  # fmt: skip
-    gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; then there is no object")
+                       help="the object is this solid cylinder; repeat for the ones it is exchanged for")  # fmt: skip
+    gauge.add_argument("--roller", choices=ROLLERS, help="it rolls down the gentler palm; there is no other object")
     gauge.add_argument("--by-hand", action="store_true", help="manual mode: a hand swings the empty palms")
     parser.add_argument(
         "--mischief",
         action="append",
         default=[],
         metavar="NAME[@PORT][,strength=X][,after=S][,for=S]",
-        help=f"what goes wrong; may be given again; names: {', '.join(ALL_FAULTS)}",
+        help=f"inject a fault; may be repeated; names: {', '.join(ALL_FAULTS)}",
     )
     parser.add_argument(
         "--uinput",
         action="store_true",
-        help="emulated input devices are the kernel's own; a desktop beside it takes them too until palmd does",
+        help="emulate input devices by the kernel's uinput; a desktop receives their events until palmd opens them",
     )
     parser.add_argument(
-        "--ports", type=Path, metavar="FOLDER", help="where its ports are, made if need be; default: one of its own"
+        "--ports", type=Path, metavar="FOLDER", help="folder of its ports, created if needed; default: a temporary one"
     )
     parser.add_argument(
-        "--sockets", action="store_true", help="serial ports are UNIX sockets, which no busy machine holds up"
+        "--sockets", action="store_true", help="serial ports are UNIX sockets, which a busy machine does not delay"
     )
 
 
 def add_object_arguments(parser: argparse.ArgumentParser) -> None:
-    """What sort of object there is, and who moves it: for `palmd rig` and whoever starts one."""
-    parser.add_argument("--kind", choices=EVERY_KIND, help="what sort of object (default: rig; in MuJoCo ellipse)")
+    """Arguments that select the object and the physics engine: for `palmd rig` and for commands that start one."""
+    parser.add_argument("--kind", choices=EVERY_KIND, help="kind of object (default: rig; with MuJoCo ellipse)")
     parser.add_argument(
         "--physics", choices=PHYSICS, default=AS_ASSUMED.physics,
-        help="who moves the object on two flat palms: palmd's own emulation, or the engine MuJoCo, which takes ellipses"
+        help="what moves the object on two flat palms: palmd's own emulation, or the engine MuJoCo, for ellipses"
         " (default: %(default)s)",
     )  # fmt: skip
 
 
 def run_rig(arguments: argparse.Namespace) -> int:
-    """Runs the rig until SIGTERM, SIGINT or the parent's end; returns the exit status, 1 for bad input."""
+    """Run the rig until SIGTERM, SIGINT or the end of the parent process; returns the exit status, 1 for bad input."""
     stop = StopSignal()
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
@@ -121,16 +121,16 @@ def run_rig(arguments: argparse.Namespace) -> int:
         t = time.monotonic()
         world = _world(config, seed, arguments, t)
         for text in arguments.mischief:
-            world.mischief.add(parse(text, t))
+            world.fault_injector.add(parse(text, t))
     except (ConfigError, ValueError) as error:
         return _refuse(str(error))
     if arguments.uinput and not uinput.available():
         return _refuse(
-            f"--uinput: {uinput.UINPUT} cannot be written to (sudo modprobe uinput; as root, or by a udev rule)"
+            f"--uinput: {uinput.UINPUT} is not writable (run sudo modprobe uinput, and as root or with a udev rule)"
         )
-    with contextlib.ExitStack() as leaving:
+    with contextlib.ExitStack() as exit_stack:
         try:
-            folder = _folder(arguments.ports, max(world.ports, key=len), leaving)
+            folder = _folder(arguments.ports, max(world.ports, key=len), exit_stack)
         except FileExistsError:
             return _refuse(f"--ports: {arguments.ports} is not a folder")
         except OSError as error:
@@ -138,7 +138,7 @@ def run_rig(arguments: argparse.Namespace) -> int:
         try:
             rig = RigProcess(world, folder, stop, input_devices=arguments.uinput, sockets=arguments.sockets)
         except OSError as error:
-            return _refuse(f"its ports cannot be made in {folder}: {error.strerror}; --ports names another folder")
+            return _refuse(f"cannot create ports in {folder}: {error.strerror}; choose another folder with --ports")
         with contextlib.suppress(BrokenPipeError):
             print(json.dumps(rig.addresses()), flush=True)
         rig.run()
@@ -146,35 +146,35 @@ def run_rig(arguments: argparse.Namespace) -> int:
 
 
 def _world(config: AnyConfig, seed: int, arguments: argparse.Namespace, t: float) -> EmulatedRig[Any]:
-    made = load_part(LIVE[config.system].rig)
+    rig_class = load_part(LIVE[config.system].rig)
     physics = arguments.physics
     if physics == "mujoco":
         require("--physics mujoco", "mujoco", "mujoco")
         if arguments.kind not in (None, "ellipse"):
             raise ValueError(f"--physics mujoco takes --kind ellipse, not {arguments.kind}")
-    gauges = {
+    extra_arguments = {
         "marbles": MARBLES.get(arguments.marble),
         "bodies": arguments.cylinder,
         "roller": arguments.roller,
         "by_hand": arguments.by_hand,
         "options": replace(AS_ASSUMED, physics=physics) if physics != AS_ASSUMED.physics else None,
     }
-    asked = {name: gauge for name, gauge in gauges.items() if gauge}
-    if not asked.keys() <= made.gauges:
+    given = {name: gauge for name, gauge in extra_arguments.items() if gauge}
+    if not given.keys() <= rig_class.extra_arguments:
         words = SYSTEMS[config.system].words
-        raise ValueError(f"marble, cylinder, roller, by-hand and physics are for two palms; this is {words}")
+        raise ValueError(f"--marble, --cylinder, --roller, --by-hand and --physics need two palms; this is {words}")
     kind = arguments.kind or ("ellipse" if physics == "mujoco" else "rig")
-    world: EmulatedRig[Any] = made(config, seed, kind=kind, t=t, **asked)
+    world: EmulatedRig[Any] = rig_class(config, seed, kind=kind, t=t, **given)
     return world
 
 
-def _folder(given: Path | None, longest: str, leaving: contextlib.ExitStack) -> Path:
-    """Where the ports are, the `longest` name among them: the folder given, made if need be, or one for this run alone.
+def _folder(given: Path | None, longest_name: str, exit_stack: contextlib.ExitStack) -> Path:
+    """The folder of the ports: the one given, created if needed, or a temporary one that `exit_stack` removes.
 
-    That goes with `leaving`. Raises OSError.
+    longest_name: of the ports, as paths of sockets are limited. Raises OSError.
     """
     if given is None:
-        return Path(leaving.enter_context(for_sockets("palmd-rig-", longest)))
+        return Path(exit_stack.enter_context(for_sockets("palmd-rig-", longest_name)))
     given.mkdir(parents=True, exist_ok=True)
     if not os.access(given, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -197,7 +197,7 @@ def _refuse(text: str) -> int:
 
 
 class StopSignal:
-    """A signal handler that only remembers that it was called."""
+    """A signal handler that only records that it was called."""
 
     def __init__(self) -> None:
         self.made = False
@@ -218,14 +218,14 @@ class RigProcess:
         input_devices: bool = False,
         sockets: bool = False,
     ) -> None:
-        """With `sockets` serial lines are sockets, with `input_devices` the others are input devices of the kernel's.
+        """With `sockets` serial lines are sockets; with `input_devices` the other pads are kernel input devices.
 
-        Raises OSError for a port that cannot be made.
+        Raises OSError if a port cannot be created.
         """
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
-        self._t_heard = math.inf  # the last tick's time
+        self._t_last_tick = math.inf
         self._stop = stop
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
@@ -239,10 +239,12 @@ class RigProcess:
                 self._lines[port] = SocketLine(path)
             else:
                 self._lines[port] = PtyLine(path, baud, noise)
-        self._listeners: dict[PortName, Listener] = {port: Listener(world.listener(port)) for port in world.ports}
+        self._reference_hosts: dict[PortName, ReferenceHost] = {
+            port: ReferenceHost(world.make_decoder(port)) for port in world.ports
+        }
         self._waiter = LineWaiter()
         for line in self._lines.values():
-            self._move_plug(line)
+            self._toggle_plug(line)
         self._context = zmq.Context()
         self._truth = self._context.socket(zmq.PUB)
         self._control = self._context.socket(zmq.ROUTER)
@@ -250,7 +252,7 @@ class RigProcess:
         self._control_address = _bind(self._control)
 
     def addresses(self) -> dict[str, Any]:
-        """What the JSON line says."""
+        """The fields of the JSON line."""
         found: dict[str, Any] = {port: str(line.path) for port, line in self._lines.items()}
         return found | {
             "truth": self._truth_address,
@@ -259,7 +261,7 @@ class RigProcess:
         }
 
     def run(self) -> None:
-        """Lives in real time, each millisecond, on absolute deadlines, until asked to stop."""
+        """Run in real time, one tick per millisecond on absolute deadlines, until a stop is requested."""
         gc.collect()
         gc.freeze()
         due = truth_due = object_due = parent_due = time.monotonic()
@@ -286,42 +288,42 @@ class RigProcess:
             self._context.destroy(linger=0)
 
     def _tick(self, t: float) -> None:
-        """Hears the host, lives on to t (s), speaks.
+        """Receive from the host, advance to t (s), transmit.
 
-        What is heard has been written since the last tick, and is taken for written then: where that tick is long ago,
-        the world is told by how much it may be wrong.
+        Data read now was written after the last tick, and is dated to that tick; if that was long ago, the world is
+        given the possible delay.
         """
         world = self.world
-        late_s, self._t_heard = max(t - self._t_heard - PERIOD_S, 0.0), t
+        late_s, self._t_last_tick = max(t - self._t_last_tick - PERIOD_S, 0.0), t
         events = self._waiter.ready()
         for port, line in self._lines.items():
             if world.unplugged(port) == line.plugged:
-                self._listeners[port].interrupted()
-                self._move_plug(line)
+                self._reference_hosts[port].interrupted()
+                self._toggle_plug(line)
                 continue
-            heard, flushed = line.read(events.get(line.fileno, 0))
+            data, flushed = line.read(events.get(line.fileno, 0))
             if flushed:
                 world.opened(port)
-            if heard:
-                world.receive(port, heard, late_s)
-        for port, said in world.advance(t).items():
-            if not said:
+            if data:
+                world.receive(port, data, late_s)
+        for port, sent in world.advance(t).items():
+            if not sent:
                 continue
-            self._listeners[port].take(self._lines[port].write(said), t)
+            self._reference_hosts[port].take(self._lines[port].write(sent), t)
 
-    def _move_plug(self, line: Line) -> None:
+    def _toggle_plug(self, line: Line) -> None:
         if line.plugged:
             self._waiter.forget(line.fileno)
             line.unplug()
         else:
             line.plug()
-            self._waiter.watch(line.fileno, edges=line.edges)
+            self._waiter.watch(line.fileno, edge_triggered=line.edge_triggered)
 
     def _note_lateness(self, late_s: float) -> None:
         self.ticks += 1
         self.late_ticks += late_s > _LATE_S
         self.latest_s = max(self.latest_s, late_s)
-        if late_s > _STALLED_S:  # the daemon may rightly take it for silence
+        if late_s > _STALLED_S:  # the daemon may rightly detect silence
             self.stalls += 1
             self._publish(STALL, {"t_s": time.monotonic(), "lasted_s": late_s, "count": self.stalls})
 
@@ -336,43 +338,43 @@ class RigProcess:
             self._truth.send_multipart(frames, zmq.NOBLOCK)
 
     def _serve(self) -> None:
-        """Answers one command at most, so that a flood of them cannot stop the rig."""
+        """Answer at most one command, so that a flood of commands cannot stop the rig."""
         try:
             *envelope, request = self._control.recv_multipart(zmq.NOBLOCK)
         except zmq.Again:
             return
         with contextlib.suppress(zmq.Again, zmq.ZMQError):
-            self._control.send_multipart([*envelope, msgpack.packb(self._answer(request))], zmq.NOBLOCK)
+            self._control.send_multipart([*envelope, msgpack.packb(self._reply(request))], zmq.NOBLOCK)
 
-    def _answer(self, request: bytes) -> dict[str, Any]:
+    def _reply(self, request: bytes) -> dict[str, Any]:
         identity = None
         try:
             message = msgpack.unpackb(request)
             identity = message.get("id")
-            result = self._obey(message["cmd"], message.get("args") or {})
+            result = self._execute(message["cmd"], message.get("args") or {})
         except InjectionError as error:
             return {"id": identity, "ok": False, "error": str(error)}
-        except Exception as error:  # whatever a stranger sends, the rig goes on
-            return {"id": identity, "ok": False, "error": f"not a command: {type(error).__name__}: {error}"}
+        except Exception as error:  # no input may stop the rig
+            return {"id": identity, "ok": False, "error": f"invalid command: {type(error).__name__}: {error}"}
         return {"id": identity, "ok": True, "result": result}
 
-    def _obey(self, command: str, args: dict[str, Any]) -> Any:
+    def _execute(self, command: str, args: dict[str, Any]) -> Any:
         world, t = self.world, self.world.t
         match command:
             case "status":
                 return self._status()
             case "tricks":
-                return {name: trick.description for name, trick in ALL_FAULTS.items()}
+                return {name: fault.description for name, fault in ALL_FAULTS.items()}
             case "mischief":
                 orders = order(t=t, **args)
-                world.mischief.add(orders)
+                world.fault_injector.add(orders)
                 return {"t_on_s": orders[0].t_on}
             case "calm":
-                world.mischief.cancel(args["name"], args.get("port"))
+                world.fault_injector.cancel(args["name"], args.get("port"))
             case "new_object":
                 world.new_object()
             case _:
-                raise InjectionError(f"no command {command!r}; there are status, tricks, mischief, calm, new_object")
+                raise InjectionError(f"unknown command {command!r}; known: status, tricks, mischief, calm, new_object")
         return None
 
     def _status(self) -> dict[str, Any]:
@@ -385,18 +387,18 @@ class RigProcess:
                 ("bytes_heard", line.bytes_heard),
             )
         }
-        sent = {
+        decoded = {
             f"{port}_sent_{what}": n
-            for port, listener in self._listeners.items()
-            for what, n in listener.as_dict().items()
+            for port, host in self._reference_hosts.items()
+            for what, n in host.as_dict().items()
         }
-        pace = {
+        timing = {
             "ticks": self.ticks,
             "late_ticks": self.late_ticks,
             "stalls": self.stalls,
             "latest_ms": self.latest_s * 1e3,
         }
-        return self.world.status() | lines | sent | pace
+        return self.world.status() | lines | decoded | timing
 
 
 def _bind(socket: zmq.Socket[bytes]) -> str:

@@ -1,8 +1,8 @@
-"""The emulated arm as a machine: its servo, and the palms' linkage between the arm and the fixed base. Pure.
+"""Mechanics of the emulated arm: its axis servos, and the palms' linkage between the arm and the fixed base. Pure.
 
-Written apart from the host's kinematics on purpose. Here motion goes one way, from the arm to the palms: the
+Implemented independently of the host's kinematics. Motion is computed in one direction, from the arm to the palms: the
 arm holds palm 2's far end E, palm 1's far end is hinged at the base B, and E = B − L1·t(φ1) + L2·t(φ12) with
-t(φ) = (cos φ, sin φ). World frame and SI throughout; poses on the arm's side are in arm coordinates.
+t(φ) = (cos φ, sin φ). World frame and SI units throughout; poses of the arm are in arm coordinates.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from palmd.config.two_palms import Config
 from palmd.devices.actuator import Pose
 from palmd.events import PalmMotion
 
-_MOST_COSINE = math.cos(math.radians(3.0))  # of the opening: beyond it the linkage hits its stops
-_GIVE_S = 0.004  # in which what blocks an axis brings it to a stand
-_SERVO_LAG_S = 0.016  # a bandwidth of some 20 Hz
+_MAX_COSINE = math.cos(math.radians(3.0))  # of the opening angle; beyond it the linkage is at its stops
+_BLOCK_DECAY_S = 0.004  # time constant with which a blocked axis comes to rest
+_SERVO_LAG_S = 0.016  # bandwidth of about 20 Hz
 
 
 @dataclass(frozen=True, slots=True)
 class Linkage:
-    """Lengths and fixed points (m, rad): base B, palm lengths, the arm's base and its yaw in the world."""
+    """Lengths and fixed points (m, rad): base B, palm lengths, the arm's base, and its yaw in the world."""
 
     base: tuple[float, float]
     palm1_length: float
     palm2_length: float
     arm: tuple[float, float]
     yaw: float
-    _turn: tuple[float, float] = field(init=False, repr=False, compare=False)  # cos, sin of the yaw
+    _yaw_cos_sin: tuple[float, float] = field(init=False, repr=False, compare=False)  # cos, sin of the yaw
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_turn", (math.cos(self.yaw), math.sin(self.yaw)))
+        object.__setattr__(self, "_yaw_cos_sin", (math.cos(self.yaw), math.sin(self.yaw)))
 
     @property
     def lengths(self) -> tuple[float, float]:
-        """Of the palm that is hinged to the base, and of the one that the arm holds."""
+        """Lengths of the palm hinged to the base, and of the palm that the arm holds (m)."""
         return self.palm1_length, self.palm2_length
 
     @classmethod
     def from_config(cls, config: Config) -> Linkage:
-        """The configured linkage; raises ValueError where no arm holds the palms."""
+        """The configured linkage; raises ValueError for an actuator other than an Adept arm."""
         rig, arm = config.rig, config.arm
         if not isinstance(arm, AdeptConfig):
             raise ValueError(f"arm.kind {arm.kind} has no linkage")
@@ -54,33 +54,33 @@ class Linkage:
         )
 
     def pose(self, phi1: float, phi2: float) -> Pose:
-        """Where the arm is, in its own coordinates, when the palms stand at phi1, phi2 (rad)."""
+        """The arm's pose, in arm coordinates, for palm angles phi1, phi2 (rad)."""
         phi12 = phi1 + phi2
         x = self.base[0] - self.palm1_length * math.cos(phi1) + self.palm2_length * math.cos(phi12) - self.arm[0]
         y = self.base[1] - self.palm1_length * math.sin(phi1) + self.palm2_length * math.sin(phi12) - self.arm[1]
-        c, s = self._turn
-        return Pose(c * x + s * y, c * y - s * x, turn(phi12 - self.yaw))
+        c, s = self._yaw_cos_sin
+        return Pose(c * x + s * y, c * y - s * x, wrap_angle(phi12 - self.yaw))
 
     def angles(self, x: float, y: float) -> tuple[float, float] | None:
-        """Palm angles for an arm position (m, arm coordinates); None where the linkage cannot be."""
-        c, s = self._turn
+        """Palm angles for an arm position (m, arm coordinates); None where the linkage cannot reach."""
+        c, s = self._yaw_cos_sin
         return self._angles_from_base(
             self.arm[0] + c * x - s * y - self.base[0], self.arm[1] + s * x + c * y - self.base[1]
         )
 
     def motion(self, x: tuple[float, float, float], y: tuple[float, float, float]) -> PalmMotion | None:
-        """The palms' motion from the arm's (position, velocity, acceleration) along x and along y.
+        """The palms' motion from the arm's (position, velocity, acceleration) along x and y, in arm coordinates.
 
-        Arm coordinates. The rates solve Ė = −L1·ω1·n(φ1) + L2·ω12·n(φ12), n(φ) = dt/dφ, the accelerations the
-        same with the centripetal terms brought over. None where `angles` has none.
+        The rates solve Ė = −L1·ω1·n(φ1) + L2·ω12·n(φ12), n(φ) = dt/dφ; the accelerations solve its derivative. None
+        where `angles` is None.
         """
-        c, s = self._turn
-        found = self._angles_from_base(
+        c, s = self._yaw_cos_sin
+        angles = self._angles_from_base(
             self.arm[0] + c * x[0] - s * y[0] - self.base[0], self.arm[1] + s * x[0] + c * y[0] - self.base[1]
         )
-        if found is None:
+        if angles is None:
             return None
-        phi1, phi2 = found
+        phi1, phi2 = angles
         phi12 = phi1 + phi2
         l1, l2 = self.palm1_length, self.palm2_length
         c1, s1, c12, s12 = math.cos(phi1), math.sin(phi1), math.cos(phi12), math.sin(phi12)
@@ -97,45 +97,45 @@ class Linkage:
     def _angles_from_base(self, dx: float, dy: float) -> tuple[float, float] | None:
         l1, l2 = self.palm1_length, self.palm2_length
         cos_phi2 = (l1 * l1 + l2 * l2 - dx * dx - dy * dy) / (2.0 * l1 * l2)
-        if abs(cos_phi2) > _MOST_COSINE:
+        if abs(cos_phi2) > _MAX_COSINE:
             return None
         phi2 = math.acos(cos_phi2)
-        return turn(math.atan2(dy, dx) - math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)), phi2
+        return wrap_angle(math.atan2(dy, dx) - math.atan2(l2 * math.sin(phi2), l2 * cos_phi2 - l1)), phi2
 
 
-def turn(angle: float) -> float:
-    """The angle (rad) brought into (−π, π]."""
+def wrap_angle(angle: float) -> float:
+    """The angle (rad) wrapped into (−π, π]."""
     return -((math.pi - angle) % math.tau - math.pi)
 
 
 class Servo:
-    """One axis that follows straight pieces of path through a critically damped second-order lag.
+    """One axis that follows a piecewise linear path through a critically damped second-order lag.
 
-    ẍ = k²·(r − x) − 2kẋ, solved in closed form on each piece, where r moves evenly: with e = x − r,
+    ẍ = k²·(r − x) − 2kẋ, solved in closed form on each piece, where r changes at a constant rate: with e = x − r,
     e(τ) = e∞ + (A + Bτ)·exp(−kτ), e∞ = −2ṙ/k.
     """
 
     def __init__(self, position: float, lag_s: float = _SERVO_LAG_S) -> None:
-        """At rest at `position`; at a steady speed it trails the path by `lag_s`."""
+        """At rest at `position`; at constant speed it trails the path by `lag_s`."""
         self._k = 2.0 / lag_s
         self._t = 0.0
         self._r, self._r_dot = position, 0.0
         self._rest, self._a, self._b = 0.0, 0.0, 0.0
-        self._blocked: tuple[float, float, float] | None = None  # since when (s), where and how fast it was then
+        self._blocked: tuple[float, float, float] | None = None  # time (s), position and velocity when it was blocked
 
     def block(self, t: float) -> None:
-        """Something holds the axis from t (s) on, and gives a little; the path goes on."""
+        """Block the axis from t (s) on: it comes to rest exponentially while the path continues."""
         x, v, _ = self.at(t)
         self._blocked = t, x, v
 
     def release(self, t: float) -> None:
-        """Nothing holds it any more at t (s): it goes after the path from where it stood."""
+        """Release a blocked axis at t (s): it follows the path again from where it stands."""
         rate = self._r_dot
         self.follow(t, rate)
         self._blocked = None
 
     def follow(self, t: float, rate: float) -> None:
-        """From t (s) on the path goes on from where it is at `rate` per second."""
+        """Continue the path from its present value at `rate` per second, from t (s) on."""
         x, v, _ = self.at(t)
         start = self.goal(t)
         self._t, self._r, self._r_dot = t, start, rate
@@ -144,15 +144,19 @@ class Servo:
         self._b = v - rate + self._k * self._a
 
     def goal(self, t: float) -> float:
-        """Where the path is at t (s)."""
+        """The path's value at t (s)."""
         return self._r + self._r_dot * (t - self._t)
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Position, velocity, acceleration at t (s), not before the last `follow`."""
+        """Position, velocity and acceleration at t (s), not before the last `follow`."""
         if self._blocked is not None:
-            t_held, held, speed = self._blocked
-            gone = math.exp((t_held - t) / _GIVE_S)
-            return held + speed * _GIVE_S * (1.0 - gone), speed * gone, -speed * gone / _GIVE_S
+            t_held, position, speed = self._blocked
+            decayed = math.exp((t_held - t) / _BLOCK_DECAY_S)
+            return (
+                position + speed * _BLOCK_DECAY_S * (1.0 - decayed),
+                speed * decayed,
+                -speed * decayed / _BLOCK_DECAY_S,
+            )
         k, tau = self._k, t - self._t
         decay = math.exp(-k * tau)
         b = self._b * decay

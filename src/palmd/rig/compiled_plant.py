@@ -1,6 +1,6 @@
-"""What `plant.c` computes, to the bit as its twins in Python.
+"""The compiled plant, `plant.c`; results are bit-identical to those of its Python equivalents.
 
-A step of a smooth body on flat palms, `plant.Plant`, and a run of it on palms that rock, `simulate.run_of`.
+A step of a smooth body on flat palms (`plant.Plant`), and a run of it on rocking palms (`simulate.simulate_run`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from palmd.system.mechanism import JOINTS
 
 _STEP = struct.Struct("=50d")
 _SHAKING = 3
-_BODY = struct.Struct("=36d")  # a step's beginning
+_BODY = struct.Struct("=36d")  # the first part of a step
 
-_MOTIONS = (0.0,) * 12  # of a step: a run sets them itself
+_NO_MOTION = (0.0,) * 12  # the palms' motion in a step; a run sets it itself
 ROW = 11
 """Numbers in `plant.h`'s Row."""
 
@@ -60,15 +60,15 @@ class RockNumbers(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """How both palms go: by how much (rad) they are off from that, and how late (s)."""
+    """Motion of both palms, the error of each joint angle (rad) with respect to it, and its delay (s)."""
 
     rocks: Sequence[RockNumbers]
-    off: Sequence[float]
+    angle_errors: Sequence[float]
     lag: float
 
 
 class ContactBounds(NamedTuple):
-    """What both contacts must keep to: a body's mass (kg), the least force (N), and from where to where (m)."""
+    """Bounds of both contacts: the body's mass (kg), the smallest force (N), and the range of positions (m)."""
 
     mass: float
     least: float
@@ -93,12 +93,12 @@ class _ContactBounds(ctypes.Structure):
 
 
 def backend() -> str:
-    """What steps the plant: compiled C, or Python where there is no compiler."""
+    """How the plant is stepped: "c" if compiled, "python" if there is no compiler."""
     return "python" if _library() is None else "c"
 
 
 class PackedRun:
-    """A drive and bounds as C takes them, `plant.h`'s Rocking and ContactBounds, for as long as this is kept."""
+    """A drive and bounds as `Rocking` and `ContactBounds` of `plant.h`; valid as long as this object exists."""
 
     def __init__(self, drive: Drive, bounds: ContactBounds) -> None:
         self._rests = [np.array(rock.rests, dtype=np.float64).reshape(-1, 2) for rock in drive.rocks]
@@ -106,61 +106,63 @@ class PackedRun:
             _Rock(*rock[:4], rests.ctypes.data, len(rests))
             for rock, rests in zip(drive.rocks, self._rests, strict=True)
         ]
-        rocking = _Rocking((_Rock * len(JOINTS))(*rocks), (ctypes.c_double * len(JOINTS))(*drive.off), drive.lag)
+        rocking = _Rocking(
+            (_Rock * len(JOINTS))(*rocks), (ctypes.c_double * len(JOINTS))(*drive.angle_errors), drive.lag
+        )
         self.drive, self.bounds = ctypes.byref(rocking), ctypes.byref(_ContactBounds(*bounds))
 
 
 class CompiledStep:
-    """One step of a body on its pads, in memory of its own; what is pickled or copied gets another."""
+    """One step of a body on its pads, with its own memory, also after pickling or copying."""
 
     def __init__(self, library: ctypes.CDLL, support: Support, pads: Pads, scene: Scene) -> None:
-        self._made_of = support, pads, scene
+        self._arguments = support, pads, scene
         self._library, self._table = library, np.array(support.table)
         numbers = (ctypes.c_double * 6)(*(number for pad in pads for number in pad))
         self._scene = _Scene(table=self._table.ctypes.data, pads=numbers, **scene)
         self._memory = ctypes.create_string_buffer(_STEP.size)
-        self._scene_at, self._memory_at = ctypes.addressof(self._scene), ctypes.addressof(self._memory)
+        self._scene_address, self._memory_address = ctypes.addressof(self._scene), ctypes.addressof(self._memory)
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
-        """Takes the numbers of `plant.c`'s Step, and returns those of its Body after it."""
+        """Take the numbers of `Step` in `plant.c`, and return those of its `Body` after the step."""
         _STEP.pack_into(self._memory, 0, *numbers)
-        self._library.plant_advance(self._scene_at, self._memory_at)
+        self._library.plant_advance(self._scene_address, self._memory_address)
         return _BODY.unpack_from(self._memory)
 
     def run(self, body: Sequence[float], drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
-        """Rows of `plant.c`'s Row, one before each of `count` steps of `dt` (s), from the numbers of its Body at t = 0.
+        """Rows as `Row` in `plant.h`, one before each of `count` steps of `dt` (s), from a `Body` in `plant.c` at t 0.
 
-        They end where a contact does not keep to what it must.
+        They end where a contact violates its bounds.
         """
-        _STEP.pack_into(self._memory, 0, *body, 0.0, *_MOTIONS, dt)
+        _STEP.pack_into(self._memory, 0, *body, 0.0, *_NO_MOTION, dt)
         rows, packed = np.empty((count, ROW)), PackedRun(drive, bounds)
-        done = self._library.plant_rock(
-            self._scene_at, self._memory_at, packed.drive, packed.bounds, rows.ctypes.data, count
+        row_count = self._library.plant_rock(
+            self._scene_address, self._memory_address, packed.drive, packed.bounds, rows.ctypes.data, count
         )
-        return rows[:done]
+        return rows[:row_count]
 
     def __reduce__(self) -> tuple[Callable[..., CompiledStep | None], tuple[Support, Pads, Scene]]:
-        return step_of, self._made_of
+        return step_of, self._arguments
 
 
 def step_of(support: SupportFunction, pads: Pads, scene: Scene) -> CompiledStep | None:
-    """Of a body on `pads`, each (sagitta, standoff, reach) in m; None where the twin has to do.
+    """The compiled step of a body on `pads`, each (sagitta, standoff, reach) in m; None if Python must be used.
 
-    `scene`: by the names of `plant.c`'s Scene.
+    `scene`: by the names of `Scene` in `plant.c`.
     """
     library = _library()
     return None if library is None or not isinstance(support, Support) else CompiledStep(library, support, pads, scene)
 
 
-def loaded(name: str) -> ctypes.CDLL | None:
-    """The file of C of that name in this folder as a library, made again where `plant.h` changes; None: no compiler."""
+def load_library(name: str) -> ctypes.CDLL | None:
+    """The library of a C file in this folder, rebuilt if `plant.h` changes; None without a compiler."""
     folder = Path(__file__).parent
     return load_written(f"{name}-{zlib.crc32((folder / 'plant.h').read_bytes()):08x}", folder / f"{name}.c")
 
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    library = loaded("plant")
+    library = load_library("plant")
     if library is None:
         return None
     pointer = ctypes.c_void_p

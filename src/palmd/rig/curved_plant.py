@@ -1,14 +1,15 @@
 """The emulated object between two moving arcs: the plant's equations with curved palms. Pure.
 
-Again in another form than the observer's model, which knows arc lengths and contact tangents: a palm is the circle
-through the hinge on which F(w) = ν·w − κ|w|²/2 is zero, w being a place as seen from the hinge and ν the palm's normal
-there. F is the distance to it but for terms of second order, regular as κ → 0, where it is the plant's gap. The body's
-gap is the least F of its outline, whose point is found by its own normal ϑ; along the motion
+The formulation again differs from the observer's model, which uses arc lengths and contact tangents: a palm is the
+circle through the hinge on which F(w) = ν·w − κ|w|²/2 is zero, w a position relative to the hinge and ν the palm's
+normal there. F equals the distance to the circle except for second-order terms, and is regular for κ → 0, where it is
+the gap of the flat plant. The body's gap is the minimum of F over its outline, whose point is found by its normal ϑ;
+along the motion
 
     γ̈ = F̈ at that point of the body − (∂Ḟ/∂ϑ)²/(∂²F/∂ϑ²),
 
-the second part because the point moves on. What a standoff does to an arc it does to the outline; a bow is a little
-more curvature and a slope at the hinge.
+where the second term is due to the motion of the point along the outline. A standoff of an arc is applied to the
+outline; a bow is a small change of curvature and a slope at the hinge.
 """
 
 from __future__ import annotations
@@ -37,22 +38,22 @@ from palmd.rig.plant import (
 )
 from palmd.rig.shapes import Body
 
-_STEPS, _BLIND_STEPS = 4, 40  # of Newton's method for the nearest point, from where it was and from anywhere
+_STEPS, _BLIND_STEPS = 4, 40  # of Newton's method for the nearest point, from the last one and from anywhere
 _LONGEST_STEP = 0.2  # rad
-_FOUND = 1e-12  # rad
-_SEATING_STEPS, _SEATED_M = 40, 1e-13
+_NEWTON_TOLERANCE = 1e-12  # rad
+_PLACEMENT_STEPS, _PLACEMENT_TOLERANCE_M = 40, 1e-13
 _NORMALS = 720
 _ORIENTATIONS, _LOWEST_RAD = 180, 1e-5
-MOST_LYING = 0.8
-"""κv up to which bodies are put on the palms."""
-_TOUCHING_TWICE = 0.95
+MAX_CURVATURE_RATIO = 0.8
+"""Largest κv, palm curvature times the body's radius of curvature, of bodies that are placed on the palms."""
+_TWO_CONTACTS_RATIO = 0.95  # of κv, from which on a body could touch a palm twice
 
 
 class _Nearest(NamedTuple):
     """The body's point that is nearest to one palm.
 
-    c, s: its outward normal (world). w: the point from the hinge, y: from the COM (m). n: ν − κw, the palm's normal
-    there, of length about 1. gap: F (m). v: the outline's radius of curvature there (m).
+    c, s: its outward normal (world). w: the point relative to the hinge, y: relative to the COM (m). n: ν − κw, the
+    palm's normal there, of length about 1. gap: F (m). v: the outline's radius of curvature there (m).
     """
 
     c: float
@@ -67,8 +68,8 @@ class _Nearest(NamedTuple):
     v: float
 
 
-class _Pushed(NamedTuple):
-    """One contact: γ̈ = n·a + lever·α + b, and what a unit of its normal force does: (fx, fy) and a torque."""
+class _CurvedContact(NamedTuple):
+    """One contact: γ̈ = n·a + lever·α + b, and the effect of a unit normal force: (fx, fy) and a torque."""
 
     nx: float
     ny: float
@@ -94,11 +95,11 @@ class CurvedPlant(Plant):
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
-        """Raises ValueError for palms that are too strongly concave for the body, which would touch one twice."""
-        worst = max(curvatures) * widest(body)
-        if worst >= _TOUCHING_TWICE:
+        """Raises ValueError for palms too strongly concave for the body, which would then touch a palm twice."""
+        worst = max(curvatures) * max_curvature_radius(body)
+        if worst >= _TWO_CONTACTS_RATIO:
             raise ValueError(
-                f"the palms are too concave for the body: kappa v reaches {worst:.2f}, not below {_TOUCHING_TWICE}"
+                f"the palms are too concave for the body: kappa v is {worst:.2f}, must be below {_TWO_CONTACTS_RATIO}"
             )
         super().__init__(
             body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
@@ -111,39 +112,41 @@ class CurvedPlant(Plant):
             curvatures[0] - 8.0 * one.sagitta / reach[0] ** 2,
             curvatures[1] - 8.0 * two.sagitta / reach[1] ** 2,
         )
-        self._theta = [0.0, 0.0]  # the nearest points' normals in the body's frame, where they were last
+        self._theta = [0.0, 0.0]  # last normals at the nearest points, in the body's frame
 
     def _compiled_step(self) -> None:
-        """None is written for arcs."""
+        """There is no compiled version for arcs."""
 
-    # -- placing and looking ------------------------------------------------------------------------------
+    # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         frame = self._frame = palm_frame(self.hinge, palms)
         self._theta = [frame.out1 - psi, frame.out2 - psi]
         opening = math.atan2(frame.c1 * frame.s12 - frame.s1 * frame.c12, frame.c1 * frame.c12 + frame.s1 * frame.s12)
         mean, middle = self.body.support.at(0.0)[0], math.atan2(frame.s1, frame.c1) + 0.5 * opening
-        far = mean / math.sin(0.5 * opening)
-        state = self.state = BodyState(frame.ox + far * math.cos(middle), frame.oy + far * math.sin(middle), psi)
+        distance = mean / math.sin(0.5 * opening)
+        state = self.state = BodyState(
+            frame.ox + distance * math.cos(middle), frame.oy + distance * math.sin(middle), psi
+        )
         state.omega0 = omega0
-        for _ in range(_SEATING_STEPS):
-            one, two = self._both(frame, state, _BLIND_STEPS)
-            if max(abs(one.gap), abs(two.gap)) < _SEATED_M:
+        for _ in range(_PLACEMENT_STEPS):
+            one, two = self._nearest_points(frame, state, _BLIND_STEPS)
+            if max(abs(one.gap), abs(two.gap)) < _PLACEMENT_TOLERANCE_M:
                 break
-            dx, dy = self._moved_by(frame, state, -one.gap, -two.gap)
+            dx, dy = self._displacement_for_gaps(frame, state, -one.gap, -two.gap)
             state.x, state.y = state.x + dx, state.y + dy
         rate1, rate2 = self._gap_rates(frame, state)
-        state.vx, state.vy = self._moved_by(frame, state, -rate1, -rate2)
+        state.vx, state.vy = self._displacement_for_gaps(frame, state, -rate1, -rate2)
         self._on1 = self._on2 = True
         self.fallen = False
         self._settle_contacts()
 
     def contact_rates(self) -> tuple[float, float]:
-        """How fast both contacts go along the palms, away from the hinge (m/s)."""
+        """Speeds of both contacts along the palms, away from the hinge (m/s)."""
         frame, q = self._frame, self.state
         rates = []
-        for palm, at in enumerate(self._both(frame, q)):
+        for palm, at in enumerate(self._nearest_points(frame, q)):
             w = (frame.w1, frame.w12)[palm]
             px, py = q.vx - frame.vox - q.omega0 * at.yy + w * at.wy, q.vy - frame.voy + q.omega0 * at.yx - w * at.wx
             slip = -at.s * px + at.c * py  # ± ṡ = (slip + v(ω − ω0))/(1 − κv)
@@ -152,13 +155,13 @@ class CurvedPlant(Plant):
 
     def radii(self) -> tuple[float, float]:
         """r1 and r2 (m): the support function at both contact normals."""
-        self._both(self._frame, self.state)
+        self._nearest_points(self._frame, self.state)
         at = self.body.support.at
         return at(self._theta[0])[0], at(self._theta[1])[0]
 
     def tangents(self) -> tuple[float, float]:
         """β1 and β2 (rad, world): directions of the palms at the contacts."""
-        self._both(self._frame, self.state)
+        self._nearest_points(self._frame, self.state)
         psi = self.state.psi
         return self._theta[0] + psi + 0.5 * math.pi, self._theta[1] + psi - 0.5 * math.pi
 
@@ -177,7 +180,7 @@ class CurvedPlant(Plant):
         kappa, standoff, at = self._kappa[palm], self._standoffs[palm], self.body.support.at
         rx, ry = x - frame.ox, y - frame.oy
         theta = self._theta[palm]
-        for left in range(steps, -1, -1):
+        for remaining in range(steps, -1, -1):
             c, s = math.cos(theta + psi), math.sin(theta + psi)
             h, slope, second = at(theta)
             h += standoff
@@ -186,19 +189,19 @@ class CurvedPlant(Plant):
             wx, wy = rx + yx, ry + yy
             nx, ny = nux - kappa * wx, nuy - kappa * wy
             step = (ny * c - nx * s) / (nx * c + ny * s + kappa * v)
-            if abs(step) < _FOUND or not left:
+            if abs(step) < _NEWTON_TOLERANCE or not remaining:
                 break
             theta += max(-_LONGEST_STEP, min(_LONGEST_STEP, step))
         self._theta[palm] = theta
         gap = nux * wx + nuy * wy - 0.5 * kappa * (wx * wx + wy * wy)
         return _Nearest(c, s, wx, wy, yx, yy, nx, ny, gap, v)
 
-    def _both(self, frame: PalmFrame, q: BodyState, steps: int = _STEPS) -> tuple[_Nearest, _Nearest]:
+    def _nearest_points(self, frame: PalmFrame, q: BodyState, steps: int = _STEPS) -> tuple[_Nearest, _Nearest]:
         return self._nearest(0, frame, q.x, q.y, q.psi, steps), self._nearest(1, frame, q.x, q.y, q.psi, steps)
 
     def _distances(self) -> tuple[float, float]:
-        """Arc lengths from the hinge: |w| = s sinc(κs/2); of what is behind the hinge they are negative."""
-        one, two = self._both(self._frame, self.state)
+        """Arc lengths from the hinge, |w| = s sinc(κs/2); negative behind the hinge."""
+        one, two = self._nearest_points(self._frame, self.state)
         return self._arc_length(0, one), self._arc_length(1, two)
 
     def _arc_length(self, palm: int, at: _Nearest) -> float:
@@ -209,21 +212,21 @@ class CurvedPlant(Plant):
         return math.copysign(length, c * at.wx + s * at.wy)
 
     def _gaps(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-        one, two = self._both(frame, q)
+        one, two = self._nearest_points(frame, q)
         return one.gap, two.gap
 
-    def _moved_by(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
-        one, two = self._both(frame, q)
+    def _displacement_for_gaps(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
+        one, two = self._nearest_points(frame, q)
         det = one.nx * two.ny - one.ny * two.nx
         return (a * two.ny - b * one.ny) / det, (b * one.nx - a * two.nx) / det
 
     def _levers(self, frame: PalmFrame, q: BodyState) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        one, two = ((at.nx, at.ny, at.yx * at.ny - at.yy * at.nx) for at in self._both(frame, q))
+        one, two = ((at.nx, at.ny, at.yx * at.ny - at.yy * at.nx) for at in self._nearest_points(frame, q))
         return one, two
 
     def _gap_rates(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
         rates = []
-        for palm, at in enumerate(self._both(frame, q)):
+        for palm, at in enumerate(self._nearest_points(frame, q)):
             w, (nux, nuy) = (frame.w1, frame.w12)[palm], self._normal(palm, frame)
             px, py = q.vx - frame.vox - q.omega0 * at.yy, q.vy - frame.voy + q.omega0 * at.yx
             rates.append(at.nx * px + at.ny * py + w * (nux * at.wy - nuy * at.wx))
@@ -234,32 +237,37 @@ class CurvedPlant(Plant):
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
         rho2 = self.body.rho**2
         damping = -self.surface.damping * w / rho2
-        one = self._pushed(0, frame, x, y, psi, vx, vy, w) if self._on1 else None
-        two = self._pushed(1, frame, x, y, psi, vx, vy, w) if self._on2 else None
+        one = self._contact_equations(0, frame, x, y, psi, vx, vy, w) if self._on1 else None
+        two = self._contact_equations(1, frame, x, y, psi, vx, vy, w) if self._on2 else None
         g = self._gravity_now()
 
-        def lifted(by: _Pushed, of: _Pushed) -> float:
-            return by.nx * of.fx + by.ny * of.fy + by.lever * of.torque / rho2
+        def gap_response(row: _CurvedContact, column: _CurvedContact) -> float:
+            return row.nx * column.fx + row.ny * column.fy + row.lever * column.torque / rho2
 
         f1 = f2 = 0.0
         if one and two:
             b1, b2 = one.b - one.ny * g + one.lever * damping, two.b - two.ny * g + two.lever * damping
-            a11, a12, a21, a22 = lifted(one, one), lifted(one, two), lifted(two, one), lifted(two, two)
+            a11, a12, a21, a22 = (
+                gap_response(one, one),
+                gap_response(one, two),
+                gap_response(two, one),
+                gap_response(two, two),
+            )
             det = a11 * a22 - a12 * a21
             f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
         elif one:
-            f1 = -(one.b - one.ny * g + one.lever * damping) / lifted(one, one)
+            f1 = -(one.b - one.ny * g + one.lever * damping) / gap_response(one, one)
         elif two:
-            f2 = -(two.b - two.ny * g + two.lever * damping) / lifted(two, two)
+            f2 = -(two.b - two.ny * g + two.lever * damping) / gap_response(two, two)
         ax, ay, al = 0.0, -g, damping
-        for f, pushed in ((f1, one), (f2, two)):
-            if pushed:
-                ax, ay, al = ax + f * pushed.fx, ay + f * pushed.fy, al + f * pushed.torque / rho2
+        for f, contact in ((f1, one), (f2, two)):
+            if contact:
+                ax, ay, al = ax + f * contact.fx, ay + f * contact.fy, al + f * contact.torque / rho2
         return ax, ay, al, f1, f2
 
-    def _pushed(
+    def _contact_equations(
         self, palm: int, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float
-    ) -> _Pushed:
+    ) -> _CurvedContact:
         at, (nux, nuy) = self._nearest(palm, frame, x, y, psi), self._normal(palm, frame)
         wi, al = ((frame.w1, frame.al1), (frame.w12, frame.al12))[palm]
         kappa, standoff = self._kappa[palm], self._standoffs[palm]
@@ -272,27 +280,27 @@ class CurvedPlant(Plant):
             - nx * (frame.aox + w * w * at.yx) - ny * (frame.aoy + w * w * at.yy)
         )  # fmt: skip
         length = -(nx * c + ny * s)
-        going = (rate_y - kappa * py) * c - (rate_x - kappa * px) * s + w * length
-        b -= at.v * going * going / (length - kappa * at.v)
+        tangential = (rate_y - kappa * py) * c - (rate_x - kappa * px) * s + w * length
+        b -= at.v * tangential * tangential / (length - kappa * at.v)
         rate = nx * px + ny * py + rate_x * at.wx + rate_y * at.wy
         b += _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * at.gap)
-        # what rubs is the body's own point, which is nearer to its COM by the standoff
+        # friction acts at the body's own point, which is nearer to its COM by the standoff
         yx, yy, wx, wy = at.yx - standoff * c, at.yy - standoff * s, at.wx - standoff * c, at.wy - standoff * s
         slip = -s * (vx - frame.vox - w * yy + wi * wy) + c * (vy - frame.voy + w * yx - wi * wx)
         k = (self._friction1 if palm == 0 else self._friction2) * self._friction(slip)
         fx, fy = -c + k * s, -s - k * c
-        return _Pushed(nx, ny, at.yx * ny - at.yy * nx, b, fx, fy, yx * fy - yy * fx)
+        return _CurvedContact(nx, ny, at.yx * ny - at.yy * nx, b, fx, fy, yx * fy - yy * fx)
 
 
-def widest(body: Body) -> float:
-    """The largest radius of curvature of a body's outline (m): palms must be less concave than that."""
+def max_curvature_radius(body: Body) -> float:
+    """The largest radius of curvature of a body's outline (m); concave palms must have a larger one."""
     at = body.support.at
-    found = (at(math.tau * i / _NORMALS) for i in range(_NORMALS))
-    return max(h + second for h, _, second in found)
+    values = (at(math.tau * i / _NORMALS) for i in range(_NORMALS))
+    return max(h + second for h, _, second in values)
 
 
 def stable_on_arcs(body: Body, palms: PalmMotion, curvatures: PadPair) -> list[float]:
-    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first."""
+    """The angles ψ in [0, 2π) at which the COM's height has a local minimum (rad), the lowest first."""
     plant = CurvedPlant(body, Hinge("fixed", base=(0.0, 0.0)), FrictionSurface(), curvatures)
 
     def height(psi: float) -> float:
@@ -307,7 +315,7 @@ def stable_on_arcs(body: Body, palms: PalmMotion, curvatures: PadPair) -> list[f
 
 
 def _lowest(height: Callable[[float], float], low: float, high: float) -> float:
-    """By golden section to `_LOWEST_RAD`."""
+    """The height's minimum by golden section, to `_LOWEST_RAD`."""
     golden = (math.sqrt(5.0) - 1.0) / 2.0
     while high - low > _LOWEST_RAD:
         a, b = high - golden * (high - low), low + golden * (high - low)

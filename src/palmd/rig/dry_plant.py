@@ -1,17 +1,17 @@
-"""The emulated object on palms that rub by Coulomb's law without dither: it sticks, slips, or is held. Pure.
+"""The emulated object on palms with Coulomb friction and no dither: contacts stick or slip. Pure.
 
-A contact that slips is pushed back by μ_k N. One that sticks is a constraint: the body's material there does not move
-along the palm, and friction is whatever that asks for, up to μ_s N. Nothing creeps. Which contact does what changes
-between steps only:
+A slipping contact has friction μ_k N against its slip. A sticking contact is a constraint: the body's material there
+does not move along the palm, and friction takes the value that this requires, up to μ_s N. There is no creep. Contacts
+change their mode between steps only:
 
-    slips → sticks    its slip has come to zero, where the step is made to end, and no more than μ_s N is asked for
-    sticks → slips    more than μ_s N is asked for
-    both stick        only while the palms do not turn against each other: three velocities cannot meet four conditions.
-                      How both share the friction is open then: palm 2 keeps what it had, and gives way where palm 1
-                      would have to bear more than μ_s N
+    slip → stick      the slip has reached zero, where the step is made to end, and at most μ_s N is required
+    stick → slip      more than μ_s N is required
+    both stick        only while the palms do not rotate relative to each other: three velocities cannot satisfy four
+                      conditions. The division of friction between them is then undetermined: palm 2 keeps its friction,
+                      and slips if palm 1 would need more than μ_s N
 
-Where both come to a stop on palms that turn against each other one must slip: what has been stuck stays so if it can,
-as on elastic pads, where what slipped is unloaded first.
+If both come to rest on palms that rotate relative to each other one must slip: a contact that was sticking keeps
+sticking if it can, as on elastic pads, where the contact that slipped is unloaded first.
 """
 
 from __future__ import annotations
@@ -27,143 +27,143 @@ from palmd.rig.plant import (
     FrictionSurface,
     PalmFrame,
     Plant,
-    _before,
+    _extrapolated_back,
     _Rates,
 )
 
 DRY = FrictionSurface(mu=0.2, static=0.3)
-"""What is dry and clean, by and large."""
+"""Friction of typical dry, clean surfaces."""
 
-_STOPPED = 1e-5  # m/s: a contact that slips no faster is at rest
-_CROSSINGS = 4  # of zero slip, at which a step is ended before its time
-_STANDING = 1e-9  # rad/s and rad/s²: palms that turn against each other no faster stand
+_ZERO_SLIP = 1e-5  # m/s: a contact that slips no faster is at rest
+_MAX_CROSSINGS = 4  # zero crossings of a slip at which one step is divided
+_RELATIVE_REST = 1e-9  # rad/s and rad/s²: slower relative rotation of the palms counts as none
 _SIGNS: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-class _Rubbing(NamedTuple):
-    """A palm's tangent t, h and h′ at the contact, and what its gap and its slip do if nothing pushes.
+class _ContactState(NamedTuple):
+    """A contact: the palm's tangent t, h and h′, and the motion of gap and slip without contact forces.
 
-    fall: γ̈, drag: the slip's rate (m/s²), both with the pull that keeps them from drifting; slip: of the body's
-    material along t, against the palm's (m/s).
+    gap_acceleration: γ̈, slip_rate: derivative of the slip (m/s²), both with drift correction; slip: velocity of the
+    body's material along t relative to the palm's (m/s).
     """
 
     tx: float
     ty: float
     h: float
     slope: float
-    fall: float
-    drag: float
+    gap_acceleration: float
+    slip_rate: float
     slip: float
 
 
-class _Push(NamedTuple):
-    """What a unit of a contact's normal force does, with the friction that goes with it: force and torque."""
+class _UnitForce(NamedTuple):
+    """Force and torque on the body of a unit normal force, with the friction proportional to it."""
 
     fx: float
     fy: float
     torque: float
 
 
-_BothContacts = tuple[_Rubbing | None, _Rubbing | None]
+_BothContacts = tuple[_ContactState | None, _ContactState | None]
 
 
 class DryPlant(Plant):
-    """As `Plant`, with friction of `surface.mu` where it slips and of up to `surface.static` where it sticks."""
+    """As `Plant`, with friction coefficient `surface.mu` while slipping and up to `surface.static` while sticking."""
 
     def _compiled_step(self) -> None:
-        """None is written for dry palms."""
+        """There is no compiled version."""
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         self._ratios = [0.0, 0.0]  # of friction to normal force, against t
-        self._held: int | None = None  # the contact whose friction is solved for, 0 or 1
+        self._sticking_contact: int | None = None  # whose friction is solved for, 0 or 1
         super().place(palms, psi, omega0)
 
     def slips(self) -> tuple[float, float]:
-        """How fast the body's material slips along t1 and t2, against the palms' (m/s); 0 where nothing touches."""
+        """Slip of the body's material along t1 and t2 relative to the palms' (m/s); 0 for an open contact."""
         one, two = self._contacts_at(self._frame, self.state)
         return one.slip if one else 0.0, two.slip if two else 0.0
 
     def sticking(self) -> tuple[bool, bool]:
         """Which contacts stick."""
-        one, two = (on and abs(slip) <= _STOPPED for on, slip in zip(self.touching, self.slips(), strict=True))
+        one, two = (on and abs(slip) <= _ZERO_SLIP for on, slip in zip(self.touching, self.slips(), strict=True))
         return one, two
 
-    # -- going on -----------------------------------------------------------------------------------------
+    # -- time steps ---------------------------------------------------------------------------------------
 
     def _step(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """Runge–Kutta steps, each until the next contact stops slipping."""
         if self.fallen:
             super()._step(middle, end, dt)
             return
-        left = dt
-        for number in range(_CROSSINGS + 1):
-            self._follow_the_surfaces()
-            start, frame, slipped = replace(self.state), self._frame, self.slips()
-            self._t += left
-            self._integrate(middle, end, left)
-            share = _until_one_stops(slipped, self.slips())
-            if share == 1.0 or number == _CROSSINGS:
+        remaining = dt
+        for number in range(_MAX_CROSSINGS + 1):
+            self._update_tangent_planes()
+            start, frame, slips_before = replace(self.state), self._frame, self.slips()
+            self._t += remaining
+            self._integrate(middle, end, remaining)
+            fraction = _fraction_to_first_stop(slips_before, self.slips())
+            if fraction == 1.0 or number == _MAX_CROSSINGS:
                 break
             self.state, self._frame = start, frame
-            part, left = share * left, (1.0 - share) * left
-            self._t -= left
-            self._integrate(_before(end, left + 0.5 * part), _before(end, left), part)
+            step, remaining = fraction * remaining, (1.0 - fraction) * remaining
+            self._t -= remaining
+            self._integrate(_extrapolated_back(end, remaining + 0.5 * step), _extrapolated_back(end, remaining), step)
             self._settle_contacts()
             if self.fallen:
                 return
-            middle = _before(end, 0.5 * left)
+            middle = _extrapolated_back(end, 0.5 * remaining)
         self._settle_contacts()
 
     def _accelerations(self) -> _Rates:
-        """What the contacts do from now on, and the accelerations with it."""
+        """Choose the contacts' modes for the next step, and return the accelerations."""
         contacts = self._contacts_at(self._frame, self.state)
-        resting = [i for i, at in enumerate(contacts) if at and abs(at.slip) <= _STOPPED]
+        resting = [i for i, at in enumerate(contacts) if at and abs(at.slip) <= _ZERO_SLIP]
         for i, at in enumerate(contacts):
             if at and i not in resting:
                 self._ratios[i] = math.copysign(self._kinetic(i), at.slip)
         if len(resting) == 2:
             return self._both_at_rest(contacts)
         if not resting:
-            self._held = None
-            return self._now(contacts)
+            self._sticking_contact = None
+            return self._accelerations_for(contacts)
         (i,) = resting
-        if (rates := self._stuck(contacts, i)) is None:
-            self._held, self._ratios[i] = None, math.copysign(self._kinetic(i), self._ratios[i])
-            rates = self._now(contacts)
+        if (rates := self._if_sticking(contacts, i)) is None:
+            self._sticking_contact, self._ratios[i] = None, math.copysign(self._kinetic(i), self._ratios[i])
+            rates = self._accelerations_for(contacts)
         return rates
 
     def _both_at_rest(self, contacts: _BothContacts) -> _Rates:
-        frame, kept = self._frame, self._held
+        frame, previous = self._frame, self._sticking_contact
         (*_, rate, alpha, _), (*_, other_rate, other_alpha, _) = frame.each()
-        if max(abs(other_rate - rate), abs(other_alpha - alpha)) < _STANDING:
+        if max(abs(other_rate - rate), abs(other_alpha - alpha)) < _RELATIVE_REST:
             for i in (0, 1):
-                if (held := self._stuck(contacts, i)) is not None:
-                    return held
+                if (sticking := self._if_sticking(contacts, i)) is not None:
+                    return sticking
                 self._ratios[i] = math.copysign(self._static(i), self._ratios[i])
         else:
-            for i in (0, 1) if kept != 1 else (1, 0):
-                self._held = i
-                rate = self._slip_rates(contacts, self._now(contacts))[1 - i]  # whatever friction there is
+            for i in (0, 1) if previous != 1 else (1, 0):
+                self._sticking_contact = i
+                rate = self._slip_rates(contacts, self._accelerations_for(contacts))[1 - i]  # for any friction
                 self._ratios[1 - i] = math.copysign(self._kinetic(1 - i), rate)
-                if (held := self._stuck(contacts, i)) is not None:
-                    return held
-        self._held = None
+                if (sticking := self._if_sticking(contacts, i)) is not None:
+                    return sticking
+        self._sticking_contact = None
         rates = self._rates
         for signs in _SIGNS:
             self._ratios = [sign * self._kinetic(i) for i, sign in enumerate(signs)]
-            rates = self._now(contacts)
+            rates = self._accelerations_for(contacts)
             if all(sign * rate > 0.0 for sign, rate in zip(signs, self._slip_rates(contacts, rates), strict=True)):
                 break
         return rates
 
-    def _now(self, contacts: _BothContacts) -> _Rates:
-        return self._forced(contacts, self.state.omega0)
+    def _accelerations_for(self, contacts: _BothContacts) -> _Rates:
+        return self._constrained(contacts, self.state.omega0)
 
-    def _stuck(self, contacts: _BothContacts, i: int) -> _Rates | None:
-        """The accelerations if contact i sticks; None where that asks for more friction than there is."""
-        self._held = i
-        rates = self._now(contacts)
+    def _if_sticking(self, contacts: _BothContacts, i: int) -> _Rates | None:
+        """The accelerations if contact i sticks; None if that requires more friction than available."""
+        self._sticking_contact = i
+        rates = self._accelerations_for(contacts)
         return rates if abs(self._ratios[i]) <= self._static(i) else None
 
     def _kinetic(self, i: int) -> float:
@@ -175,7 +175,7 @@ class DryPlant(Plant):
     # -- equations ----------------------------------------------------------------------------------------
 
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
-        return self._forced(self._contacts_at(frame, BodyState(x, y, psi, vx, vy, w)), w)
+        return self._constrained(self._contacts_at(frame, BodyState(x, y, psi, vx, vy, w)), w)
 
     def _contacts_at(self, frame: PalmFrame, q: BodyState) -> _BothContacts:
         one, two = (
@@ -185,74 +185,82 @@ class DryPlant(Plant):
 
     def _contact(
         self, frame: PalmFrame, q: BodyState, tx: float, ty: float, out: float, turn: float, alpha: float, above: float
-    ) -> _Rubbing:
+    ) -> _ContactState:
         rx, ry, ux, uy = q.x - frame.ox, q.y - frame.oy, q.vx - frame.vox, q.vy - frame.voy
         gx, gy, w = -frame.aox, -self._gravity_now() - frame.aoy, q.omega0
         damping = -self.surface.damping * w / self.body.rho**2
         h, slope, bend = self.body.support.at(out - q.psi)
         spin, along, over = turn - w, tx * rx + ty * ry, tx * ry - ty * rx
-        going, rising = tx * ux + ty * uy, tx * uy - ty * ux
-        rate, slip = rising - turn * along - slope * spin, going + w * h + turn * (over - h)
-        fall = (
-            tx * gy - ty * gx - 2.0 * turn * going - alpha * along - turn * turn * over - bend * spin * spin
+        tangential, normal_speed = tx * ux + ty * uy, tx * uy - ty * ux
+        rate, slip = normal_speed - turn * along - slope * spin, tangential + w * h + turn * (over - h)
+        gap_acceleration = (
+            tx * gy - ty * gx - 2.0 * turn * tangential - alpha * along - turn * turn * over - bend * spin * spin
             - slope * (alpha - damping) + _DRIFT_RATE * (2.0 * rate + _DRIFT_RATE * (over - h - above))
         )  # fmt: skip
-        drag = (
-            tx * gx + ty * gy + turn * rising + w * slope * spin + h * damping + alpha * (over - h)
+        slip_rate = (
+            tx * gx + ty * gy + turn * normal_speed + w * slope * spin + h * damping + alpha * (over - h)
             + turn * rate + _DRIFT_RATE * slip
         )  # fmt: skip
-        return _Rubbing(tx, ty, h, slope, fall, drag, slip)
+        return _ContactState(tx, ty, h, slope, gap_acceleration, slip_rate, slip)
 
-    def _forced(self, contacts: _BothContacts, w: float) -> _Rates:
-        """Accelerations and normal forces by γ̈ = 0 at each contact and, at the one that is held, a slip that stays 0.
+    def _constrained(self, contacts: _BothContacts, w: float) -> _Rates:
+        """Accelerations and normal forces from γ̈ = 0 at each contact and constant zero slip at the sticking one.
 
-        Leaves the friction that this asks for in `_ratios`.
+        Stores the friction that sticking requires in `_ratios`.
         """
         rho2 = self.body.rho**2
-        held = contacts[self._held] if self._held is not None else None
-        one, two = (self._push(at, 0.0 if at is held else k) for at, k in zip(contacts, self._ratios, strict=True))
-        a11, a12, b1 = self._row(contacts[0], one, two, held) if contacts[0] else (1.0, 0.0, 0.0)
-        a21, a22, b2 = self._row(contacts[1], one, two, held) if contacts[1] else (0.0, 1.0, 0.0)
+        sticking = contacts[self._sticking_contact] if self._sticking_contact is not None else None
+        one, two = (
+            self._unit_force(at, 0.0 if at is sticking else k) for at, k in zip(contacts, self._ratios, strict=True)
+        )
+        a11, a12, b1 = self._row(contacts[0], one, two, sticking) if contacts[0] else (1.0, 0.0, 0.0)
+        a21, a22, b2 = self._row(contacts[1], one, two, sticking) if contacts[1] else (0.0, 1.0, 0.0)
         det = a11 * a22 - a12 * a21
         f1, f2 = (a12 * b2 - a22 * b1) / det, (a21 * b1 - a11 * b2) / det
         ax, ay = f1 * one.fx + f2 * two.fx, f1 * one.fy + f2 * two.fy
         al = (f1 * one.torque + f2 * two.torque) / rho2
-        if held is not None and self._held is not None:
-            rubbed = (held.drag + held.tx * ax + held.ty * ay + held.h * al) / (1.0 + held.h * held.h / rho2)
-            ax, ay, al = ax - rubbed * held.tx, ay - rubbed * held.ty, al - rubbed * held.h / rho2
-            force = f2 if self._held else f1
-            self._ratios[self._held] = rubbed / force if force > 0.0 else math.copysign(math.inf, rubbed)
+        if sticking is not None and self._sticking_contact is not None:
+            friction = (sticking.slip_rate + sticking.tx * ax + sticking.ty * ay + sticking.h * al) / (
+                1.0 + sticking.h * sticking.h / rho2
+            )
+            ax, ay, al = ax - friction * sticking.tx, ay - friction * sticking.ty, al - friction * sticking.h / rho2
+            force = f2 if self._sticking_contact else f1
+            self._ratios[self._sticking_contact] = (
+                friction / force if force > 0.0 else math.copysign(math.inf, friction)
+            )
         return ax, ay - self._gravity_now(), al - self.surface.damping * w / rho2, f1, f2
 
-    def _push(self, at: _Rubbing | None, ratio: float) -> _Push:
+    def _unit_force(self, at: _ContactState | None, ratio: float) -> _UnitForce:
         if at is None:
-            return _Push(0.0, 0.0, 0.0)
-        return _Push(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
+            return _UnitForce(0.0, 0.0, 0.0)
+        return _UnitForce(-at.ty - ratio * at.tx, at.tx - ratio * at.ty, at.slope - ratio * at.h)
 
-    def _row(self, at: _Rubbing, one: _Push, two: _Push, held: _Rubbing | None) -> tuple[float, float, float]:
-        """What a unit of each normal force does to the contact's gap, with what is held; and what does the rest."""
+    def _row(
+        self, at: _ContactState, one: _UnitForce, two: _UnitForce, sticking: _ContactState | None
+    ) -> tuple[float, float, float]:
+        """A row of γ̈ = A·f + b: the coefficients of both normal forces, with the sticking constraint, and b."""
         rho2 = self.body.rho**2
         a1, a2 = (at.tx * by.fy - at.ty * by.fx + at.slope * by.torque / rho2 for by in (one, two))
-        if held is None:
-            return a1, a2, at.fall
-        share = at.tx * held.ty - at.ty * held.tx + at.slope * held.h / rho2
-        share /= 1.0 + held.h * held.h / rho2
-        b1, b2 = (held.tx * by.fx + held.ty * by.fy + held.h * by.torque / rho2 for by in (one, two))
-        return a1 - share * b1, a2 - share * b2, at.fall - share * held.drag
+        if sticking is None:
+            return a1, a2, at.gap_acceleration
+        coupling = at.tx * sticking.ty - at.ty * sticking.tx + at.slope * sticking.h / rho2
+        coupling /= 1.0 + sticking.h * sticking.h / rho2
+        b1, b2 = (sticking.tx * by.fx + sticking.ty * by.fy + sticking.h * by.torque / rho2 for by in (one, two))
+        return a1 - coupling * b1, a2 - coupling * b2, at.gap_acceleration - coupling * sticking.slip_rate
 
     def _slip_rates(self, contacts: _BothContacts, rates: _Rates) -> tuple[float, float]:
-        """d(slip)/dt at both contacts (m/s²) under these accelerations."""
+        """d(slip)/dt at both contacts (m/s²) for these accelerations."""
         ax, ay, al, _, _ = rates
         ay += self._gravity_now()
         al += self.surface.damping * self.state.omega0 / self.body.rho**2
         one, two = (
-            at.drag - _DRIFT_RATE * at.slip + at.tx * ax + at.ty * ay + at.h * al if at else 0.0 for at in contacts
+            at.slip_rate - _DRIFT_RATE * at.slip + at.tx * ax + at.ty * ay + at.h * al if at else 0.0 for at in contacts
         )
         return one, two
 
 
-def _until_one_stops(before: tuple[float, float], after: tuple[float, float]) -> float:
-    """The share of a step after which the first of the slips has come to zero; 1 where none turns round."""
+def _fraction_to_first_stop(before: tuple[float, float], after: tuple[float, float]) -> float:
+    """The fraction of a step after which the first slip reaches zero; 1 if none changes its sign."""
     return min(
-        (u / (u - v) for u, v in zip(before, after, strict=True) if abs(u) > _STOPPED and u * v < 0.0), default=1.0
+        (u / (u - v) for u, v in zip(before, after, strict=True) if abs(u) > _ZERO_SLIP and u * v < 0.0), default=1.0
     )

@@ -1,8 +1,8 @@
-"""Which plant emulates a body on palms: by the law of friction that the palms' vibration asks for.
+"""Selects the plant that emulates a body on palms, by the law of friction that the palms' vibration requires.
 
-resolved    palms that vibrate, in time, with dry friction (`rig.vibrating_plant`)
-sign_pairs  the same averaged over the signs of slip (`rig.sign_pairs`): for bodies with flat sides, and without a
-            C compiler
+resolved    vibrating palms, resolved in time, with dry friction (`rig.vibrating_plant`)
+sign_pairs  the same averaged over the signs of slip (`rig.sign_pairs`): for bodies with flat sides, or without a C
+            compiler
 coulomb     palms that do not vibrate (`rig.dry_plant`), flat ones only
 averaged    the old law, which averages the friction alone (`rig.plant`)
 """
@@ -21,15 +21,15 @@ from palmd.rig.plant import AS_ASSUMED, PAD_LENGTH, FrictionLaw, FrictionSurface
 from palmd.rig.shaker import Shaking, drawn_shaking
 from palmd.rig.shapes import Body
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
-from palmd.rig.vibrating_plant import VibratingPlant, resolves
+from palmd.rig.vibrating_plant import VibratingPlant, can_resolve
 from palmd.system.arcs import FLAT
 from palmd.system.vibration import Vibration
 
-_STREAM = 0x76696272  # of seeds: the same seed has the same object and motion, whatever vibrates
+_SEED_STREAM = 0x76696272  # the vibration's own random stream, so that object and motion of a seed do not depend on it
 
 
 def law_of(vibration: Vibration) -> FrictionLaw:
-    """What palms that vibrate so are emulated by."""
+    """The law of friction for palms with this vibration."""
     if vibration.law == "averaged":
         return "averaged"
     return "resolved" if vibration.vibrates else "coulomb"
@@ -38,14 +38,14 @@ def law_of(vibration: Vibration) -> FrictionLaw:
 def shaken(
     vibration: Vibration, surface: FrictionSurface, mass: float, *seed: int
 ) -> tuple[Shaking | None, FrictionSurface]:
-    """Both palms' vibration, drawn by the seed as `vibration` describes it, and the surface with its dither speed πV/2.
+    """Draw both palms' vibration by the seed as `vibration` describes it; also the surface, with dither speed πV/2.
 
-    Where the speed V is not described it is that of the surface's own dither speed. mass: of the body (kg).
+    If the speed V is not described it follows from the surface's own dither speed. mass: of the body (kg).
     """
     if law_of(vibration) != "resolved":
         return None, surface
     shaking = drawn_shaking(
-        vibration, np.random.default_rng([*seed, _STREAM]), speed=2.0 / math.pi * surface.dither, body_mass=mass
+        vibration, np.random.default_rng([*seed, _SEED_STREAM]), speed=2.0 / math.pi * surface.dither, body_mass=mass
     )
     return shaking, replace(surface, dither=0.5 * math.pi * shaking.palms[0].speed)
 
@@ -62,7 +62,7 @@ def plant_on(
     gravity: float = 9.81,
     reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
 ) -> Plant:
-    """The plant of the law that the options ask for, or else of palms that vibrate by `shaking`, or by the old law.
+    """The plant for the law that the options state, or else for palms that vibrate by `shaking`, or for the old law.
 
     Raises ValueError for palms too concave for the body, and for dry friction on arcs.
     """
@@ -91,7 +91,7 @@ def plant_on(
                 options=options, imperfections=imperfections, gravity=gravity, reach=reach,
             )  # fmt: skip
         return Plant(body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach)
-    if law == "resolved" and resolves(body):
+    if law == "resolved" and can_resolve(body):
         return VibratingPlant(
             body, hinge, surface, shaking, curvatures,
             options=options, imperfections=imperfections, gravity=gravity, reach=reach,

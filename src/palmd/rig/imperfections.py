@@ -1,4 +1,4 @@
-"""Where the emulated rig is not what its configuration says: the true errors of its constants, set or drawn. Pure."""
+"""The emulated rig's deviations from its configuration: true errors of its constants, configured or drawn. Pure."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ from palmd.system.mechanism import JOINTS, PALMS
 Section = TypeVar("Section", bound=Strict)
 Described = TypeVar("Described", bound=AnyConfig)
 
-_MOST_SIGMAS = 3.0  # what calibration leaves is never further off than this
-_MOST_ASYMMETRY = 0.9  # of a drawn friction: both palms rub
-_STREAM = 17  # of a seed's random numbers, so that the same seed has the same object with and without imperfections
+_MAX_SIGMAS = 3.0  # a drawn error never exceeds this many standard deviations
+_MAX_ASYMMETRY = 0.9  # of drawn friction, so that both palms have friction
+_SEED_STREAM = 17  # own random stream: a seed's object does not depend on the imperfections
 
 
 @dataclass(frozen=True, slots=True)
 class PadImperfection:
-    """By how much one palm's pad is off from what it is taken for; SI units, signs as of the smoother's constants.
+    """One pad's errors with respect to its description; SI units, signs as of the smoother's constants.
 
-    It reads zero + force·f + (1 + scale)·s + place(s) of a contact at s under a force f (N), as it was `lag` ago. Its
-    surface lies
-    `standoff` above the hinge line, on the object's side, and is a parabola that is `sagitta` higher in the pad's
-    middle than at its ends.
+    For a contact at s under a force f (N) it reads zero + force·f + (1 + scale)·s + smooth_error(s), delayed by `lag`.
+    Its surface lies `standoff` above the hinge line, on the object's side, and is a parabola that is `sagitta` higher
+    in the pad's middle than at its ends.
     """
 
     zero: float = 0.0
@@ -42,28 +41,28 @@ class PadImperfection:
     lag: float = 0.0
     standoff: float = 0.0
     force: float = 0.0
-    place: SmoothError = NO_ERROR
+    smooth_error: SmoothError = NO_ERROR
 
     def reading_error_m(self, s: float, force: float) -> float:
-        """A reading less the contact's true distance `s` (m) from the hinge, under a force (N); without the lag."""
-        return self.zero + self.scale * s + self.force * force + self.place.at(s)
+        """Error (m) of a reading of a contact at distance `s` (m) from the hinge under a force (N); without the lag."""
+        return self.zero + self.scale * s + self.force * force + self.smooth_error.at(s)
 
     def tangent_plane(self, s: float, length: float) -> tuple[float, float]:
-        """What touches the surface, of that length (m), at s (m): its slope (rad) and its height over the hinge (m)."""
+        """Slope (rad) and height over the hinge (m) of the surface's tangent at s (m), on a pad of this length (m)."""
         u = s / length
         return 4.0 * self.sagitta / length * (1.0 - 2.0 * u), self.standoff + 4.0 * self.sagitta * u * u
 
 
-_CONSTANTS = tuple(each.name for each in fields(PadImperfection) if each.name != "place")
+_CONSTANTS = tuple(each.name for each in fields(PadImperfection) if each.name != "smooth_error")
 
 
 @dataclass(frozen=True, slots=True)
 class Imperfections:
-    """The true errors of every constant of the rig that the smoother estimates, and vibration; by default none.
+    """True errors of all rig constants that the smoother estimates, and table vibration; by default none.
 
-    True φ1 and φ2 exceed those that are told by `angles` (rad), and where the table tips, φ1 above the horizontal by
-    `gravity` (rad) more; the two are one to whoever feels. friction: (μ1 − μ2)/(μ1 + μ2). The table shakes up and down
-    with an acceleration of `vibration` (m/s², RMS).
+    True φ1 and φ2 exceed the nominal ones by `angles` (rad); if the table tips, φ1 above the horizontal does so by
+    another `gravity` (rad). Contacts cannot distinguish the two. friction: (μ1 − μ2)/(μ1 + μ2). The table shakes
+    vertically with an acceleration of `vibration` (m/s², RMS).
     """
 
     pads: tuple[PadImperfection, ...] = tuple(PadImperfection() for _ in PALMS)
@@ -72,28 +71,28 @@ class Imperfections:
     friction: float = 0.0
     vibration: float = 0.0
 
-    def true_palms(self, told: PalmMotion) -> PalmMotion:
-        """Where the palms really are, from what is told of them."""
+    def true_palms(self, nominal: PalmMotion) -> PalmMotion:
+        """The palms' true motion, from the nominal one."""
         if not (self.gravity or any(self.angles)):
-            return told
-        return PalmMotion(tuple(map(add, told.angles, self._off)), told.rates, told.accelerations)
+            return nominal
+        return PalmMotion(tuple(map(add, nominal.angles, self._angle_errors)), nominal.rates, nominal.accelerations)
 
     @property
-    def _off(self) -> Joints:
-        """By how much each joint angle is off against gravity: the first palm's tips with the table."""
+    def _angle_errors(self) -> Joints:
+        """Error of each joint angle against gravity; the first palm's includes the table's tilt."""
         return self.angles[0] + self.gravity, *self.angles[1:]
 
     def constants(self) -> dict[str, float]:
-        """By the names that results give the rig's constants."""
+        """All errors by the names of the rig's constants in results."""
         of_pads = {CALIBRATION_KEYS[f"{name}_sd"]: name for name in _CONSTANTS}
         return {
-            f"pad{palm}_{told}": getattr(pad, name)
-            for told, name in of_pads.items()
+            f"pad{palm}_{key}": getattr(pad, name)
+            for key, name in of_pads.items()
             for palm, pad in zip(PALMS, self.pads, strict=True)
         } | {
-            **{f"{joint}_rad": off for joint, off in zip(JOINTS, self._off, strict=True)},
+            **{f"{joint}_rad": error for joint, error in zip(JOINTS, self._angle_errors, strict=True)},
             "friction_asymmetry": self.friction,
-            "vibration_kappa": 0.0,  # that of the rig's description
+            "vibration_kappa": 0.0,  # relative to the rig's description
             "vibration_transmission": 0.0,
             "vibration_period": 0.0,
             "friction_arm": 0.0,
@@ -101,58 +100,61 @@ class Imperfections:
 
 
 PERFECT = Imperfections()
-"""A rig that is as it is described."""
+"""A rig exactly as described."""
 
 
 def drawn(rig: RigDescription, *seed: int) -> Imperfections:
-    """A rig as good as `rig` says by its `_sd`: every error normal with that one-sigma, cut at three of them.
+    """Draw a rig from the standard deviations (`_sd`) of `rig`: normal errors, truncated at three of them.
 
-    Pads have smooth errors of place as large and as long as it says.
+    Pads have smooth position errors of the described size and correlation length.
     """
-    random = np.random.default_rng([*seed, _STREAM])
+    random = np.random.default_rng([*seed, _SEED_STREAM])
 
     def error(sd: float) -> float:
-        return sd * float(np.clip(random.standard_normal(), -_MOST_SIGMAS, _MOST_SIGMAS))
+        return sd * float(np.clip(random.standard_normal(), -_MAX_SIGMAS, _MAX_SIGMAS))
 
     constants = [{name: error(getattr(pad, f"{name}_sd")) for name in _CONSTANTS} for pad in rig.pads]
-    places = [
-        drawn_error(pad.map_sd, pad.map_length, pad.length, np.random.default_rng([*seed, _STREAM, number]))
+    smooth_errors = [
+        drawn_error(pad.map_sd, pad.map_length, pad.length, np.random.default_rng([*seed, _SEED_STREAM, number]))
         for number, pad in enumerate(rig.pads)
     ]
     return Imperfections(
-        tuple(PadImperfection(**own, place=place) for own, place in zip(constants, places, strict=True)),
+        tuple(
+            PadImperfection(**own, smooth_error=smooth_error)
+            for own, smooth_error in zip(constants, smooth_errors, strict=True)
+        ),
         (error(rig.angle_sd), error(rig.angle_sd)),
         error(rig.gravity_sd),
-        min(max(error(rig.friction_sd), -_MOST_ASYMMETRY), _MOST_ASYMMETRY),
+        min(max(error(rig.friction_sd), -_MAX_ASYMMETRY), _MAX_ASYMMETRY),
     )
 
 
 def configured(config: Config, seed: int) -> Imperfections:
-    """What `rig.imperfections` asks for; `calibrated` is drawn by `seed` from the configuration's own `_sd`."""
-    asked = config.rig.imperfections
-    if asked == "none":
+    """Imperfections as `rig.imperfections` states; `calibrated` is drawn by `seed` from the configuration's `_sd`s."""
+    settings = config.rig.imperfections
+    if settings == "none":
         return PERFECT
-    if asked == "calibrated":  # the emulated actuator has its play itself
+    if settings == "calibrated":  # the emulated actuator has its own backlash
         rig = replace(rig_description(config), angle_sd=math.radians(config.rig.angle_sd_deg))
         return drawn(rig, seed)
     return Imperfections(
-        tuple(_pad(getattr(asked, f"palm{palm}")) for palm in PALMS),
-        tuple(math.radians(getattr(asked, f"{joint}_deg")) for joint in JOINTS),
-        math.radians(asked.gravity_deg),
-        asked.friction_asymmetry,
-        asked.vibration_m_s2,
+        tuple(_pad(getattr(settings, f"palm{palm}")) for palm in PALMS),
+        tuple(math.radians(getattr(settings, f"{joint}_deg")) for joint in JOINTS),
+        math.radians(settings.gravity_deg),
+        settings.friction_asymmetry,
+        settings.vibration_m_s2,
     )
 
 
 def perfect(config: Described) -> Described:
-    """The configuration of a rig that is exactly as described, which is known."""
+    """The configuration of a rig exactly as described, and known to be."""
     pads = {f"palm{palm}": _known(pad) for palm, pad in enumerate(config.pads.each(), 1)}
     rig = _known(config.rig).model_copy(update={"imperfections": "none"})
     return _with(config, {"rig": rig, "pads": config.pads.model_copy(update=pads)})
 
 
 def _known(section: Section) -> Section:
-    """With every `_sd` at zero."""
+    """The section with every `_sd` set to zero."""
     return _with(section, {name: 0.0 for name in type(section).model_fields if "_sd" in name})
 
 
@@ -160,12 +162,12 @@ def _with(section: Section, update: Mapping[str, Any]) -> Section:
     return section.model_copy(update=update)
 
 
-def _pad(asked: PadImperfectionsConfig) -> PadImperfection:
+def _pad(settings: PadImperfectionsConfig) -> PadImperfection:
     return PadImperfection(
-        zero=asked.zero_mm * 1e-3,
-        scale=asked.scale,
-        sagitta=asked.sagitta_mm * 1e-3,
-        lag=asked.lag_ms * 1e-3,
-        standoff=asked.standoff_mm * 1e-3,
-        force=asked.force_mm_per_n * 1e-3,
+        zero=settings.zero_mm * 1e-3,
+        scale=settings.scale,
+        sagitta=settings.sagitta_mm * 1e-3,
+        lag=settings.lag_ms * 1e-3,
+        standoff=settings.standoff_mm * 1e-3,
+        force=settings.force_mm_per_n * 1e-3,
     )

@@ -1,4 +1,4 @@
-"""The emulated serial lines: pacing at line rate (pure), and the pseudo-terminals or sockets the host opens (I/O)."""
+"""Emulated serial lines: pacing at line rate (pure), and the pseudo-terminals or sockets that the host opens (I/O)."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _FLUSHED = 0x01  # TIOCPKT_FLUSHREAD: the host has flushed its input, as it does
 
 
 class Wire:
-    """One direction of a line: a byte takes ten bit times, and waits for those before it. Pure."""
+    """One direction of a line: a byte takes ten bit times and queues behind those before it. Pure."""
 
     def __init__(self, baud: int) -> None:
         self.byte_s = 10.0 / baud
         self._bytes: deque[tuple[float, int]] = deque()
         self._t_free = 0.0
-        self._t_next = -math.inf  # of the next burst
+        self._t_next = -math.inf  # earliest time of the next burst
 
     def send(self, data: bytes, t: float) -> None:
-        """Hands over bytes at t (s); the first one has arrived one byte time later, if the line is free."""
+        """Queue bytes at t (s); the first arrives one byte time later if the line is free."""
         t_done = max(t, self._t_free)
         for byte in data:
             t_done += self.byte_s
@@ -43,11 +43,11 @@ class Wire:
 
     @property
     def waiting(self) -> int:
-        """How many bytes have not arrived yet."""
+        """Number of bytes that have not arrived yet."""
         return len(self._bytes)
 
     def take(self, t: float, burst_s: float = 0.0) -> bytes:
-        """The bytes that have arrived by t (s); held back until `burst_s` after the last burst, where that is not 0."""
+        """The bytes that have arrived by t (s), in bursts at least `burst_s` apart if that is positive."""
         if burst_s > 0.0:
             if t < self._t_next:
                 return b""
@@ -62,16 +62,16 @@ class Wire:
 
 
 class PtyLine:
-    """One pseudo-terminal under a steady name: a link that points to it as long as it is plugged in.
+    """A pseudo-terminal under a fixed path: a link that points to it while it is plugged in.
 
-    Never blocks. Bytes for a host that has not opened the port are lost, as on a real line; bytes exchanged
-    at another baud than the device's come out as noise.
+    Never blocks. Bytes for a host that has not opened the port are lost, as on a real line; bytes exchanged at a baud
+    rate other than the device's become noise.
     """
 
-    edges = True  # of its descriptor tell what has come
+    edge_triggered = True  # its descriptor is polled edge-triggered, see `LineWaiter`
 
     def __init__(self, link: Path, baud: int | None, rng: np.random.Generator) -> None:
-        """Without a `baud` it stands for a device that is no serial line."""
+        """Without a `baud` it represents a device that has no serial line."""
         self.path = link
         self.bytes_sent = 0
         self.bytes_lost = 0
@@ -82,7 +82,7 @@ class PtyLine:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port exists at the moment."""
+        """Whether the port exists at present."""
         return self._master is not None
 
     @property
@@ -91,7 +91,7 @@ class PtyLine:
         return -1 if self._master is None else self._master
 
     def plug(self) -> None:
-        """Makes the port appear; does nothing if it is there."""
+        """Create the port; does nothing if it exists."""
         if self._master is not None:
             return
         master, slave = os.openpty()
@@ -105,7 +105,7 @@ class PtyLine:
         os.close(slave)
 
     def unplug(self) -> None:
-        """Makes the port vanish under the host's hands; does nothing if it is gone."""
+        """Remove the port even if the host has it open; does nothing if it does not exist."""
         if self._master is None:
             return
         with contextlib.suppress(FileNotFoundError):
@@ -120,28 +120,28 @@ class PtyLine:
         while self._master is not None and events & (select.POLLIN | select.POLLPRI):
             try:
                 packet = os.read(self._master, READ_BYTES)
-            except OSError:  # nothing more to read, or nobody at the other end any longer
+            except OSError:  # nothing more to read, or the host has closed the port
                 break
             if packet[0] == 0:
                 out += packet[1:]
                 self.bytes_heard += len(packet) - 1
             else:
                 flushed = flushed or bool(packet[0] & _FLUSHED)
-        return self._as_heard(out), flushed
+        return self._at_host_baud(out), flushed
 
     def write(self, data: bytes) -> bytes:
-        """Offers bytes to the host; returns those that the pseudo-terminal took, as the host will read them."""
+        """Offer bytes to the host; returns those that the pseudo-terminal accepted, as the host will read them."""
         if not data:
             return b""
-        said, written = self._as_heard(data), 0
+        received, written = self._at_host_baud(data), 0
         if self._master is not None and self._attached:
             with contextlib.suppress(OSError):
-                written = os.write(self._master, said)
+                written = os.write(self._master, received)
         self.bytes_sent += written
         self.bytes_lost += len(data) - written
-        return said[:written]
+        return received[:written]
 
-    def _as_heard(self, data: bytes) -> bytes:
+    def _at_host_baud(self, data: bytes) -> bytes:
         if not data or self._master is None or self._baud is None or self._host_baud() == self._baud:
             return data
         return bytes(self._rng.integers(0, 256, len(data), dtype=np.uint8))
@@ -152,55 +152,56 @@ class PtyLine:
 
 
 class SocketLine:
-    """A line with the face of a `PtyLine` on a UNIX socket: bytes are with the host as soon as they are written.
+    """A line with the interface of `PtyLine` on a UNIX socket: bytes reach the host as soon as they are written.
 
-    A pseudo-terminal's wait for a thread of the kernel, tenths of a second where other programs want the processors. A
-    socket has no baud and no break. One host at a time, others wait for it to go. Bytes without a host are lost.
+    A pseudo-terminal's bytes wait for a kernel thread, for tenths of a second when other programs occupy the
+    processors. A socket has no baud rate and no break. One host at a time; others wait until it disconnects. Bytes
+    without a host are lost.
     """
 
-    edges = False
+    edge_triggered = False
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.bytes_sent = self.bytes_lost = self.bytes_heard = 0
-        self._door: socket.socket | None = None
+        self._listener: socket.socket | None = None
         self._host: socket.socket | None = None
-        self._ready: select.epoll | None = None  # is the host, or the door where there is none
+        self._epoll: select.epoll | None = None  # watches the host, or the listening socket if there is none
 
     @property
     def plugged(self) -> bool:
-        """Whether the port exists at the moment."""
-        return self._door is not None
+        """Whether the port exists at present."""
+        return self._listener is not None
 
     @property
     def fileno(self) -> int:
         """The descriptor to poll, −1 while the port does not exist."""
-        return -1 if self._ready is None else self._ready.fileno()
+        return -1 if self._epoll is None else self._epoll.fileno()
 
     def plug(self) -> None:
-        """Makes the port appear; does nothing if it is there. Raises OSError where the path is too long for one."""
-        if self._door is not None:
+        """Create the port; does nothing if it exists. Raises OSError if the path is too long for a socket."""
+        if self._listener is not None:
             return
         with contextlib.suppress(FileNotFoundError):
             self.path.unlink()
-        door = socket.socket(socket.AF_UNIX)
+        listener = socket.socket(socket.AF_UNIX)
         try:
-            door.bind(str(self.path))
-            door.listen()
+            listener.bind(str(self.path))
+            listener.listen()
         except BaseException:
-            door.close()
+            listener.close()
             raise
-        door.setblocking(False)
-        self._door, self._ready = door, select.epoll()
-        self._ready.register(door, select.EPOLLIN)
+        listener.setblocking(False)
+        self._listener, self._epoll = listener, select.epoll()
+        self._epoll.register(listener, select.EPOLLIN)
 
     def unplug(self) -> None:
-        """Makes the port vanish under the host's hands; does nothing if it is gone."""
-        if self._door is None or self._ready is None:
+        """Remove the port even if the host has it open; does nothing if it does not exist."""
+        if self._listener is None or self._epoll is None:
             return
-        self._ready.close()
-        self._door.close()
-        self._door = self._ready = None
+        self._epoll.close()
+        self._listener.close()
+        self._listener = self._epoll = None
         self.path.unlink(missing_ok=True)
         if self._host is not None:
             self._host.close()
@@ -208,10 +209,10 @@ class SocketLine:
 
     def read(self, events: int) -> tuple[bytes, bool]:
         """What the host has written, and whether it has opened the port, given poll()'s events."""
-        if not events or self._door is None or self._ready is None:
+        if not events or self._listener is None or self._epoll is None:
             return b"", False
         if self._host is None:
-            return b"", self._take_host(self._door, self._ready)
+            return b"", self._accept_host(self._listener, self._epoll)
         try:
             out = self._host.recv(READ_BYTES)
         except BlockingIOError:
@@ -221,12 +222,12 @@ class SocketLine:
         if not out:
             self._host.close()
             self._host = None
-            self._ready.register(self._door, select.EPOLLIN)
+            self._epoll.register(self._listener, select.EPOLLIN)
         self.bytes_heard += len(out)
         return out, False
 
     def write(self, data: bytes) -> bytes:
-        """Offers bytes to the host; returns those that the socket took."""
+        """Offer bytes to the host; returns those that the socket accepted."""
         written = 0
         if data and self._host is not None:
             with contextlib.suppress(OSError):
@@ -235,61 +236,61 @@ class SocketLine:
         self.bytes_lost += len(data) - written
         return data[:written]
 
-    def _take_host(self, door: socket.socket, ready: select.epoll) -> bool:
+    def _accept_host(self, listener: socket.socket, epoll: select.epoll) -> bool:
         try:
-            host, _ = door.accept()
-        except OSError:  # nobody at the door
+            host, _ = listener.accept()
+        except OSError:  # no pending connection
             return False
         host.setblocking(False)
-        ready.unregister(door)  # who comes next has to wait
-        ready.register(host, select.EPOLLIN)
+        epoll.unregister(listener)  # further hosts have to wait
+        epoll.register(host, select.EPOLLIN)
         self._host = host
         return True
 
 
 class LineWaiter:
-    """What poll() would say of several descriptors; one system call for all that a host has opened.
+    """Polls several descriptors; one system call serves all that a host has opened.
 
-    poll() itself would wait for a thread of the kernel, see `PortWaiter`; edge-triggered epoll does not. That a host
-    opens a pseudo-terminal is no edge, but of one that none has opened there is nothing to wait for.
+    poll() itself would wait for a kernel thread, see `PortWaiter`; edge-triggered epoll does not. When a host opens a
+    pseudo-terminal epoll sees no edge, so a terminal that no host has opened is polled separately.
     """
 
     def __init__(self) -> None:
         self._edges = select.epoll()
         self._unopened: set[int] = set()
 
-    def watch(self, fd: int, *, edges: bool = True) -> None:
-        """Take a descriptor in, told by its `edges`, as a pseudo-terminal is, or not; of −1 there is nothing."""
+    def watch(self, fd: int, *, edge_triggered: bool = True) -> None:
+        """Add a descriptor, edge-triggered (pseudo-terminals) or not; −1 is ignored."""
         if fd < 0:
             return
-        self._edges.register(fd, _EVENTS | (select.EPOLLET if edges else 0))
-        if edges:
+        self._edges.register(fd, _EVENTS | (select.EPOLLET if edge_triggered else 0))
+        if edge_triggered:
             self._unopened.add(fd)
 
     def forget(self, fd: int) -> None:
-        """Leave one out, before it is closed."""
+        """Remove a descriptor, before it is closed."""
         if fd < 0:
             return
         self._edges.unregister(fd)
         self._unopened.discard(fd)
 
     def ready(self) -> dict[int, int]:
-        """The events of each that has any; where a host is, each is told once, and what has come must be read."""
+        """Events by descriptor; each edge is reported once, so that available data must be read."""
         events = dict(self._edges.poll(0))
         self._unopened |= {fd for fd, event in events.items() if event & select.POLLHUP}
         for fd in tuple(self._unopened):
-            events[fd] = _polled(fd)
+            events[fd] = _poll_once(fd)
             if not events[fd] & select.POLLHUP:
                 self._unopened.discard(fd)
         return events
 
 
-def _polled(fd: int) -> int:
+def _poll_once(fd: int) -> int:
     poll = select.poll()
     poll.register(fd, _EVENTS)
     return dict(poll.poll(0)).get(fd, 0)
 
 
 def _packet_mode(master: int) -> None:
-    """Asks for a status byte before each read's data, so that a flush by the host can be seen."""
+    """Switch on packet mode: a status byte precedes each read's data, so that a flush by the host can be detected."""
     fcntl.ioctl(master, termios.TIOCPKT, b"\x01\x00\x00\x00")

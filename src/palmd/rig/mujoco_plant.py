@@ -1,14 +1,14 @@
-"""The emulated object between two palms in MuJoCo, a physics engine with contacts and friction of its own.
+"""The emulated object between two palms in MuJoCo, a physics engine with its own contact and friction models.
 
 A palm is a plane on a hinge joint and a slide joint along itself, whose positions and velocities are prescribed, so
-that its vibration is a motion of the plane; a mount that gives way is a spring across the palm. The body is an
-ellipsoid. World frame and units as in `rig.plant`.
+that its vibration is a motion of the plane; a compliant mount is a spring across the palm. The body is an ellipsoid.
+World frame and units as in `rig.plant`.
 
 MuJoCo's contacts are soft. They are as stiff as the step allows without bouncing (`solref`), with `solimp` 0.1, so that
-sliding friction does not lift the body. Friction has a slower time constant of its own (`solreffriction`): with that of
+sliding friction does not lift the body. Friction has its own, slower time constant (`solreffriction`): with that of
 the normal force it overshoots in each step, and a contact that should stick creeps at 1 mm/s.
 
-Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
+Forces are those that a pad of about 60 Hz bandwidth reads, not instantaneous ones.
 """
 
 from __future__ import annotations
@@ -40,25 +40,26 @@ from palmd.rig.vibrating_plant import FORCE_LAG_S
 from palmd.system.mechanism import PALMS
 
 STEP_S = 25e-6
-"""Of the engine, at most (derivation: 1/160 of a period of 250 Hz, where 1/40 resolves the reversals of slip)."""
+"""Largest step of the engine (derivation: 1/160 of a period of 250 Hz, where 1/40 resolves the slip reversals)."""
 _SETTINGS = 'cone="elliptic" impratio="100" tolerance="1e-14" iterations="30"'
 _NORMAL_STEPS, _FRICTION_STEPS = 8, 64
 """Time constants of contacts in steps of the engine (study 2026-11-29, from one state and motion near a crest, for 1 s:
-with 8 for both a contact that sticks creeps at 1 mm/s, and the angle is 2.3° off palmd's own plant; so it is 0.02°)."""
+with 8 for both, a sticking contact creeps at 1 mm/s and the angle differs by 2.3° from palmd's own plant; with these
+values by 0.02°)."""
 _HEAVY_KG = 1e3
-"""Inertia (kg, kg m²) of what is prescribed (derivation: 10 N move it by less than 1e-10 m in a step of 0.1 ms)."""
-_LIGHT = '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-3 1e-3 1e-3"/>'
+"""Inertia (kg, kg m²) of prescribed joints (derivation: 10 N move it by less than 1e-10 m in a step of 0.1 ms)."""
+_LIGHT_INERTIAL = '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-3 1e-3 1e-3"/>'
 _PRESCRIBED = f'armature="{_HEAVY_KG}"'
-_SIDES = (1.0, -1.0)
-"""On which side of its own direction each palm is touched: to the left, to the right."""
+_TOUCHED_SIDES = (1.0, -1.0)
+"""Side of its own direction on which each palm is touched: left (1) or right (−1)."""
 
 
 def mjcf(
     body: Body, hinge: Hinge, frictions: Sequence[float], damping: float, shakers: Sequence[Shaker], step_s: float
 ) -> str:
-    """The model's XML, in which each palm's plane is still a box; raises ValueError for a body that is no ellipse.
+    """The model's XML, in which each palm's plane is a box; raises ValueError for a body that is no ellipse.
 
-    frictions: of the palms. damping: as of a `FrictionSurface`.
+    frictions: coefficient of each palm. damping: as in `FrictionSurface`.
     """
     ellipse = ellipse_of(body.support)
     (a, b), (x, y), (base_x, base_y) = ellipse.half_axes, ellipse.centre, hinge.base
@@ -73,9 +74,9 @@ def mjcf(
     return f"""
       <mujoco><compiler angle="radian"/><option timestep="{step_s}" {_SETTINGS}/>
         <worldbody>
-          <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}
-            <body pos="{-travel} 0 0">{_LIGHT}{palm1}
-              <body><joint name="turn2" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT}{palm2}</body>
+          <body pos="{base_x} {base_y} 0"><joint name="turn1" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT_INERTIAL}
+            <body pos="{-travel} 0 0">{_LIGHT_INERTIAL}{palm1}
+              <body><joint name="turn2" type="hinge" axis="0 0 1" {_PRESCRIBED}/>{_LIGHT_INERTIAL}{palm2}</body>
             </body>
           </body>
           <body name="object">
@@ -92,9 +93,9 @@ def mjcf(
 
 
 def _palm(number: int, shaker: Shaker) -> str:
-    """What vibrates, on its mount, with a sensor of the normal force."""
+    """The vibrating part of a palm on its mount, with a sensor of the normal force."""
     mount = shaker.mount
-    across, inertial = "", _LIGHT
+    across, inertial = "", _LIGHT_INERTIAL
     if math.isfinite(mount.mass):
         across = (
             f'<joint name="mount{number}" type="slide" axis="0 1 0" stiffness="{mount.stiffness}"'
@@ -108,7 +109,7 @@ def _palm(number: int, shaker: Shaker) -> str:
 
 
 class MujocoPlant(Plant):
-    """As `Plant`, for ellipses, whose motion, contacts and forces are MuJoCo's."""
+    """As `Plant`, for ellipses; motion, contacts and forces are computed by MuJoCo."""
 
     def __init__(
         self,
@@ -123,7 +124,7 @@ class MujocoPlant(Plant):
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
         step_s: float = STEP_S,
     ) -> None:
-        """step_s: of the engine, at most. Raises ValueError for a body that is no ellipse."""
+        """step_s: largest step of the engine. Raises ValueError for a body that is no ellipse."""
         super().__init__(
             body, hinge, surface, options=options, imperfections=imperfections, gravity=gravity, reach=reach
         )
@@ -132,80 +133,80 @@ class MujocoPlant(Plant):
         model = self._model = mujoco.MjModel.from_xml_string(
             mjcf(body, self.hinge, frictions, surface.damping, self._shakers, step_s)
         )
-        # planes may not be on moving bodies when a model is compiled, but may be made so afterwards
+        # planes on moving bodies are rejected by the model compiler, but may be set afterwards
         self._plane_geoms = [model.geom(f"palm{palm}").id for palm in PALMS]
         model.geom_type[self._plane_geoms] = mujoco.mjtGeom.mjGEOM_PLANE
         model.geom_rbound[self._plane_geoms] = model.geom_sameframe[self._plane_geoms] = 0
         self._data = mujoco.MjData(model)
-        self._turns, self._slides = self._of_palms("turn"), self._of_palms("shaker")
+        self._turns, self._slides = self._palm_coordinates("turn"), self._palm_coordinates("shaker")
         self._object = slice(self._coordinate("x"), self._coordinate("psi") + 1)
         self._palms = PalmMotion.at_rest((0.0,) * len(PALMS))
-        self._t_touched = [-math.inf] * len(PALMS)
-        self._once = self._twice = np.zeros(len(PALMS))  # lagging forces (N)
+        self._t_last_contact = [-math.inf] * len(PALMS)
+        self._first_stage = self._second_stage = np.zeros(len(PALMS))  # low-pass filtered forces (N)
         self._turning = MeanTurning(shaking.period_s) if shaking else None
         self.penetration_m = 0.0
-        """The deepest so far."""
+        """Largest penetration (m) so far."""
         self.step_forces: FloatArray = np.zeros(len(PALMS))
-        """Means of the normal forces (N) over the last step."""
+        """Mean normal forces (N) over the last step."""
 
     def _compiled_step(self) -> None:
-        """None is needed."""
+        """There is no compiled version."""
 
     def _coordinate(self, joint: str) -> int:
         return int(self._model.joint(joint).qposadr[0])
 
-    def _of_palms(self, joint: str) -> slice:
+    def _palm_coordinates(self, joint: str) -> slice:
         one, two = (self._coordinate(f"{joint}{palm}") for palm in PALMS)
         return slice(one, two + 1, two - one)
 
-    # -- placing and looking ------------------------------------------------------------------------------
+    # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         super().place(palms, psi, omega0)
         q, data = self.state, self._data
         mujoco.mj_resetData(self._model, data)
         data.qpos[self._object], data.qvel[self._object] = (q.x, q.y, q.psi), (q.vx, q.vy, q.omega0)
         self._palms = palms
-        self._t_touched = [self._t] * len(PALMS)
+        self._t_last_contact = [self._t] * len(PALMS)
         if self._turning:
-            self._turning.begin(self._t, q.psi, q.omega0)
-        self._once = self._twice = self.step_forces = self.body.mass * np.array(self._rates[3:])
-        for palm, side, force, shaker in zip(PALMS, _SIDES, self._once, self._shakers, strict=True):
-            if math.isfinite(shaker.mount.mass):  # the mounts bear the body as it lies there
+            self._turning.reset(self._t, q.psi, q.omega0)
+        self._first_stage = self._second_stage = self.step_forces = self.body.mass * np.array(self._rates[3:])
+        for palm, side, force, shaker in zip(PALMS, _TOUCHED_SIDES, self._first_stage, self._shakers, strict=True):
+            if math.isfinite(shaker.mount.mass):  # the springs carry the body at rest
                 mount = self._coordinate(f"mount{palm}")
                 self._model.qpos_spring[mount] = side * force / shaker.mount.stiffness
 
     @property
     def touching(self) -> tuple[bool, bool]:
-        """Which palms the body touches, or has touched within what a pad's force remembers and a period."""
+        """Palms that the body touches, or has touched within the pad's filter time and a vibration period."""
         one, two = (
             not self.fallen and self._t - t <= 2.0 * FORCE_LAG_S + (1.0 / shaker.frequency if shaker.speed else 0.0)
-            for t, shaker in zip(self._t_touched, self._shakers, strict=True)
+            for t, shaker in zip(self._t_last_contact, self._shakers, strict=True)
         )
         return one, two
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
-        """Both contacts as they are now, their forces as a pad reads them: means over the vibration."""
+        """Both present contacts; forces as a pad reads them, averaged over the vibration."""
         one, two = (
             PlantContact(on, s, float(force) if on else 0.0)
-            for on, s, force in zip(self.touching, self._distances(), self._twice, strict=True)
+            for on, s, force in zip(self.touching, self._distances(), self._second_stage, strict=True)
         )
         return one, two
 
     def status(self) -> dict[str, float]:
-        """The deepest penetration (m) since the body was made."""
+        """Largest penetration (m) since the body was made."""
         return {"penetration_m": self.penetration_m}
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple that the vibration gives it."""
+        """The body's rate (rad/s) without the ripple of the vibration."""
         return self._turning.rate if self._turning else self.state.omega0
 
-    # -- going on -----------------------------------------------------------------------------------------
+    # -- time steps ---------------------------------------------------------------------------------------
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """Goes on by dt seconds; `end` is the palms at the end, whose accelerations are constant until then."""
+        """Advance by dt seconds; `end` is the palms at the end, whose accelerations are constant until then."""
         del middle
         begin, self._palms = self._palms, end
         t, self._t = self._t, self._t + dt
@@ -214,7 +215,7 @@ class MujocoPlant(Plant):
             return
         self._set_planes()
         self._run_engine(begin, end, t, dt)
-        self._take_over(dt)
+        self._copy_state(dt)
 
     def _run_engine(self, begin: PalmMotion, end: PalmMotion, t: float, dt: float) -> None:
         model, data = self._model, self._data
@@ -222,8 +223,8 @@ class MujocoPlant(Plant):
         step_s = model.opt.timestep = dt / count
         model.opt.gravity[:] = 0.0, -self._gravity_now(), 0.0
         accelerations = np.subtract(end.rates, begin.rates) / dt
-        data.qpos[self._turns], data.qpos[self._slides] = begin.angles, [each.moved(t) for each in self._shakers]
-        # from half a step before on, the engine's steps are exact for constant accelerations
+        data.qpos[self._turns], data.qpos[self._slides] = begin.angles, [each.displacement(t) for each in self._shakers]
+        # with velocities of half a step earlier, the engine's steps are exact for constant accelerations
         data.qvel[self._turns] = begin.rates - 0.5 * step_s * accelerations
         data.qfrc_applied[self._turns] = _HEAVY_KG * accelerations
         forces, speeds, sensed = np.zeros(len(PALMS)), data.qvel[self._slides], data.sensordata
@@ -235,25 +236,25 @@ class MujocoPlant(Plant):
         self.step_forces = forces / count
 
     def _set_planes(self) -> None:
-        """Puts the palms' planes where they touch the pads' surfaces."""
+        """Place the palms' planes tangent to the pads' surfaces."""
         model, half = self._model, math.sqrt(0.5)
-        for geom, side, (slope, above) in zip(self._plane_geoms, _SIDES, self._planes, strict=True):
+        for geom, side, (slope, above) in zip(self._plane_geoms, _TOUCHED_SIDES, self._planes, strict=True):
             c, s = math.cos(0.5 * side * slope), math.sin(0.5 * side * slope)
             model.geom_pos[geom] = -above * math.sin(slope), side * above * math.cos(slope), 0.0
             model.geom_quat[geom] = half * c, -side * half * c, -side * half * s, half * s
 
-    def _take_over(self, dt: float) -> None:
-        """The state that everything else here looks at, from the engine's."""
+    def _copy_state(self, dt: float) -> None:
+        """Copy the engine's state into the attributes that this class inherits."""
         q, data, forces = self.state, self._data, self.step_forces
         q.x, q.y, q.psi = data.qpos[self._object].tolist()
         q.vx, q.vy, q.omega0 = data.qvel[self._object].tolist()
-        self._once = self._once + dt / FORCE_LAG_S * (forces - self._once)
-        self._twice = self._twice + dt / FORCE_LAG_S * (self._once - self._twice)
+        self._first_stage = self._first_stage + dt / FORCE_LAG_S * (forces - self._first_stage)
+        self._second_stage = self._second_stage + dt / FORCE_LAG_S * (self._first_stage - self._second_stage)
         if self._turning:
             self._turning.take(self._t, q.psi)
-        self._t_touched = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_touched, strict=True)]
+        self._t_last_contact = [self._t if f > 0.0 else t for f, t in zip(forces, self._t_last_contact, strict=True)]
         if data.ncon:
             self.penetration_m = max(self.penetration_m, -float(data.contact.dist.min()))
         self._on1, self._on2 = self.touching
-        self._follow_the_surfaces()
+        self._update_tangent_planes()
         self._drop_if_off_the_palms()

@@ -1,8 +1,8 @@
-/* One step of a body between two flat or bowed palms: the twin of `rig.plant`, which says what is computed, and why. And
-   a whole run on palms that rock: the twin of `rig.simulate`'s.
+/* One step of a body between two flat or bowed palms, the compiled equivalent of `rig.plant`, which describes the method;
+   and a whole run on rocking palms, the equivalent of `rig.simulate`.
 
-   The same operations in the same order, so that both give the same bits. Nothing is kept: `Step` holds all that a step
-   starts from and leaves behind. */
+   The same operations in the same order, so that both give the same bits. There is no hidden state: `Step` holds
+   everything that a step needs and returns. */
 
 #include "plant.h"
 
@@ -245,7 +245,7 @@ void plant_advance(const Scene *scene, Step *step) {
   settle_contacts(scene, body, t);
 }
 
-/* Rows of a run, one before each step of `step->dt`; how many there are before a contact does not keep to it. */
+/* Rows of a run, one before each step of `step->dt`; returns how many there are before a contact violates its bounds. */
 long plant_rock(const Scene *scene, Step *step, const Rocking *rocking, const ContactBounds *bounds, Row *rows,
                 long count) {
   const Body *body = &step->body;

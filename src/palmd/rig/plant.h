@@ -1,4 +1,4 @@
-/* What both plants in C share: a support function's table, and palms that rock as `rig.simulate` has it. */
+/* Shared by both plants in C: a support function's table, and rocking palms as in `rig.simulate`. */
 
 #include <math.h>
 
@@ -11,18 +11,18 @@ typedef struct {
   double angles[2], rates[2], accelerations[2];
 } Palms;
 
-typedef struct { /* one palm's: `simulate.Rock`, with its rests as (from, to) */
+typedef struct { /* of one palm: `simulate.Rock`, with its rests as (from, to) */
   double mean, amplitude, frequency, phase;
   const double (*rests)[2];
   long resting;
 } Rock;
 
-typedef struct { /* of both palms; `off` from what is told of them, and late by `lag` */
+typedef struct { /* of both palms; `off`: error of each joint angle (rad), `lag`: delay (s) */
   Rock rocks[2];
   double off[2], lag;
 } Rocking;
 
-typedef struct { /* what a contact must keep to, in N and m */
+typedef struct { /* bounds of a contact, in N and m */
   double mass, least, low, high;
 } ContactBounds;
 
@@ -72,9 +72,9 @@ static inline Eased rocked(const Rock *rock, double t) {
 static inline Palms palms_at(const Rocking *rocking, double t) {
   Palms palms;
   for (int i = 0; i < 2; i++) {
-    const Eased told = rocked(&rocking->rocks[i], t);
-    palms.angles[i] = told.value + rocking->off[i];
-    palms.rates[i] = told.rate, palms.accelerations[i] = told.acceleration;
+    const Eased nominal = rocked(&rocking->rocks[i], t);
+    palms.angles[i] = nominal.value + rocking->off[i];
+    palms.rates[i] = nominal.rate, palms.accelerations[i] = nominal.acceleration;
   }
   return palms;
 }

@@ -1,16 +1,16 @@
 """The emulated object between two moving palms: Newton–Euler in the world with constraint forces. Pure.
 
-Written on purpose in another form than the observer's model: the state is the body's place and velocity in
-the world (x, y, ψ and their rates), the palms are moving lines through the hinge, and each contact is a
-unilateral constraint on the gap
+The formulation differs from the observer's model on purpose: the state is the body's position and velocity in the world
+(x, y, ψ and their rates), the palms are moving lines through the hinge, and each contact is a unilateral constraint on
+the gap
 
     γ(c, ψ, t) = n·(c − O) − h(θ),   θ = angle(−n) − ψ,
 
-whose second derivative, set to zero, gives the normal force. Friction opposes the slip of the body's
-material on the palm; on a vibrated palm it grows smoothly through zero slip. A palm whose surface is bowed or lies
-off the hinge line is the line that touches the surface where the body does: the gap is stationary in where that is.
-Left out are the square of its slope, and κṡ² in γ̈, of a bow of 0.1 mm 3e-3 m/s² at 0.1 m/s. World frame: gravity
-along −Y, SI units; forces are per unit mass (m/s²) inside and in newtons in what is reported.
+whose second derivative, set to zero, gives the normal force. Friction opposes the slip of the body's material on the
+palm; on a vibrated palm it grows smoothly through zero slip. A palm whose surface is bowed or lies off the hinge line
+is represented by the tangent at the point nearest to the body: the gap is stationary in the point's position.
+Neglected are the square of the tangent's slope, and κṡ² in γ̈, for a bow of 0.1 mm 3e-3 m/s² at 0.1 m/s. World frame:
+gravity along −Y, SI units; forces are per unit mass (m/s²) internally and in newtons in results.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ Physics = Literal["palmd", "mujoco"]
 PHYSICS: tuple[Physics, ...] = get_args(Physics)
 
 PAD_LENGTH = 0.0555  # m, from the hinge outwards
-_DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is pulled back at this rate, critically damped
-_SOFT_BLOW = 0.02  # m/s: below it a blow closes both contacts, or they would chatter for ever
-_PARTING = 1e-9  # m/s: what goes apart faster after a blow has let go
-_SEATINGS = 4  # until planes and contacts of bowed palms agree, each a hundred times better than the last
-_SHORTEST_S, _SLOW = 2e-6, 0.1  # s: of a step; rad/s: no body is taken to turn more slowly
-_LEVEL = 1e-9  # m: a COM that turning lifts by no more rests at any angle
-_LOST_DISTANCE = 0.25  # m from the hinge: an object this far is on the floor
+_DRIFT_RATE = 80.0  # 1/s: numerical drift of a closed gap is corrected at this rate, critically damped
+_SOFT_IMPACT = 0.02  # m/s: a slower impact closes both contacts, to avoid endless chatter
+_SEPARATION_SPEED = 1e-9  # m/s: a contact that separates faster after an impact is open
+_PLACEMENT_ROUNDS = 4  # to match tangent planes and contacts of bowed palms; each reduces the error a hundredfold
+_MIN_STEP_S, _MIN_RATE = 2e-6, 0.1  # s: of a step; rad/s: slower rates do not lengthen it
+_LEVEL_TOLERANCE = 1e-9  # m: a COM whose height varies by no more is in equilibrium at any angle
+_FALLEN_DISTANCE = 0.25  # m from the hinge: an object this far has fallen off
 
 
 @dataclass(frozen=True, slots=True)
 class Hinge:
-    """Where the palms meet: `fixed` at `base`, or on an arc of palm1_length (m) round `base` (world, m)."""
+    """Where the palms meet: `fixed` at `base`, or on an arc of palm1_length (m) around `base` (world, m)."""
 
     mode: HingeMode = "arc"
     palm1_length: float = 0.12
@@ -61,9 +61,9 @@ class Hinge:
 
 @dataclass(frozen=True, slots=True)
 class FrictionSurface:
-    """What the contact rubs against: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass).
+    """Friction of the contacts: mu (–), dither speed u_d (m/s), damping c (m²/s, per unit mass).
 
-    static: the coefficient (–) of what sticks where nothing dithers, if larger than mu.
+    static: coefficient (–) of a sticking contact without dither, if larger than mu.
     """
 
     mu: float = 0.0
@@ -74,11 +74,11 @@ class FrictionSurface:
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
-    """Where the emulated rig departs from the laws that the observer takes for granted; the defaults depart nowhere.
+    """Deviations of the emulated rig from the laws that the observer assumes; none by default.
 
-    friction_law: None for what the rig's vibration asks for, see `rig.friction`. hinge_travels: false pins the hinge of
-    an arc rig. lag_s: the palms move this much later than the plan says. physics: who moves the object; MuJoCo has its
-    own law of friction.
+    friction_law: None for the law that the rig's vibration requires, see `rig.friction`. hinge_travels: False fixes the
+    hinge of an arc rig. lag_s: the palms move this much later than planned. physics: the engine that moves the object;
+    MuJoCo has its own law of friction.
     """
 
     friction_law: FrictionLaw | None = None
@@ -89,7 +89,7 @@ class PlantOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlantContact:
-    """One palm's contact: s (m) from the hinge, force (N), and whether the body touches there."""
+    """One palm's contact: s (m) from the hinge, force (N), and whether the body touches."""
 
     touching: bool
     s: float
@@ -98,7 +98,7 @@ class PlantContact:
 
 @dataclass(slots=True)
 class BodyState:
-    """Place and velocity of the COM (world, m, m/s) and the body's angle and rate (rad, rad/s)."""
+    """Position and velocity of the COM (world, m, m/s), and the body's angle and rate (rad, rad/s)."""
 
     x: float
     y: float
@@ -109,15 +109,15 @@ class BodyState:
 
 
 AS_ASSUMED = PlantOptions()
-"""The plant the observer has in mind."""
+"""A plant as the observer assumes it."""
 
 
 class PalmFrame(NamedTuple):
-    """All the equations need of the palms at one instant; a tuple, as it is unpacked 8000 times a second.
+    """What the equations need of the palms at one instant; a tuple because it is unpacked 8000 times a second.
 
-    Cosine and sine of both palms' directions (φ1, φ12), the directions of the body's outward normals at the
-    contacts, the palms' rates and accelerations, the hinge's place, velocity and acceleration, and how far each palm's
-    plane lies over the hinge, on the object's side. SI, world.
+    Cosine and sine of both palms' directions (φ1, φ12), the directions of the body's outward normals at the contacts,
+    the palms' rates and accelerations, the hinge's position, velocity and acceleration, and the height of each palm's
+    plane over the hinge, on the object's side. SI, world.
     """
 
     c1: float
@@ -140,7 +140,7 @@ class PalmFrame(NamedTuple):
     above2: float
 
     def each(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Of either palm: its tangent (x, y), the normal's direction, rate, acceleration, and how high its plane is."""
+        """For each palm: its tangent (x, y), the normal's direction, rate, acceleration, and the plane's height."""
         return (
             (self.c1, self.s1, self.out1, self.w1, self.al1, self.above1),
             (-self.c12, -self.s12, self.out2, self.w12, self.al12, self.above2),
@@ -149,19 +149,19 @@ class PalmFrame(NamedTuple):
 
 _Rates = tuple[float, float, float, float, float]  # ax, ay, alpha0, f1, f2
 _Planes = tuple[tuple[float, float], tuple[float, float]]  # of each palm: slope (rad), height over the hinge (m)
-_SHAKING_HZ = (13.7, 24.1, 37.9)  # of a lab's floor and machines, with equal shares
+_TABLE_HZ = (13.7, 24.1, 37.9)  # vibration of a lab's floor and machines, with equal amplitudes
 _FLAT: _Planes = ((0.0, 0.0), (0.0, 0.0))
 
 
 def random_surface(kind: Kind, rng: np.random.Generator) -> FrictionSurface:
-    """What bodies of the kind rub against: light damping alone for `nominal`, else friction with dither."""
+    """Friction for bodies of the kind: light damping alone for `nominal`, else friction with dither."""
     if kind == "nominal":
         return FrictionSurface(damping=float(rng.uniform(3.5e-4, 7.5e-4)))
     return FrictionSurface(mu=float(rng.uniform(0.04, 0.25)), dither=float(rng.uniform(8e-3, 20e-3)))
 
 
 def palm_frame(hinge: Hinge, palms: PalmMotion, planes: _Planes = _FLAT) -> PalmFrame:
-    """Everything the equations need of the palms, and of the planes that touch them, at one instant."""
+    """The palm frame for palms that the planes of these slopes and heights represent."""
     (phi1, phi2), (w1, w2), (a1, a2) = palms.angles, palms.rates, palms.accelerations
     (slope1, above1), (slope2, above2) = planes
     c1, s1 = math.cos(phi1), math.sin(phi1)
@@ -185,12 +185,12 @@ def palm_frame(hinge: Hinge, palms: PalmMotion, planes: _Planes = _FLAT) -> Palm
 class Plant:
     """One body on the palms, advanced in steps of about half a millisecond by fourth-order Runge–Kutta.
 
-    A body with flat sides takes shorter ones while it turns fast: a flat is passed within 2 mrad, and what jumped over
-    it was thrown off the palms.
+    A body with flat sides takes shorter steps while it turns fast: it passes a flat within 2 mrad, and a step that
+    skipped the flat would throw the body off the palms.
 
-    The contact state changes between steps only: a pulling contact is let go, a closing gap is an inelastic
-    impact. A body whose contact leaves the palm's reach (0…`reach` m from the hinge) falls off and stays off
-    until `place` is called.
+    Contacts open and close between steps only: a contact with a negative force opens, a closing gap is an inelastic
+    impact. A body whose contact leaves the palm's reach (0…`reach` m from the hinge) falls off and stays off until
+    `place` is called.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class Plant:
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
-        """The palms are told where they are, not what they are said to be: angles and gravity are their giver's."""
+        """Of `imperfections`, friction, pads and vibration act here; the caller passes true angles and gravity."""
         self.body = body
         self.hinge = hinge if options.hinge_travels else Hinge("fixed", hinge.palm1_length, hinge.base)
         self.surface = surface
@@ -214,7 +214,7 @@ class Plant:
         self._bowed = any(pad.sagitta for pad in self._pads)
         self._planes = self._planes_at([0.5 * length for length in reach], reach)
         self.gravity = gravity
-        self._shake = imperfections.vibration * math.sqrt(2.0 / len(_SHAKING_HZ))
+        self._table_amplitude = imperfections.vibration * math.sqrt(2.0 / len(_TABLE_HZ))
         self._t = 0.0
         self.reach = reach
         self.fallen = True
@@ -225,26 +225,27 @@ class Plant:
         self._compiled = self._compiled_step()
 
     def _compiled_step(self) -> CompiledStep | None:
-        """`advance` and all that it calls as one call, for bodies and palms that it serves."""
+        """A compiled version of `advance`; None for bodies and palms that it does not support."""
         hinge, surface, pads = self.hinge, self.surface, zip(self._pads, self.reach, strict=True)
         scene: Scene = {
             "rho2": self.body.rho**2, "mu": surface.mu, "dither": surface.dither, "damping": surface.damping,
-            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity, "shake": self._shake,
-            "shaking_hz": _SHAKING_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
-            "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
+            "friction1": self._friction1, "friction2": self._friction2, "gravity": self.gravity,
+            "shake": self._table_amplitude,
+            "shaking_hz": _TABLE_HZ, "travel": hinge.palm1_length, "base": hinge.base, "drift_rate": _DRIFT_RATE,
+            "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED, "lost_distance": _FALLEN_DISTANCE,
             "arc": hinge.mode == "arc", "bowed": self._bowed,
         }  # fmt: skip
         return step_of(self.body.support, [(pad.sagitta, pad.standoff, length) for pad, length in pads], scene)
 
-    # -- placing and looking ------------------------------------------------------------------------------
+    # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
-        for _ in range(_SEATINGS if self._bowed else 1):
+        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
+        for _ in range(_PLACEMENT_ROUNDS if self._bowed else 1):
             frame = self._frame = palm_frame(self.hinge, palms, self._planes)
-            x, y = _seat(self.body, frame, psi)
+            x, y = _com_in_contact(self.body, frame, psi)
             state = self.state = BodyState(x, y, psi, 0.0, 0.0, omega0)
-            self._follow_the_surfaces()
+            self._update_tangent_planes()
         rate1, rate2 = self._gap_rates(frame, state)
         state.vx, state.vy = _cross_solve(frame, -rate1, -rate2)
         self._on1 = self._on2 = True
@@ -252,12 +253,12 @@ class Plant:
         self._settle_contacts()
 
     def status(self) -> dict[str, float]:
-        """What else there is to be told of it."""
+        """Additional entries of the rig's status."""
         return {}
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s), without a ripple that a vibration gives it."""
+        """The body's rate (rad/s), without the ripple of a vibration."""
         return self.state.omega0
 
     @property
@@ -266,7 +267,7 @@ class Plant:
         return self._on1, self._on2
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
-        """Both contacts as they are now; `touching` is false where there is a gap or the body has fallen."""
+        """Both present contacts; `touching` is False where there is a gap or the body has fallen."""
         s1, s2 = self._distances()
         _, _, _, f1, f2 = self._rates
         mass = self.body.mass
@@ -274,12 +275,12 @@ class Plant:
 
     @property
     def least_forces(self) -> tuple[float, float]:
-        """How little each contact bore (N) in the last step, also within a vibration."""
+        """Smallest force (N) of each contact during the last step, also within a vibration period."""
         _, _, _, f1, f2 = self._rates
         return self.body.mass * f1, self.body.mass * f2
 
     def contact_rates(self) -> tuple[float, float]:
-        """How fast both contacts go along the palms, away from the hinge (m/s)."""
+        """Speeds of both contacts along the palms, away from the hinge (m/s)."""
         q, at = self.state, self.body.support.at
         c1, s1, c12, s12, out1, out2, w1, w12, _, _, ox, oy, vox, voy, *_ = self._frame
         rx, ry, ux, uy = q.x - ox, q.y - oy, q.vx - vox, q.vy - voy
@@ -300,29 +301,29 @@ class Plant:
         kinetic = 0.5 * (q.vx**2 + q.vy**2 + (self.body.rho * q.omega0) ** 2)
         return kinetic + self.gravity * q.y
 
-    # -- going on -----------------------------------------------------------------------------------------
+    # -- time steps ---------------------------------------------------------------------------------------
 
     def take_away(self) -> None:
-        """Removes the body from the palms until it is placed again."""
+        """Remove the body from the palms until it is placed again."""
         self.fallen = True
         self._on1 = self._on2 = False
         self._rates = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """Goes on by dt seconds; `middle` and `end` are the palms half-way and at the end."""
-        left = dt
-        smooth = self._compiled is not None  # what is compiled serves no other body
-        while not (smooth or self.fallen) and (part := self._longest_step()) < left:
-            left -= part
-            self._step(_before(end, left + 0.5 * part), _before(end, left), part)
-        self._step(middle if left == dt else _before(end, 0.5 * left), end, left)
+        """Advance by dt seconds; `middle` and `end` are the palms half-way and at the end."""
+        remaining = dt
+        is_compiled = self._compiled is not None  # the compiled step supports smooth bodies only
+        while not (is_compiled or self.fallen) and (step := self._longest_step()) < remaining:
+            remaining -= step
+            self._step(_extrapolated_back(end, remaining + 0.5 * step), _extrapolated_back(end, remaining), step)
+        self._step(middle if remaining == dt else _extrapolated_back(end, 0.5 * remaining), end, remaining)
 
     def _longest_step(self) -> float:
-        """How long (s) a Runge–Kutta step may be as the body turns on the palms."""
-        frame, q, room = self._frame, self.state, self.body.support.room
-        one = room(frame.out1 - q.psi) / max(abs(frame.w1 - q.omega0), _SLOW)
-        two = room(frame.out2 - q.psi) / max(abs(frame.w12 - q.omega0), _SLOW)
-        return max(min(one, two), _SHORTEST_S)
+        """Longest Runge–Kutta step (s) at the body's present rate on the palms."""
+        frame, q, smooth_range = self._frame, self.state, self.body.support.room
+        one = smooth_range(frame.out1 - q.psi) / max(abs(frame.w1 - q.omega0), _MIN_RATE)
+        two = smooth_range(frame.out2 - q.psi) / max(abs(frame.w12 - q.omega0), _MIN_RATE)
+        return max(min(one, two), _MIN_STEP_S)
 
     def _step(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         """One Runge–Kutta step."""
@@ -333,12 +334,12 @@ class Plant:
         if self._compiled is not None:
             self._advance_compiled(self._compiled, middle, end, dt)
             return
-        self._follow_the_surfaces()
+        self._update_tangent_planes()
         self._integrate(middle, end, dt)
         self._settle_contacts()
 
     def _integrate(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """The state and the palms dt later, while every contact does what it does now."""
+        """Integrate state and palms over dt, without changes of the contacts."""
         q = self.state
         x, y, psi, vx, vy, w = q.x, q.y, q.psi, q.vx, q.vy, q.omega0
         half, sixth = 0.5 * dt, dt / 6.0
@@ -361,7 +362,7 @@ class Plant:
     def _advance_compiled(self, step: CompiledStep, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
         q = self.state
         after = step(
-            *self._numbers(), self._t, *middle.angles, *middle.rates, *middle.accelerations,
+            *self._packed_state(), self._t, *middle.angles, *middle.rates, *middle.accelerations,
             *end.angles, *end.rates, *end.accelerations, dt,
         )  # fmt: skip
         q.x, q.y, q.psi, q.vx, q.vy, q.omega0, ax, ay, al, f1, f2 = after[:11]
@@ -370,23 +371,23 @@ class Plant:
         self._planes = (slope1, above1), (slope2, above2)
         self._on1, self._on2, self.fallen = on1 != 0.0, on2 != 0.0, fallen != 0.0
 
-    def _numbers(self) -> tuple[float, ...]:
-        """What `plant.c` calls a Body."""
+    def _packed_state(self) -> tuple[float, ...]:
+        """The numbers of `Body` in `plant.c`."""
         q, (plane1, plane2) = self.state, self._planes
         return (
             q.x, q.y, q.psi, q.vx, q.vy, q.omega0, *self._rates, *self._frame, *plane1, *plane2,
             self._on1, self._on2, self.fallen,
         )  # fmt: skip
 
-    def rocked(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
-        """The rows of a run as `CompiledStep.run` has them, of a body that was placed and not moved since.
+    def simulate_rocking(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
+        """The rows of a run, see `CompiledStep.run`, of a body that was placed and not moved since.
 
-        None where nothing compiled serves it.
+        None if there is no compiled version for it.
         """
-        return None if self._compiled is None else self._compiled.run(self._numbers(), drive, bounds, dt, count)
+        return None if self._compiled is None else self._compiled.run(self._packed_state(), drive, bounds, dt, count)
 
-    def _follow_the_surfaces(self) -> None:
-        """Where they are bowed, takes the planes that touch them where the body is nearest."""
+    def _update_tangent_planes(self) -> None:
+        """For bowed palms, update the tangent planes at the points nearest to the body."""
         if self._bowed:
             self._planes = self._planes_at(_contact_distances(self.body, self._frame, self.state), self.reach)
 
@@ -398,7 +399,7 @@ class Plant:
         return one, two
 
     def _settle_contacts(self) -> None:
-        """Makes the contacts agree with gaps and forces, and leaves the accelerations for the next step."""
+        """Make the contacts consistent with gaps and forces, and compute the accelerations for the next step."""
         self._close_gaps()
         rates = self._accelerations()
         while (self._on1 and rates[3] < 0.0) or (self._on2 and rates[4] < 0.0):
@@ -415,7 +416,7 @@ class Plant:
         return self._solve(self._frame, q.x, q.y, q.psi, q.vx, q.vy, q.omega0)
 
     def _close_gaps(self) -> None:
-        """Turns each gap that has closed into a contact, with an inelastic impact."""
+        """Turn each gap that has closed into a contact, with an inelastic impact."""
         if self._on1 and self._on2:
             return
         q, frame = self.state, self._frame
@@ -424,12 +425,12 @@ class Plant:
         if not (hit1 or hit2):
             return
         self._on1, self._on2 = self._on1 or hit1, self._on2 or hit2
-        dx, dy = self._moved_by(frame, q, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
+        dx, dy = self._displacement_for_gaps(frame, q, -gap1 if self._on1 else 0.0, -gap2 if self._on2 else 0.0)
         q.x, q.y = q.x + dx, q.y + dy
         self._impact()
 
     def _impact(self) -> None:
-        """Frictionless impulses along the normals of the closed contacts that stop their approach."""
+        """Apply frictionless normal impulses that stop the approach of the closed contacts."""
         q, frame = self.state, self._frame
         (n1x, n1y, d1), (n2x, n2y, d2) = self._levers(frame, q)
         j = 1.0 / self.body.rho**2
@@ -442,14 +443,14 @@ class Plant:
         else:
             det = a11 * a22 - a12 * a12
             p1, p2 = (a12 * rate2 - a22 * rate1) / det, (a12 * rate1 - a11 * rate2) / det
-            if min(p1, p2) < 0.0 and min(rate1, rate2) < -_SOFT_BLOW:
-                # one of the two would have to pull: it opens, the other takes the blow
+            if min(p1, p2) < 0.0 and min(rate1, rate2) < -_SOFT_IMPACT:
+                # one of the two would have to pull: it opens, and the other takes the whole impact
                 p1, p2 = (alone1, 0.0) if p2 < p1 else (0.0, alone2)
         q.vx += p1 * n1x + p2 * n2x
         q.vy += p1 * n1y + p2 * n2y
         q.omega0 += (p1 * d1 + p2 * d2) * j
         rate1, rate2 = self._gap_rates(frame, q)
-        self._on1, self._on2 = self._on1 and rate1 <= _PARTING, self._on2 and rate2 <= _PARTING
+        self._on1, self._on2 = self._on1 and rate1 <= _SEPARATION_SPEED, self._on2 and rate2 <= _SEPARATION_SPEED
 
     def _distances(self) -> tuple[float, float]:
         return _contact_distances(self.body, self._frame, self.state)
@@ -457,13 +458,13 @@ class Plant:
     def _gaps(self, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
         return _gaps(self.body, frame, q)
 
-    def _moved_by(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
-        """By which way gap 1 grows by `a` and gap 2 by `b` (m)."""
+    def _displacement_for_gaps(self, frame: PalmFrame, q: BodyState, a: float, b: float) -> tuple[float, float]:
+        """The displacement (m) by which gap 1 grows by `a` and gap 2 by `b` (m)."""
         del q
         return _cross_solve(frame, a, b)
 
     def _levers(self, frame: PalmFrame, q: BodyState) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """The palms' normals at the contacts, and the torque of a force along each."""
+        """The palms' normals at the contacts, and the lever arm of a force along each."""
         (n1x, n1y), (n2x, n2y) = _normals(frame)
         at, psi = self.body.support.at, q.psi
         return (n1x, n1y, at(frame.out1 - psi)[1]), (n2x, n2y, at(frame.out2 - psi)[1])
@@ -482,13 +483,13 @@ class Plant:
         s1, s2 = self._distances()
         off1 = self._on1 and not 0.0 < s1 < self.reach[0]
         off2 = self._on2 and not 0.0 < s2 < self.reach[1]
-        if off1 or off2 or math.hypot(q.x - frame.ox, q.y - frame.oy) > _LOST_DISTANCE:
+        if off1 or off2 or math.hypot(q.x - frame.ox, q.y - frame.oy) > _FALLEN_DISTANCE:
             self.take_away()
 
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
         """Accelerations of the COM and of ψ, and both contact forces per unit mass, for the present contacts.
 
-        The gaps' second derivatives are linear in the forces, γ̈ = A·f + b, and are asked to be zero up to the
+        The gaps' second derivatives are linear in the forces, γ̈ = A·f + b, and are required to be zero up to the
         drift correction; friction enters A because it is proportional to the normal force.
         """
         c1, s1, c12, s12, out1, out2, w1, w12, al1, al12, ox, oy, vox, voy, aox, aoy, above1, above2 = frame
@@ -547,12 +548,12 @@ class Plant:
         return ax, ay, al, f1, f2
 
     def _gravity_now(self) -> float:
-        if not self._shake:
+        if not self._table_amplitude:
             return self.gravity
-        swings = 0.0
-        for f in _SHAKING_HZ:
-            swings += math.sin(math.tau * f * self._t)
-        return self.gravity + self._shake * swings  # on the table
+        sines = 0.0
+        for f in _TABLE_HZ:
+            sines += math.sin(math.tau * f * self._t)
+        return self.gravity + self._table_amplitude * sines  # on the table
 
     def _friction(self, slip: float) -> float:
         """Tangential over normal force at a slip speed (m/s): µ·u/√(u²+u_d²)."""
@@ -562,8 +563,8 @@ class Plant:
         return surface.mu * slip / math.sqrt(slip * slip + surface.dither * surface.dither)
 
 
-def _before(end: PalmMotion, by: float) -> PalmMotion:
-    """The palms `by` seconds earlier, within a step: their accelerations are taken for constant."""
+def _extrapolated_back(end: PalmMotion, by: float) -> PalmMotion:
+    """The palms `by` seconds earlier within a step, for constant accelerations."""
     accelerations = end.accelerations
     rates = tuple(w - a * by for w, a in zip(end.rates, accelerations, strict=True))
     angles = tuple(
@@ -584,15 +585,15 @@ def _cross_solve(frame: PalmFrame, a: float, b: float) -> tuple[float, float]:
     return (a * c12 + b * c1) / sin_phi2, (a * s12 + b * s1) / sin_phi2
 
 
-def _seat(body: Body, frame: PalmFrame, psi: float) -> tuple[float, float]:
-    """Where the COM is when the body touches both palms at angle psi."""
+def _com_in_contact(body: Body, frame: PalmFrame, psi: float) -> tuple[float, float]:
+    """Position of the COM when the body touches both palms at angle psi."""
     one, two = body.support.at(frame.out1 - psi)[0], body.support.at(frame.out2 - psi)[0]
     x, y = _cross_solve(frame, one + frame.above1, two + frame.above2)
     return frame.ox + x, frame.oy + y
 
 
 def _gaps(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-    """Clearances under palm 1 and palm 2 (m), negative when overlapping."""
+    """Clearances to palm 1 and palm 2 (m), negative when overlapping."""
     c1, s1, c12, s12, out1, out2 = frame[:6]
     rx, ry = q.x - frame.ox, q.y - frame.oy
     return (
@@ -602,7 +603,7 @@ def _gaps(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
 
 
 def _contact_distances(body: Body, frame: PalmFrame, q: BodyState) -> tuple[float, float]:
-    """Distance from the hinge, along each palm, of the body's point nearest to it (m)."""
+    """Distance from the hinge, along each palm, of the body's nearest point (m)."""
     c1, s1, c12, s12, out1, out2 = frame[:6]
     rx, ry = q.x - frame.ox, q.y - frame.oy
     return (
@@ -612,14 +613,14 @@ def _contact_distances(body: Body, frame: PalmFrame, q: BodyState) -> tuple[floa
 
 
 def stable_poses(body: Body, palms: PalmMotion) -> list[float]:
-    """The angles ψ in [0, 2π) at which the COM is lowest among its neighbours (rad), lowest of all first.
+    """The angles ψ in [0, 2π) at which the COM's height has a local minimum (rad), the lowest first.
 
-    A disc rests at any angle; 0 stands for all of them.
+    A disc is in equilibrium at any angle; 0 represents all of them.
     """
     frame = palm_frame(Hinge("fixed"), palms)
     count = 360
-    heights = [_seat(body, frame, math.tau * i / count)[1] for i in range(count)]
-    if max(heights) - min(heights) < _LEVEL:
+    heights = [_com_in_contact(body, frame, math.tau * i / count)[1] for i in range(count)]
+    if max(heights) - min(heights) < _LEVEL_TOLERANCE:
         return [0.0]
     minima = [i for i in range(count) if heights[i - 1] > heights[i] <= heights[(i + 1) % count]]
     minima.sort(key=heights.__getitem__)

@@ -1,6 +1,6 @@
-"""An emulated bus of servos of any make: shafts, the play of their gears, and the palms that they turn. Pure.
+"""An emulated bus of servos of any make: shafts, gear backlash, and the palms that they turn. Pure.
 
-A kind `K` is `palmd/rig/servokinds/K.py`, which says `EMULATOR`.
+A kind `K` is implemented in `palmd/rig/servokinds/K.py`, which defines `EMULATOR`.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from palmd.config.two_palms import Config
 from palmd.devices.actuator import ArmState
 from palmd.devices.servobus import COUNTS_PER_TURN, Packet, PacketReader
 from palmd.events import Joints, PalmMotion
-from palmd.rig.actuators import Utterance
+from palmd.rig.actuators import Transmission
 from palmd.rig.arm import Servo
 from palmd.rig.fault_injection import FaultOrder
 from palmd.rig.line import Wire
 from palmd.rig.plant import Hinge, PlantContact
 from palmd.system.mechanism import directions, joints_between
 
-FLICKER_COUNTS = 0.5
+FLICKER_COUNTS = 0.5  # standard deviation of the encoder's noise
 SHAFT_LAG_S = 0.020
 REBOOT_S = 0.4
-PLAY_S = 0.010  # in which a palm falls from one end of the play to the other
+BACKLASH_S = 0.010  # in which a palm moves from one end of the backlash to the other
 PALM_KG, PALM_CENTRE_M = 0.040, 0.045
-RUB_N_M = 2e-3  # what friction in the joint holds against
-GREASE_S = 0.030  # in which a moment makes itself felt through the gears
+JOINT_FRICTION_N_M = 2e-3  # moment up to which joint friction holds the palm
+TORQUE_LAG_S = 0.030  # time constant with which a moment is transmitted through the gears
 GRAVITY = 9.81
 RADIANS_PER_COUNT = math.tau / COUNTS_PER_TURN
-_LEVER_M = 0.12  # at which a jump in metres is one of a palm's far end
+_LEVER_M = 0.12  # lever with which the strength (m) of a `jump` is converted to an angle
 
 
-class Play:
-    """A palm between the two ends of its gears' play: it settles, critically damped, at the end it is pushed to."""
+class Backlash:
+    """A palm's position in its gears' backlash: it settles, critically damped, at the end to which it is pushed."""
 
     def __init__(self, width: float, side: int, t: float) -> None:
-        """`width` from end to end (rad); at rest at one end at t (s)."""
+        """`width` from end to end (rad); at rest at one end (`side` 1 or −1) at t (s)."""
         self._half, self._side, self._t = 0.5 * width, side, t
-        self._k = 4.0 / PLAY_S
+        self._k = 4.0 / BACKLASH_S
         self._a = self._b = 0.0
 
     def push(self, side: int, t: float) -> None:
-        """Towards one end (1 or -1) from t (s) on."""
+        """Push towards one end (1 or −1) from t (s) on."""
         if side == self._side:
             return
         offset, rate, _ = self.at(t)
@@ -56,7 +56,7 @@ class Play:
         self._b = rate + self._k * self._a
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Offset, its rate and acceleration (rad, s) at t (s)."""
+        """Offset, rate and acceleration (rad, s) at t (s)."""
         tau = t - self._t
         decay = math.exp(-self._k * tau)
         swing, b = (self._a + self._b * tau) * decay, self._b * decay
@@ -65,76 +65,76 @@ class Play:
 
 
 class ServoShaft(ABC):
-    """One servo, of whatever make: its shaft in counts, which grow with the palm's direction as configured."""
+    """One servo of any make. Shaft positions are in counts; the configured sign relates them to palm directions."""
 
     refusals = 0
 
     def __init__(self, config: ServoConfig, direction: float, rng: np.random.Generator, t: float) -> None:
-        """Standing with its palm at `direction` (rad) at t (s)."""
+        """At rest with its palm at `direction` (rad) at t (s)."""
         self._config, self._rng = config, rng
         self._shaft = Servo(self._counts(direction), SHAFT_LAG_S)
-        self._t_there = -math.inf  # when the way to the goal ends
-        self._t_awake = t
-        self._frozen: float | None = None  # counts that the encoder goes on telling
-        self._jump = 0.0  # counts that it tells too many
-        self._load = 0.0  # N m, in the direction of growing counts
+        self._t_arrival = -math.inf  # when the motion to the goal ends
+        self._t_ready = t  # from when on it answers
+        self._frozen: float | None = None  # counts that a frozen encoder reports
+        self._offset_counts = 0.0  # injected encoder error
+        self._load = 0.0  # N m, in the direction of increasing counts
 
     @property
     @abstractmethod
     def torque(self) -> bool:
-        """Whether it holds its goal."""
+        """Whether its torque is enabled."""
 
     @property
     @abstractmethod
     def has_failed(self) -> bool:
-        """Whether a host would call it a fault."""
+        """Whether a host would read a fault."""
 
     @property
     @abstractmethod
     def follows(self) -> bool:
-        """Whether a host has it follow."""
+        """Whether it is in a state in which it follows goals."""
 
     @abstractmethod
     def step(self, t: float) -> None:
-        """Lives on to t (s)."""
+        """Advance to t (s)."""
 
     @abstractmethod
-    def hurt(self, trouble: str, t: float) -> None:
-        """A hardware error by the name of its mischief."""
+    def fail(self, trouble: str, t: float) -> None:
+        """Raise the hardware error of the injected fault `trouble`."""
 
     @abstractmethod
     def restart(self, t: float, silent_s: float = REBOOT_S) -> None:
-        """As without power for a while: RAM is wiped, and it is silent for so long."""
+        """Restart as after a loss of power: RAM is reset, and it does not answer for `silent_s`."""
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """The palm's direction (rad), rate and acceleration, but for the play."""
+        """The palm's direction (rad), rate and acceleration at t (s), without backlash."""
         x, v, a = self._shaft.at(t)
         scale = self._config.sign * RADIANS_PER_COUNT
         return math.radians(self._config.centre_deg) + scale * (x - 2048), scale * v, scale * a
 
-    def bear(self, moment: float) -> None:
-        """The palm's moment (N m) about the hinge, anticlockwise."""
+    def set_load(self, moment: float) -> None:
+        """Set the palm's moment about the hinge (N m, counter-clockwise)."""
         self._load = self._config.sign * moment
 
-    def block(self, held: bool, t: float) -> None:
-        """Something holds the palm from t (s) on, or lets it go."""
-        if held:
+    def set_blocked(self, blocked: bool, t: float) -> None:
+        """Block the palm from t (s) on, or release it."""
+        if blocked:
             self._shaft.block(t)
         else:
             self._shaft.release(t)
 
-    def freeze(self, frozen: bool, t: float) -> None:
-        """The encoder goes on telling what it tells at t (s), or the truth again."""
+    def set_frozen(self, frozen: bool, t: float) -> None:
+        """Freeze the encoder at its value at t (s), or unfreeze it."""
         self._frozen = self._shaft.at(t)[0] if frozen else None
 
-    def jump(self, by_rad: float) -> None:
-        """The encoder tells so much more."""
-        self._jump = self._config.sign * by_rad / RADIANS_PER_COUNT
+    def set_offset(self, error_rad: float) -> None:
+        """Set the encoder's injected error (rad)."""
+        self._offset_counts = self._config.sign * error_rad / RADIANS_PER_COUNT
 
-    def _told(self, t: float) -> tuple[float, float]:
-        """Counts and counts/s at t (s) as the encoder tells them."""
+    def _encoder_counts(self, t: float) -> tuple[float, float]:
+        """Counts and counts/s that the encoder reports at t (s)."""
         x, v, _ = self._shaft.at(t)
-        x = (x if self._frozen is None else self._frozen) + self._jump
+        x = (x if self._frozen is None else self._frozen) + self._offset_counts
         return x + float(self._rng.normal(0.0, FLICKER_COUNTS)), v
 
     def _counts(self, direction: float) -> float:
@@ -142,7 +142,7 @@ class ServoShaft(ABC):
 
     def _stop(self, t: float) -> None:
         self._shaft.follow(t, 0.0)
-        self._t_there = math.inf
+        self._t_arrival = math.inf
 
 
 Shaft = TypeVar("Shaft", bound=ServoShaft)
@@ -160,77 +160,77 @@ class ServoArm(ABC, Generic[Shaft]):
         rng: np.random.Generator,
         t: float,
     ) -> None:
-        """`servos` stand still at t (s), without torque; `reader` is of what a host says."""
+        """`servos` are at rest at t (s) without torque; `reader` decodes the host's packets."""
         self.baud = arm.baud
         self.hinge = Hinge("fixed", config.rig.palm_lengths_mm[0] * 1e-3, (0.0, 0.0))
         self.jams = 0
         self._rng = rng
         self._servos = tuple(servos)
         width = math.radians(arm.backlash_deg)
-        self._plays = (Play(width, -1, t), Play(width, 1, t))
+        self._backlashes = (Backlash(width, -1, t), Backlash(width, 1, t))
         self._reader = reader
         self._in = Wire(arm.baud)
         self._moments = [0.0, 0.0]
         self._instructions = self._goals = self._outside = 0
-        self._now = self._t_felt = t
+        self._now = self._t_loaded = t
 
     @abstractmethod
-    def _obey(self, packet: Packet, t: float) -> list[Utterance]:
-        """What the servos do and say when they have heard a question at t (s)."""
+    def _execute(self, packet: Packet, t: float) -> list[Transmission]:
+        """Execute an instruction received at t (s); returns the servos' answers."""
 
     @abstractmethod
-    def listener(self) -> PacketReader:
-        """Of their answers."""
+    def make_decoder(self) -> PacketReader:
+        """A new decoder of the servos' answers."""
 
     @property
     def state(self) -> ArmState:
-        """What a host would make of the registers."""
+        """The state that a host would derive from the registers."""
         if any(servo.has_failed for servo in self._servos):
             return ArmState.FAULT
         return ArmState.TRACKING if all(servo.follows for servo in self._servos) else ArmState.READY
 
     def palms_at(self, t: float) -> PalmMotion:
-        """With the play."""
+        """The palms' motion, backlash included."""
         each = (
-            tuple(x + y for x, y in zip(servo.at(t), play.at(t), strict=True))
-            for servo, play in zip(self._servos, self._plays, strict=True)
+            tuple(x + y for x, y in zip(servo.at(t), backlash.at(t), strict=True))
+            for servo, backlash in zip(self._servos, self._backlashes, strict=True)
         )
         return PalmMotion(*map(joints_between, zip(*each, strict=True)))
 
-    def receive(self, heard: bytes, spoilt: bytes, t: float, late_s: float = 0.0) -> None:  # noqa: ARG002
-        """What the host has written, as the line leaves it."""
-        self._in.send(spoilt, t)
+    def receive(self, sent: bytes, corrupted: bytes, t: float, late_s: float = 0.0) -> None:  # noqa: ARG002
+        """Receive what the host wrote, as corrupted on the line."""
+        self._in.send(corrupted, t)
 
-    def step(self, t: float) -> Sequence[Utterance]:
-        """Servos hear, move, and answer in turn."""
+    def step(self, t: float) -> Sequence[Transmission]:
+        """Advance the servos to t (s); they execute what has arrived and answer in turn."""
         self._now = t
         for servo in self._servos:
             servo.step(t)
-        said: list[Utterance] = []
+        transmissions: list[Transmission] = []
         if arrived := self._in.take(t):
             for packet in self._reader.feed(arrived, t):
                 if not packet.is_status:
                     self._instructions += 1
-                    said += self._obey(packet, t)
-        return said
+                    transmissions += self._execute(packet, t)
+        return transmissions
 
-    def feel(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
-        """Weight and the object push each palm to one end of its play."""
+    def apply_contacts(self, palms: PalmMotion, contacts: Callable[[], Sequence[PlantContact]], t: float) -> None:
+        """Push each palm to one end of its backlash by its weight and the object's contact force."""
         first, second = palms.angles[0], palms.angles[0] + palms.angles[1]
         weight = PALM_KG * GRAVITY * PALM_CENTRE_M
-        signs, share = (-1.0, 1.0), (t - self._t_felt) / GREASE_S
-        self._t_felt = t
+        signs, fraction = (-1.0, 1.0), (t - self._t_loaded) / TORQUE_LAG_S
+        self._t_loaded = t
         for i, (sign, angle, contact) in enumerate(zip(signs, (first, second), contacts(), strict=True)):
             moment = -weight * math.cos(angle)
             if contact.touching:
                 moment += sign * contact.s * contact.force
-            self._moments[i] += min(share, 1.0) * (moment - self._moments[i])
-            self._servos[i].bear(self._moments[i])
-            if abs(self._moments[i]) > RUB_N_M:
-                self._plays[i].push(1 if self._moments[i] > 0.0 else -1, t)
+            self._moments[i] += min(fraction, 1.0) * (moment - self._moments[i])
+            self._servos[i].set_load(self._moments[i])
+            if abs(self._moments[i]) > JOINT_FRICTION_N_M:
+                self._backlashes[i].push(1 if self._moments[i] > 0.0 else -1, t)
 
-    def play(self, order: FaultOrder, begins: bool, palms: Joints) -> None:  # noqa: ARG002
-        """What is done to the servos: always to palm 1's."""
+    def inject_fault(self, order: FaultOrder, begins: bool, palms: Joints) -> None:  # noqa: ARG002
+        """Begin or end a fault of the servos; faults of a single servo act on palm 1's."""
         t = self._now
         match order.name, begins:
             case (("estop" | "power_off"), False):
@@ -240,24 +240,24 @@ class ServoArm(ABC, Generic[Shaft]):
                 for servo in self._servos:
                     servo.restart(t, math.inf)
             case (("overload" | "overheat" | "undervoltage"), True):
-                self._servos[0].hurt(order.name, t)
+                self._servos[0].fail(order.name, t)
             case "brownout", True:
                 self._servos[0].restart(t)
             case "block", _:
                 for servo in self._servos:
-                    servo.block(begins, t)
+                    servo.set_blocked(begins, t)
             case "freeze", _:
                 for servo in self._servos:
-                    servo.freeze(begins, t)
+                    servo.set_frozen(begins, t)
             case "jump", _:
-                self._servos[0].jump(order.strength / _LEVER_M if begins else 0.0)
+                self._servos[0].set_offset(order.strength / _LEVER_M if begins else 0.0)
 
-    def hold_by_hand(self, palms: Joints) -> None:  # noqa: ARG002
-        """Servos are not swung by hand to be calibrated."""
-        raise ValueError("--by-hand is for a rig with an arm: servos need no linkage to be calibrated")
+    def move_by_hand(self, palms: Joints) -> None:  # noqa: ARG002
+        """Not supported: raises ValueError."""
+        raise ValueError("--by-hand needs an arm: servos have no linkage to calibrate")
 
     def status(self) -> dict[str, Any]:
-        """Counts of the bus."""
+        """Counters of the bus."""
         return {
             "crc_errors": self._reader.counters.crc_errors,
             "instructions": self._instructions,
@@ -268,7 +268,7 @@ class ServoArm(ABC, Generic[Shaft]):
 
 
 ServoArmFactory = Callable[..., ServoArm[Any]]
-"""Takes the rig's configuration, the arm's, where the palms stand (rad), random numbers and the time (s)."""
+"""Takes the rig's and the arm's configuration, the palms' angles (rad), random numbers and the time (s)."""
 
 
 def make_servo_arm(config: Config, arm: ArmConfig, home: Joints, rng: np.random.Generator, t: float) -> ServoArm[Any]:
@@ -277,6 +277,6 @@ def make_servo_arm(config: Config, arm: ArmConfig, home: Joints, rng: np.random.
     return emulator(config, arm, home, rng, t)
 
 
-def palms_of(arm: ServosConfig, home: Joints) -> list[tuple[ServoConfig, float]]:
-    """Each servo's configuration, and where its palm stands (rad)."""
+def servos_with_directions(arm: ServosConfig, home: Joints) -> list[tuple[ServoConfig, float]]:
+    """Each servo's configuration and its palm's direction (rad)."""
     return list(zip(arm.servos, directions(home), strict=True))

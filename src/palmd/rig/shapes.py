@@ -1,8 +1,7 @@
-"""Convex bodies for the emulated rig: outline, centre of mass, radius of gyration, mass. Pure, no I/O.
+"""Convex bodies of the emulated rig: outline, centre of mass, radius of gyration, mass. Pure, no I/O.
 
-A body is known by its support function h(θ) about its centre of mass (COM), θ the direction of the outward
-normal in the body's frame. Everything else follows: the boundary point at θ is h·u + h′·u′ with
-u = (cos θ, sin θ), and the radius of curvature is h + h″.
+A body is described by its support function h(θ) about its centre of mass (COM), θ the direction of the outward normal
+in the body's frame. The boundary point at θ is h·u + h′·u′ with u = (cos θ, sin θ), the radius of curvature h + h″.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from palmd.events import FloatArray
 
 Kind = Literal["nominal", "friction", "rig", "odd", "ellipse"]
 KINDS: tuple[Kind, ...] = ("nominal", "friction", "rig", "odd")
-"""Those that studies and simulated logs draw."""
+"""The kinds of bodies in studies and simulated logs."""
 EVERY_KIND: tuple[Kind, ...] = get_args(Kind)
 
 _NODES = 2048  # a third-order Taylor step of at most π/2048 is exact to 1e-12 m
@@ -29,22 +28,22 @@ _HARMONIC_STD = {2: 0.65e-3, 3: 0.28e-3, 4: 0.18e-3, 5: 0.14e-3, 6: 0.08e-3}
 
 
 class SupportFunction(Protocol):
-    """A support function about the COM, however it is kept."""
+    """A support function about the COM, in any representation."""
 
     def at(self, theta: float) -> tuple[float, float, float]:
         """h, h′, h″ (m) at the normal theta (rad, any branch)."""
 
     def room(self, theta: float) -> float:
-        """How far (rad) the normal theta may turn before h″ leaps, a share of a side at least; inf if it never does."""
+        """Angle (rad) by which the normal theta may turn before h″ jumps, at least a share of a side; inf if smooth."""
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
-        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+        """The derivative of the given order, at most the second, at many normals (m per rad^order)."""
 
     def turned(self, angle: float) -> Self:
-        """The same outline turned by `angle` (rad, counter-clockwise) in its own frame."""
+        """The outline turned by `angle` (rad, counter-clockwise) in its own frame."""
 
     def moved(self, dx: float, dy: float) -> Self:
-        """The same outline moved by (dx, dy) metres in its own frame."""
+        """The outline moved by (dx, dy) metres in its own frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,31 +73,31 @@ class Support:
         )
 
     def room(self, theta: float) -> float:
-        """See `SupportFunction`: h″ never leaps."""
+        """See `SupportFunction`: h″ never jumps."""
         del theta
         return math.inf
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
-        """The derivative of the given order at many normals at once (m per rad^order)."""
+        """The derivative of the given order at many normals (m per rad^order)."""
         k = np.arange(len(self.coefficients))
         weights = np.asarray(self.coefficients) * (1j * k) ** order
         return np.asarray((np.exp(1j * np.outer(theta, k)) @ weights).real, dtype=np.float64)
 
     def turned(self, angle: float) -> Support:
-        """The same outline turned by `angle` (rad, counter-clockwise) in its own frame."""
+        """The outline turned by `angle` (rad, counter-clockwise) in its own frame."""
         return Support.from_coefficients(
             tuple(c * complex(math.cos(k * angle), -math.sin(k * angle)) for k, c in enumerate(self.coefficients))
         )
 
     def moved(self, dx: float, dy: float) -> Support:
-        """The same outline moved by (dx, dy) metres in its own frame."""
+        """The outline moved by (dx, dy) metres in its own frame."""
         c = list(self.coefficients)
         c[1] += complex(dx, -dy)
         return Support.from_coefficients(tuple(c))
 
     @property
     def min_curvature_radius(self) -> float:
-        """Smallest radius of curvature (m) over the table's normals; positive means strictly convex."""
+        """Smallest radius of curvature (m) over the table's normals; positive for a strictly convex outline."""
         return min(h + 2.0 * half_h2 for h, _, half_h2, _ in self.table)
 
 
@@ -112,19 +111,20 @@ class Body:
     mass: float
 
     def turned(self, angle: float) -> Body:
-        """The same body with its frame chosen so that the outline appears turned by `angle` (rad)."""
+        """The body with its frame chosen so that the outline appears turned by `angle` (rad)."""
         return Body(self.shape, self.support.turned(angle), self.rho, self.mass)
 
 
 def cylinder(radius: float, mass: float) -> Body:
-    """A turned solid cylinder on its side: radius in m, mass in kg."""
+    """A solid cylinder lying on its side: radius in m, mass in kg."""
     return Body("cylinder", Support.from_coefficients((complex(radius),)), radius / math.sqrt(2.0), mass)
 
 
 def random_body(kind: Kind, rng: np.random.Generator) -> Body:
-    """A random body: gentle and uniform, for `odd` an ellipse, a strongly curved or an off-centre one.
+    """A random body of the kind.
 
-    For `ellipse` it is an ellipse with an off-centre COM.
+    `odd`: an ellipse, a strongly curved body, or one with an off-centre mass. `ellipse`: an ellipse with an off-centre
+    COM. All others: gently curved and of uniform density.
     """
     mass = float(rng.uniform(0.06, 0.25))
     if kind == "ellipse":
@@ -145,7 +145,7 @@ def random_body(kind: Kind, rng: np.random.Generator) -> Body:
 def area_moments(support: Support) -> tuple[float, float, float, float]:
     """Area (m²), centroid x, y (m), and radius of gyration about the origin (m) of the uniform outline.
 
-    Green's theorem along the boundary x = h·u + h′·u′, whose element is (h + h″)·u′ dθ.
+    Green's theorem along the boundary x = h·u + h′·u′ with element (h + h″)·u′ dθ.
     """
     theta = np.arange(_NODES) / _NODES_PER_RAD
     h, h1, h2 = (_on_nodes(support.coefficients, order) for order in range(3))
@@ -170,14 +170,14 @@ def _on_nodes(coefficients: tuple[complex, ...], order: int) -> FloatArray:
 
 
 def uniform_body_of(shape: str, outline: Support, mass: float) -> Body:
-    """A body of even density: COM at the area's centroid."""
+    """A body of uniform density: COM at the area's centroid."""
     _, cx, cy, _ = area_moments(outline)
     centred = outline.moved(-cx, -cy)
     return Body(shape, centred, area_moments(centred)[3], mass)
 
 
 def with_slug(body: Body, rng: np.random.Generator) -> Body:
-    """The body with a heavy point let in near its rim: the COM moves by up to 2 mm, rho with it.
+    """The body with a heavy point mass near its rim: the COM moves by up to 2 mm, and rho changes.
 
     With a fraction β of the mass at distance p: offset e = βp, ρ² = (1−β)(ρ_uniform² + βp²).
     """
@@ -191,7 +191,7 @@ def with_slug(body: Body, rng: np.random.Generator) -> Body:
 
 
 def _random_outline(rng: np.random.Generator, scale: float, min_radius: float) -> Support:
-    """Mean radius 16–24 mm plus random harmonics 2…6, drawn again until nowhere sharper than `min_radius`."""
+    """Mean radius 16–24 mm and random harmonics 2…6, drawn again until no radius of curvature is below `min_radius`."""
     while True:
         coefficients = [complex(rng.uniform(16e-3, 24e-3)), 0j]
         coefficients += [scale * std * complex(*rng.standard_normal(2)) for std in _HARMONIC_STD.values()]
@@ -207,7 +207,7 @@ def _ellipse(rng: np.random.Generator) -> Support:
 
 
 def ellipse(a: float, b: float) -> Support:
-    """An ellipse about its middle, a (m) its half axis along the body's first axis: h = √(a² cos² + b² sin²)."""
+    """An ellipse about its centre with half axis a (m) along the body's first axis: h = √(a² cos² + b² sin²)."""
     theta = np.arange(_NODES) / _NODES_PER_RAD
     spectrum = np.fft.rfft(np.hypot(a * np.cos(theta), b * np.sin(theta))) / _NODES
     coefficients = 2.0 * spectrum[: _MAX_HARMONIC + 1]

@@ -1,9 +1,9 @@
 """The emulated object on vibrating palms, averaged over the signs of both slips instead of resolved in time. Pure.
 
 At each instant both contacts slip forwards or backwards, s_i = ±1, with friction −μ s_i N_i along t_i. Slow motion is
-the mean of the equations' solutions for the four pairs of signs, weighted by the shares of time that each pair lasts
-(docs/theory/vibration.md): slip i is forwards for p_i = 1/2 + asin(u_i/V_i)/π of the time, independently of the other
-one or in a fixed phase to it. Forces are means. It holds for fast vibrations, sines on rigid mounts.
+the mean of the equations' solutions for the four pairs of signs, weighted by the share of time of each pair
+(docs/theory/vibration.md): slip i is forward for p_i = 1/2 + asin(u_i/V_i)/π of the time, independently of the other or
+in a fixed phase relation. Forces are means. Valid for fast vibrations, sines on rigid mounts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _RIPPLE_STEPS = 2
 def forward_share(slip: float, speed: float, ripples: Sequence[float] = ()) -> float:
     """The share of time in which slip + speed·cos τ is positive, all in m/s.
 
-    The slip itself goes up and down by ± each of `ripples`.
+    ripples: amplitudes by which the slip itself alternates (±).
     """
     shares = [
         0.5 + math.asin(min(max((slip + sum(each)) / speed, -1.0), 1.0)) / math.pi
@@ -38,54 +38,54 @@ def forward_share(slip: float, speed: float, ripples: Sequence[float] = ()) -> f
 def shares(forward: Sequence[float], relation: Relation) -> Iterator[tuple[Signs, float]]:
     """Pairs of slip signs along t1, t2 with the share of time of each, from both contacts' shares of forward slip.
 
-    Palms in phase slip in opposite phase along t1 and t2, as t1 points outwards and t2 inwards.
+    Palms in phase slip in opposite phase along t1 and t2, because t1 points outwards and t2 inwards.
     """
     if len(forward) == 1:
         yield (1.0,), forward[0]
         yield (-1.0,), 1.0 - forward[0]
         return
     p1, p2 = forward
-    both = {"independent": p1 * p2, "antiphase": min(p1, p2), "in_phase": max(0.0, p1 + p2 - 1.0)}[relation]
-    yield (1.0, 1.0), both
-    yield (1.0, -1.0), p1 - both
-    yield (-1.0, 1.0), p2 - both
-    yield (-1.0, -1.0), 1.0 - p1 - p2 + both
+    both_forward = {"independent": p1 * p2, "antiphase": min(p1, p2), "in_phase": max(0.0, p1 + p2 - 1.0)}[relation]
+    yield (1.0, 1.0), both_forward
+    yield (1.0, -1.0), p1 - both_forward
+    yield (-1.0, 1.0), p2 - both_forward
+    yield (-1.0, -1.0), 1.0 - p1 - p2 + both_forward
 
 
 class SignPairsPlant(Plant):
-    """As `Plant`, on flat palms that vibrate as `shaking` says."""
+    """As `Plant`, on flat palms that vibrate as `shaking` describes."""
 
     def __init__(self, body: Body, hinge: Hinge, surface: FrictionSurface, shaking: Shaking, **others: Any) -> None:
-        """As `Plant` has it."""
-        self._begin(shaking)
+        """See `Plant`."""
+        self._set_shaking(shaking)
         super().__init__(body, hinge, surface, **others)
 
-    def _begin(self, shaking: Shaking) -> None:
+    def _set_shaking(self, shaking: Shaking) -> None:
         self._shaking = shaking
         self._slips: list[float] | None = None
         self._signs: list[float] = []
 
     def _compiled_step(self) -> None:
-        """None is written for it."""
+        """There is no compiled version."""
 
     def _solve(self, frame: PalmFrame, x: float, y: float, psi: float, vx: float, vy: float, w: float) -> _Rates:
-        place = frame, x, y, psi, vx, vy, w
+        arguments = frame, x, y, psi, vx, vy, w
         self._slips = []
-        free = super()._solve(*place)
+        frictionless = super()._solve(*arguments)
         slips, self._slips = self._slips, None
         if not slips or self.surface.mu == 0.0:
-            return free
+            return frictionless
         on = [i for i, touching in enumerate(self.touching) if touching]
         solved: dict[Signs, _Rates] = {}
         for signs in product((1.0, -1.0), repeat=len(slips)):
             self._signs = list(reversed(signs))
-            solved[signs] = super()._solve(*place)
+            solved[signs] = super()._solve(*arguments)
         speeds = [self._shaking.palms[i].speed for i in on]
         forward = [forward_share(u, speed) for u, speed in zip(slips, speeds, strict=True)]
         for _ in range(_RIPPLE_STEPS):
             ripples = self._ripples(frame, psi, on, solved, forward)
             forward = [forward_share(*each) for each in zip(slips, speeds, ripples, strict=True)]
-        mean = [0.0] * len(free)
+        mean = [0.0] * len(frictionless)
         for signs, share in shares(forward, self._shaking.relation):
             mean = [m + share * each for m, each in zip(mean, solved[signs], strict=True)]
         ax, ay, al, f1, f2 = mean
@@ -94,15 +94,16 @@ class SignPairsPlant(Plant):
     def _ripples(
         self, frame: PalmFrame, psi: float, on: list[int], solved: Mapping[Signs, _Rates], forward: Sequence[float]
     ) -> list[list[float]]:
-        """Of each contact's slip: by how much (m/s) alternating friction makes it go up and down in its reversals.
+        """For each contact's slip, its amplitudes (m/s) due to alternating friction, at the contact's own reversals.
 
-        An alternating acceleration makes a triangle. A contact's own one is at its tip where it reverses, that
-        of an independent palm anywhere (1/√3 of the amplitude, RMS). Palms of one frequency reverse about together.
+        An alternating acceleration makes a triangle wave. A contact's own wave is at its tip where the contact
+        reverses, that of an independent palm anywhere (1/√3 of the amplitude, RMS). Palms of one frequency reverse at
+        about the same time.
         """
         relation = self._shaking.relation
         tangents = [self._tangent(i, frame, psi) for i in on]
 
-        def leap(n: int, before: Signs, after: Signs) -> float:
+        def slip_rate_jump(n: int, before: Signs, after: Signs) -> float:
             tx, ty, h = tangents[n]
             dx, dy, turn = (a - b for a, b in zip(solved[after][:3], solved[before][:3], strict=True))
             return tx * dx + ty * dy + h * turn
@@ -113,27 +114,30 @@ class SignPairsPlant(Plant):
         if len(on) == 1 or relation != "independent":
             first: Signs = (1.0, -1.0) if relation == "in_phase" and len(on) == 2 else (1.0,) * len(on)
             last = tuple(-sign for sign in first)
-            return [[triangle(n, leap(n, last, first))] for n in range(len(on))]
+            return [[triangle(n, slip_rate_jump(n, last, first))] for n in range(len(on))]
 
-        def flipped(n: int, by: int) -> float:
-            """The leap where `by` reverses, the other contact slipping either way for its share of the time."""
+        def jump_at_reversal(n: int, by: int) -> float:
+            """The jump where `by` reverses, averaged over the other contact's direction of slip."""
             return sum(
-                share * leap(n, *((before, after) if by == 0 else (before[::-1], after[::-1])))
+                share * slip_rate_jump(n, *((before, after) if by == 0 else (before[::-1], after[::-1])))
                 for share, before, after in (
                     (forward[1 - by], (-1.0, 1.0), (1.0, 1.0)),
                     (1.0 - forward[1 - by], (-1.0, -1.0), (1.0, -1.0)),
                 )
             )
 
-        return [[triangle(n, flipped(n, n)), triangle(1 - n, flipped(n, 1 - n)) / math.sqrt(3.0)] for n in (0, 1)]
+        return [
+            [triangle(n, jump_at_reversal(n, n)), triangle(1 - n, jump_at_reversal(n, 1 - n)) / math.sqrt(3.0)]
+            for n in (0, 1)
+        ]
 
     def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:
-        """t at the contact, and the lever of a force along it."""
+        """t at the contact, and the lever arm of a force along it."""
         tx, ty, out, *_ = frame.each()[palm]
         return tx, ty, self.body.support.at(out - psi)[0]
 
     def _friction(self, slip: float) -> float:
-        """Tangential over normal force of the contact that is asked for next, palm 1 before palm 2."""
+        """Tangential over normal force; called for palm 1 before palm 2."""
         if self._slips is not None:
             self._slips.append(slip)
             return 0.0
@@ -141,13 +145,13 @@ class SignPairsPlant(Plant):
 
 
 class CurvedSignPairsPlant(SignPairsPlant, CurvedPlant):
-    """The same on arcs."""
+    """As `SignPairsPlant`, on arcs."""
 
     def __init__(
         self, body: Body, hinge: Hinge, surface: FrictionSurface, curvatures: PadPair, shaking: Shaking, **others: Any
     ) -> None:
-        """As `CurvedPlant` has it."""
-        self._begin(shaking)
+        """See `CurvedPlant`."""
+        self._set_shaking(shaking)
         CurvedPlant.__init__(self, body, hinge, surface, curvatures, **others)
 
     def _tangent(self, palm: int, frame: PalmFrame, psi: float) -> tuple[float, float, float]:

@@ -1,14 +1,14 @@
-"""Event logs with their truth from the emulated plant, without wires: `simulate_log` and a small command.
+"""Event logs with ground truth from the emulated plant, without wires: `simulate_log` and a small command.
 
-The logs have the form, the noise and the sampling of the project's event logs: palms that rock on one sine
-each, eased in over the first second, and four kinds of run:
+The logs have the format, noise and sampling of the project's event logs. Each palm rocks on one sine, faded in over the
+first second. There are four kinds of run:
 
-    nominal   no friction, light damping, released away from rest, samples each 10 ms
+    nominal   no friction, light damping, released away from rest, samples every 10 ms
     friction  friction with dither, started at rest, irregular samples in three bands
     rig       as friction, and the hinge travels on an arc
-    odd       ellipses, strongly curved bodies, bodies whose mass is off-centre
+    odd       ellipses, strongly curved bodies, bodies with an off-centre mass
 
-On request the palms rest in between, and the object is taken away and put back, turned.
+Optionally the palms rest in between, and the object is removed and put back, turned.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ Line = dict[str, Any]
 VIBRATIONS: Mapping[str, Vibration] = {relation: Vibration(relation) for relation in get_args(Relation)} | {
     "averaged": AVERAGED
 }
-"""Of palms, by what commands call it: the relation between them, or the law of old logs."""
+"""Vibration of the palms by the names in commands: the relation between them, or the law of old logs."""
 
 STEP_S = 5e-4
-_STEPS_PER_TRUTH = 20  # truth each 10 ms
+_STEPS_PER_TRUTH = 20  # truth every 10 ms
 _ARM_PERIOD_S = 0.016
 _PAD_PERIOD_S = 0.010
-_PACKET_S = 0.00625  # one packet at 9600 baud: the three reporting bands are one, two and three of these
+_PACKET_S = 0.00625  # one packet at 9600 baud; the three reporting bands are one, two and three of these
 _BAND_WEIGHTS = (0.55, 0.30, 0.15)
 _BAND_JITTER_S = 0.002
 _PAD_NOISE_M, _PAD_RESOLUTION_M = 1e-4, 1.27e-4
@@ -68,23 +68,23 @@ _PALM_NOISE_RAD = 2e-4
 _ANGLE_COLUMNS = tuple(f"{joint}_rad" for joint in JOINTS)
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
-_TURNED_RAD = 0.3
-_MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
-_SMOOTHED_S = 0.02  # over which readings of force are means: five periods of 250 Hz
+_MIN_TURN_RAD = 0.3  # by which an object is turned when it is put back
+_MIN_FORCE = 0.1  # m/s²: with less the contact counts as lost
+_SMOOTHING_S = 0.02  # averaging window of force readings: five periods of 250 Hz
 
 
 Span = tuple[float, float]
 
 PERFECTLY_KNOWN: Mapping[str, float] = dict.fromkeys(AS_CALIBRATED, 0.0)
 CALIBRATION: Mapping[Drawn, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
-"""What the rig's imperfections are drawn from, by what commands call it."""
+"""Standard deviations from which the rig's imperfections are drawn, by the names in commands."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """One palm's angle: mean + w(t)·amplitude·sin(2πft + phase), w easing in over the first second.
+    """One palm's angle: mean + w(t)·amplitude·sin(2πft + phase), where w fades in over the first second.
 
-    In each of `rests` (from, to, in s) w eases out over the first second, stays 0, and eases in over the second after.
+    In each of `rests` (from, to, in s) w fades out over the first second, stays 0, and fades in over the second after.
     """
 
     mean: float
@@ -95,11 +95,11 @@ class Rock:
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Angle, rate and acceleration (rad, rad/s, rad/s²) at t ≥ 0 (s); at rest before."""
-        w, dw, ddw = eased(t)
-        for begin, end in self.rests:
-            if not begin < t < end + 1.0:
-                continue  # v = 1, and it does not change
-            out, back = eased(t - begin), eased(t - end)
+        w, dw, ddw = smooth_step(t)
+        for start, end in self.rests:
+            if not start < t < end + 1.0:
+                continue  # v = 1, constant
+            out, back = smooth_step(t - start), smooth_step(t - end)
             v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
             v += 1.0
             w, dw, ddw = w * v, dw * v + w * dv, ddw * v + 2.0 * dw * dv + w * ddv
@@ -113,7 +113,7 @@ class Rock:
         )
 
 
-def eased(t: float) -> tuple[float, float, float]:
+def smooth_step(t: float) -> tuple[float, float, float]:
     """The smooth step from 0 at t = 0 to 1 at t = 1 s, its rate and its acceleration."""
     if t >= 1.0:
         return 1.0, 0.0, 0.0
@@ -142,9 +142,9 @@ class Rocking:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
-    """Everything one run is made of, drawn at random from a seed.
+    """All parameters of one run, drawn at random from a seed.
 
-    vibration: as the log describes it; shaking: as it is, where a plant resolves it.
+    vibration: as the log describes it; shaking: the actual one, if the plant resolves it.
     """
 
     kind: Kind
@@ -166,13 +166,17 @@ class SimulatedRun:
         )  # fmt: skip
 
     def palms_at(self, t: float) -> PalmMotion:
-        """Where the palms really are at t (s): off from the plan by the rig's imperfections."""
+        """The palms' true motion at t (s), including the rig's imperfections."""
         return self.imperfections.true_palms(self.rocking.at(t))
 
     def drive(self, lag_s: float) -> Drive:
-        """`palms_at(t - lag_s)`, as what is compiled takes it."""
-        off = self.imperfections.true_palms(PalmMotion.at_rest((0.0,) * len(JOINTS))).angles
-        return Drive([RockNumbers(*astuple(rock)) for rock in (self.rocking.palm1, self.rocking.palm2)], off, lag_s)
+        """`palms_at(t - lag_s)` in the form that compiled plants take."""
+        angle_errors = self.imperfections.true_palms(PalmMotion.at_rest((0.0,) * len(JOINTS))).angles
+        return Drive(
+            [RockNumbers(*astuple(draw_rock)) for draw_rock in (self.rocking.palm1, self.rocking.palm2)],
+            angle_errors,
+            lag_s,
+        )
 
 
 def simulate_log(
@@ -189,29 +193,28 @@ def simulate_log(
     calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
     vibration: Vibration = INDEPENDENT,
 ) -> tuple[list[Line], Line]:
-    """A run of the kind as event-log lines (header first), and its truth; the same seed, the same run.
+    """A run of the kind as event-log lines (header first), and its truth; a function of the seed.
 
-    The rig is as far off as `imperfections` say, else as drawn, by the seed too, from the one-sigma `calibration_sd`
-    (named as in `AS_CALIBRATED`), which the header tells in either case; by default it is perfect. The palms vibrate as
-    `vibration` describes it and the header says, resolved in time; `AVERAGED` stands for the law of old logs.
+    The rig's errors are `imperfections`, or else drawn by the seed from the standard deviations `calibration_sd` (named
+    as in `AS_CALIBRATED`), which the header states in either case; by default there are none. The palms vibrate as
+    `vibration` describes and the header states, resolved in time; `AVERAGED` is the law of old logs.
 
-    Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is what lies on the
-    palms, `surface` what it rubs against, random ones of the kind by default. In each of `rests` the palms stand. In
-    each of `absences` the object is away, and is then put back in a stable pose, turned by at least `_TURNED_RAD` where
-    there is one.
+    Scenes in which a contact would be lost, or come near a pad's end, are drawn again. `body` is the object, `surface`
+    its friction, random ones of the kind by default. In each of `rests` the palms are at rest. In each of `absences`
+    the object is removed, and is then put back in a stable pose, turned by at least `_MIN_TURN_RAD` if there is one.
     """
     rng = np.random.default_rng([KINDS.index(kind), seed])
-    known = RigDescription().known_to(calibration_sd)
-    off = drawn(known, KINDS.index(kind), seed) if imperfections is None else imperfections
+    description = RigDescription().known_to(calibration_sd)
+    errors = drawn(description, KINDS.index(kind), seed) if imperfections is None else imperfections
     while True:
-        scene = vibrating(_draw(kind, rng, body, surface, rests, off), vibration, KINDS.index(kind), seed)
-        history = run_of(scene, duration_s, options, absences)
+        scene = with_vibration(_draw(kind, rng, body, surface, rests, errors), vibration, KINDS.index(kind), seed)
+        history = simulate_run(scene, duration_s, options, absences)
         if history is not None:
             return list(log_lines(scene, history, calibration_sd, rng)), truth_of(scene, history)
 
 
-def vibrating(scene: SimulatedRun, vibration: Vibration, *seed: int) -> SimulatedRun:
-    """The scene on palms that vibrate as described, which is what its log says."""
+def with_vibration(scene: SimulatedRun, vibration: Vibration, *seed: int) -> SimulatedRun:
+    """The scene on palms that vibrate as described, which its log states."""
     if not vibration.vibrates:
         return replace(scene, vibration=vibration)
     shaking, surface = shaken(vibration, scene.surface, scene.body.mass, *seed)
@@ -226,12 +229,12 @@ def _draw(
     rests: tuple[Span, ...],
     imperfections: Imperfections,
 ) -> SimulatedRun:
-    """A scene of the kind, its body turned so that ψ starts at 0."""
+    """A scene of the kind, with its body turned so that ψ starts at 0."""
     if body is None:
         body = random_body(kind, rng)
     rocking = Rocking(
-        rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
-        rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
+        draw_rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), rests),
+        draw_rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), rests),
     )
     drawn_surface = random_surface(kind, rng)
     release = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.12, 0.5)) if kind == "nominal" else 0.0
@@ -244,15 +247,15 @@ def _draw(
     return SimulatedRun(kind, body.turned(psi), hinge, surface or drawn_surface, rocking, imperfections)
 
 
-def rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
+def draw_rock(rng: np.random.Generator, mean: Span, amplitude: Span, frequency: Span, rests: tuple[Span, ...]) -> Rock:
     drawn = [float(rng.uniform(*each)) for each in (mean, amplitude, frequency, (-math.pi, math.pi))]
     return Rock(drawn[0], drawn[1], drawn[2], drawn[3], rests)
 
 
-def run_of(
+def simulate_run(
     scene: SimulatedRun, duration_s: float, options: PlantOptions, absences: tuple[Span, ...]
 ) -> FloatArray | None:
-    """Rows of `_COLUMNS` each 0.5 ms, NaN for what there is not while the object is away; None if contact was lost."""
+    """Rows of `_COLUMNS` every 0.5 ms, with NaN while the object is absent; None if contact was lost."""
     plant = scene.plant(options)
     lag = options.lag_s
     palms = scene.palms_at(-lag)
@@ -261,22 +264,22 @@ def run_of(
     mass, low, high = scene.body.mass, _PAD_MARGIN_M, PAD_LENGTH - _PAD_MARGIN_M
     least = _MIN_FORCE * mass
     if not absences:
-        compiled = plant.rocked(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
+        compiled = plant.simulate_rocking(scene.drive(lag), ContactBounds(mass, least, low, high), STEP_S, count)
         if compiled is not None:
-            return _slow(plant, compiled) if len(compiled) == count else None
+            return _without_ripple(plant, compiled) if len(compiled) == count else None
     rows = []
-    away = False
+    is_absent = False
     for k in range(count):
         t = k * STEP_S
         if any(begin <= t < end for begin, end in absences):
-            away = True
-            nothing = [math.nan] * 5
-            rows.append((t, plant.state.psi, *nothing, *palms.angles, math.nan, math.nan))
+            is_absent = True
+            missing = [math.nan] * 5
+            rows.append((t, plant.state.psi, *missing, *palms.angles, math.nan, math.nan))
             palms = scene.palms_at(t + STEP_S - lag)
             continue
-        if away:
-            away = False
-            _put_back(plant, scene.body, palms)
+        if is_absent:
+            is_absent = False
+            _place_again(plant, scene.body, palms)
         contact1, contact2 = plant.contacts()
         if min(contact1.force, contact2.force) < least:
             return None
@@ -289,41 +292,41 @@ def run_of(
         middle = scene.palms_at(t + 0.5 * STEP_S - lag)
         palms = scene.palms_at(t + STEP_S - lag)
         plant.advance(middle, palms, STEP_S)
-    return _slow(plant, np.array(rows))
+    return _without_ripple(plant, np.array(rows))
 
 
-def _slow(plant: Plant, history: FloatArray) -> FloatArray:
+def _without_ripple(plant: Plant, history: FloatArray) -> FloatArray:
     """Without the vibration's ripple; only a plant that resolves the vibration has one."""
     return smoothed(history) if isinstance(plant, VibratingPlant) else history
 
 
-def smoothed(history: FloatArray, window_s: float = _SMOOTHED_S) -> FloatArray:
-    """A run's rows with ω0 and both forces as means over the vibration: weighted by a Hann window about each row.
+def smoothed(history: FloatArray, window_s: float = _SMOOTHING_S) -> FloatArray:
+    """A run's rows with ω0 and both forces averaged over the vibration, with a Hann window about each row.
 
-    That is what a slow force sensor reads, and what the body's slow motion is. Rows without a body (NaN) stay so.
+    This is what a slow force sensor reads, and the body's slow motion. Rows without a body (NaN) are unchanged.
     """
     half = round(0.5 * window_s / STEP_S)
     weights = np.hanning(2 * half + 3)[1:-1]
-    slow = history.copy()
+    result = history.copy()
     for column in map(_COLUMNS.index, ("omega0_rad_s", "f1_n", "f2_n")):
-        there = np.isfinite(history[:, column])
-        share = np.convolve(there.astype(np.float64), weights, "same")
-        mean = np.convolve(np.where(there, history[:, column], 0.0), weights, "same")
-        slow[there, column] = mean[there] / share[there]
-    return slow
+        present = np.isfinite(history[:, column])
+        share = np.convolve(present.astype(np.float64), weights, "same")
+        mean = np.convolve(np.where(present, history[:, column], 0.0), weights, "same")
+        result[present, column] = mean[present] / share[present]
+    return result
 
 
-def _put_back(plant: Plant, body: Body, palms: PalmMotion) -> None:
-    """In the first stable pose, by growing ψ from where it was taken away, that is turned far enough."""
-    turned = sorted((psi - plant.state.psi) % math.tau for psi in stable_poses(body, palms))
-    far = [by for by in turned if _TURNED_RAD < by < math.tau - _TURNED_RAD]
-    plant.place(palms, psi=plant.state.psi + (far or turned)[0])
+def _place_again(plant: Plant, body: Body, palms: PalmMotion) -> None:
+    """Place the body in the first stable pose, by increasing ψ, that is turned far enough from where it was removed."""
+    turns = sorted((psi - plant.state.psi) % math.tau for psi in stable_poses(body, palms))
+    turned_enough = [by for by in turns if _MIN_TURN_RAD < by < math.tau - _MIN_TURN_RAD]
+    plant.place(palms, psi=plant.state.psi + (turned_enough or turns)[0])
 
 
 def log_lines(
     scene: SimulatedRun, history: FloatArray, calibration_sd: Mapping[str, float], rng: np.random.Generator
 ) -> Iterator[Line]:
-    """The header, then palms and pads in time order with their noise and rounding."""
+    """The header, then palms and pads in time order with noise and rounding."""
     hinge: Line = {"mode": scene.hinge.mode}
     if scene.hinge.mode == "arc":
         hinge["palm1_length_m"] = scene.hinge.palm1_length
@@ -342,16 +345,19 @@ def log_lines(
 
 
 def _palm_lines(scene: SimulatedRun, history: FloatArray, rng: np.random.Generator) -> Iterator[Line]:
-    """The arm's reports: measured angles, the plan's own rates and accelerations."""
-    off = scene.imperfections.true_palms(PalmMotion.at_rest((0.0, 0.0))).angles
+    """The arm's reports: measured angles, planned rates and accelerations."""
+    angle_errors = scene.imperfections.true_palms(PalmMotion.at_rest((0.0, 0.0))).angles
     times = np.arange(int(history[-1, 0] / _ARM_PERIOD_S)) * _ARM_PERIOD_S
-    true = [np.interp(times, history[:, 0], history[:, 7 + i]) for i in range(len(JOINTS))]
-    for t, *reported in zip(times.tolist(), *(each.tolist() for each in true), strict=True):
+    reported_angles = [np.interp(times, history[:, 0], history[:, 7 + i]) for i in range(len(JOINTS))]
+    for t, *reported in zip(times.tolist(), *(each.tolist() for each in reported_angles), strict=True):
         plan = scene.rocking.at(t)
-        angles = [angle - error for angle, error in zip(reported, off, strict=True)]
+        angles = [angle - error for angle, error in zip(reported, angle_errors, strict=True)]
         noise = rng.normal(0.0, _PALM_NOISE_RAD, 2)
         palms = {
-            **{name: round(phi + float(off), 7) for name, phi, off in zip(_ANGLE_COLUMNS, angles, noise, strict=True)},
+            **{
+                name: round(phi + float(angle_errors), 7)
+                for name, phi, angle_errors in zip(_ANGLE_COLUMNS, angles, noise, strict=True)
+            },
             **{f"omega{palm}_rad_s": round(omega, 7) for palm, omega in zip(PALMS, plan.rates, strict=True)},
             **{f"alpha{palm}_rad_s2": round(alpha, 7) for palm, alpha in zip(PALMS, plan.accelerations, strict=True)},
         }
@@ -359,7 +365,7 @@ def _palm_lines(scene: SimulatedRun, history: FloatArray, rng: np.random.Generat
 
 
 def _sample_times(kind: Kind, duration: float, rng: np.random.Generator) -> FloatArray:
-    """When one pad reports: each 10 ms, or in three bands of mean 10 ms and s.d. 5 ms."""
+    """Report times of one pad: every 10 ms, or in three bands with mean 10 ms and standard deviation 5 ms."""
     t = float(rng.uniform(0.0, _PAD_PERIOD_S))
     if kind in ("nominal", "odd"):
         return np.arange(t, duration - 0.03, _PAD_PERIOD_S)
@@ -371,14 +377,14 @@ def _sample_times(kind: Kind, duration: float, rng: np.random.Generator) -> Floa
 
 
 def _pad_lines(
-    pad: int, times: FloatArray, history: FloatArray, off: PadImperfection, rng: np.random.Generator
+    pad: int, times: FloatArray, history: FloatArray, imperfection: PadImperfection, rng: np.random.Generator
 ) -> Iterator[Line]:
     """One pad's readings with its errors, noise and rounding."""
-    s = np.interp(times - off.lag, history[:, 0], history[:, 4 + pad])
+    s = np.interp(times - imperfection.lag, history[:, 0], history[:, 4 + pad])
     force = np.interp(times, history[:, 0], history[:, 8 + pad])
-    felt = np.isfinite(s)
-    times, s, force = times[felt], s[felt], force[felt]
-    s += np.array([off.reading_error_m(*true) for true in zip(s.tolist(), force.tolist(), strict=True)])
+    present = np.isfinite(s)
+    times, s, force = times[present], s[present], force[present]
+    s += np.array([imperfection.reading_error_m(*true) for true in zip(s.tolist(), force.tolist(), strict=True)])
     s = s + rng.normal(0.0, _PAD_NOISE_M, len(s))
     force = force * (1.0 + rng.normal(0.0, _FORCE_SCALE_STD, len(s)))
     s = np.round(s / _PAD_RESOLUTION_M) * _PAD_RESOLUTION_M
@@ -388,7 +394,7 @@ def _pad_lines(
 
 
 def truth_of(scene: SimulatedRun, history: FloatArray) -> Line:
-    """What was really there, in the fields of the reference truth files."""
+    """The true state and parameters, in the fields of the reference truth files."""
     theta: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
     columns = history[::_STEPS_PER_TRUTH].T.tolist()
     return {
@@ -408,7 +414,7 @@ def truth_of(scene: SimulatedRun, history: FloatArray) -> Line:
 
 
 def vibration_truth(shaking: Shaking | None) -> dict[str, Any]:
-    """How the palms really vibrated, if they did."""
+    """The palms' true vibration, if any."""
     if shaking is None:
         return {}
     return {
@@ -423,7 +429,7 @@ def _curvature_keys(curvatures: PadPair) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Writes one simulated log, and its truth beside it as `*.truth.json`."""
+    """Write one simulated log, and its truth beside it as `*.truth.json`."""
     parser = argparse.ArgumentParser(prog="python -m palmd.rig.simulate", description=main.__doc__)
     parser.add_argument("--kind", choices=KINDS, default="nominal")
     parser.add_argument("--seed", type=int, default=0)
@@ -436,9 +442,13 @@ def main(arguments: list[str] | None = None) -> int:
         "--vibration", choices=VIBRATIONS, default="independent", help="of the palms (default: %(default)s)"
     )
     options = parser.parse_args(arguments)
-    sds = CALIBRATION[options.imperfections]
+    calibration_sd = CALIBRATION[options.imperfections]
     lines, truth = simulate_log(
-        options.kind, options.seed, options.seconds, calibration_sd=sds, vibration=VIBRATIONS[options.vibration]
+        options.kind,
+        options.seed,
+        options.seconds,
+        calibration_sd=calibration_sd,
+        vibration=VIBRATIONS[options.vibration],
     )
     options.output.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     options.output.with_suffix(".truth.json").write_text(json.dumps(truth), encoding="utf-8")

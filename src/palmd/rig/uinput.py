@@ -1,4 +1,4 @@
-"""An emulated touch device as the kernel's own: made by `/dev/uinput`, opened by the host as any input device (I/O)."""
+"""An emulated touch device that the kernel provides: made with `/dev/uinput`, opened like any input device (I/O)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import struct
 from pathlib import Path
 
 from palmd.devices import evdev
-from palmd.rig.padkinds.evdev import FARTHEST, PRESSURE_MAX
+from palmd.rig.padkinds.evdev import POSITION_LIMIT, PRESSURE_MAX
 
 UINPUT = Path("/dev/uinput")
 SYSFS, DEVICES = Path("/sys/devices/virtual/input"), Path("/dev/input")
 NAME = "palmd emulated pad"
 RANGES = {
-    evdev.ABS_X: (-FARTHEST, FARTHEST),
-    evdev.ABS_Y: (-FARTHEST, FARTHEST),
+    evdev.ABS_X: (-POSITION_LIMIT, POSITION_LIMIT),
+    evdev.ABS_Y: (-POSITION_LIMIT, POSITION_LIMIT),
     evdev.ABS_PRESSURE: (0, PRESSURE_MAX),
 }
 
@@ -27,21 +27,21 @@ _SYSNAME_BYTES = 64
 _SYSNAME = 0x8000552C | _SYSNAME_BYTES << 16
 _SETUP_FORM = struct.Struct("<4H80sI")  # bus, vendor, product, version, name, force feedback
 _ABS_FORM = struct.Struct("<Hxx6i")  # axis; value, least, most, fuzz, flat, resolution
-_VIRTUAL = 0x06  # the bus
+_VIRTUAL = 0x06  # bus type
 
 
 def available() -> bool:
-    """Whether input devices can be made here."""
+    """Whether input devices can be created here."""
     return os.access(UINPUT, os.W_OK)
 
 
 class UinputLine:
-    """An input device under a steady name, with the face of a `PtyLine`: a link that points to it as long as it exists.
+    """An input device under a fixed path, with the interface of a `PtyLine`: a link to the device while it exists.
 
-    The kernel dates what is written itself, drops what says nothing new, and has no `SYN_DROPPED` from outside.
+    The kernel sets the time stamps itself, drops events that change nothing, and rejects `SYN_DROPPED` from outside.
     """
 
-    edges = True
+    edge_triggered = True
 
     def __init__(self, link: Path) -> None:
         self.path = link
@@ -50,7 +50,7 @@ class UinputLine:
 
     @property
     def plugged(self) -> bool:
-        """Whether the device exists at the moment."""
+        """Whether the device exists at present."""
         return self._fd is not None
 
     @property
@@ -59,14 +59,14 @@ class UinputLine:
         return -1 if self._fd is None else self._fd
 
     def plug(self) -> None:
-        """Makes the device appear; does nothing if it is there. Raises OSError where the kernel refuses."""
+        """Create the device; does nothing if it exists. Raises OSError if the kernel refuses."""
         if self._fd is not None:
             return
         fd = os.open(UINPUT, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            _describe(fd)
+            _set_up(fd)
             fcntl.ioctl(fd, _CREATE)
-            device = DEVICES / _event_of(fd)
+            device = DEVICES / _event_name(fd)
         except BaseException:
             os.close(fd)
             raise
@@ -76,7 +76,7 @@ class UinputLine:
         self.path.symlink_to(device)
 
     def unplug(self) -> None:
-        """Makes the device vanish under the host's hands; does nothing if it is gone."""
+        """Remove the device even if the host has it open; does nothing if it does not exist."""
         if self._fd is None:
             return
         with contextlib.suppress(FileNotFoundError):
@@ -87,11 +87,11 @@ class UinputLine:
         self._fd = None
 
     def read(self, events: int) -> tuple[bytes, bool]:  # noqa: ARG002
-        """An input device is told nothing, and does not learn who opens it."""
+        """Nothing: an input device receives no data, and is not notified when it is opened."""
         return b"", False
 
     def write(self, data: bytes) -> bytes:
-        """Hands records to the kernel; returns those that it took."""
+        """Pass records to the kernel; returns those that it accepted."""
         if not data or self._fd is None:
             self.bytes_lost += len(data)
             return b""
@@ -103,18 +103,18 @@ class UinputLine:
         return data[:written]
 
 
-def _describe(fd: int) -> None:
-    """A touch device with one contact."""
+def _set_up(fd: int) -> None:
+    """Configure a touch device with one contact."""
     for kind in (evdev.EV_SYN, evdev.EV_KEY, evdev.EV_ABS):
         fcntl.ioctl(fd, _EVENT_BIT, kind)
     fcntl.ioctl(fd, _KEY_BIT, evdev.BTN_TOUCH)
-    for axis, (least, most) in RANGES.items():
+    for axis, (low, high) in RANGES.items():
         fcntl.ioctl(fd, _AXIS_BIT, axis)
-        fcntl.ioctl(fd, _ABS_SETUP, _ABS_FORM.pack(axis, 0, least, most, 0, 0, 0))
+        fcntl.ioctl(fd, _ABS_SETUP, _ABS_FORM.pack(axis, 0, low, high, 0, 0, 0))
     fcntl.ioctl(fd, _SETUP, _SETUP_FORM.pack(_VIRTUAL, 0, 0, 1, NAME.encode(), 0))
 
 
-def _event_of(fd: int) -> str:
+def _event_name(fd: int) -> str:
     """The device's name in /dev/input."""
     buffer = bytearray(_SYSNAME_BYTES)
     fcntl.ioctl(fd, _SYSNAME, buffer)

@@ -1,26 +1,26 @@
-/* A body between two palms that vibrate along themselves under dry Coulomb friction, resolved in time; see
-   `rig.vibrating_plant` for what is computed, and why.
+/* A body between two palms that vibrate along themselves, with dry Coulomb friction, resolved in time; the method is
+   described in `rig.vibrating_plant`.
 
-   A contact slips forwards (+1) or backwards (-1) along t, with friction -mode * mu * f along t, or sticks (0), where its
-   friction is whatever keeps the slip at zero. Within a step nothing changes its mode: a step ends where a slip comes to
-   zero, or where what sticks asks for more than mu * f, and the modes are chosen anew. Palms are arcs through the hinge
-   (flat: curvature 0), the geometry is that of `rig.curved_plant`. */
+   A contact slips forwards (+1) or backwards (-1) along t, with friction -mode * mu * f along t, or sticks (0), with the
+   friction that keeps the slip at zero. Modes are constant within a step: a step ends where a slip reaches zero, or where
+   a sticking contact needs more than mu * f, and the modes are chosen again. Palms are arcs through the hinge (flat:
+   curvature 0), the geometry is that of `rig.curved_plant`. */
 
 #include "plant.h"
 
 #define CONTACTS 2
 #define UNKNOWNS 4
-#define CROSSINGS 12 /* of zero slip in one step; what is left of the step is then done as it is */
+#define CROSSINGS 12 /* of zero slip in one step; the rest of the step is then integrated without further divisions */
 #define NEWTON 6
 
-static const double AHEAD_S = 1e-6;    /* over which a slip's rate is taken */
-static const double LOCATED_S = 1e-10; /* of a reversal */
+static const double AHEAD_S = 1e-6;    /* time difference for the rate of a slip */
+static const double LOCATED_S = 1e-10; /* accuracy of a reversal's time */
 static const double FOUND_RAD = 1e-13, LONGEST_RAD = 0.2;
 
 typedef struct {
   double curvature, slope, standoff, reach, mu;
   double frequency, speed, phase, second, third, inwards; /* outward speed, and its sign in the slip */
-  double yielding, stiffness, damping; /* body's mass over the palm's, 0 for a rigid one; both per unit of the palm's mass */
+  double yielding, stiffness, damping; /* body's mass over the palm's, 0 if rigid; both others per unit of palm mass */
 } Palm;
 
 typedef struct { /* of one body on one rig */
@@ -32,11 +32,11 @@ typedef struct { /* of one body on one rig */
 } Scene;
 
 typedef struct {
-  double x, y, psi, vx, vy, w, give[CONTACTS], giving[CONTACTS]; /* `give`: of a palm across itself, away from the body */
+  double x, y, psi, vx, vy, w, give[CONTACTS], giving[CONTACTS]; /* `give`: palm's displacement away from the body */
 } State;
 
 typedef struct {
-  double ax, ay, al, f[CONTACTS], given[CONTACTS], ratio[CONTACTS]; /* ratio: of friction against t to normal force */
+  double ax, ay, al, f[CONTACTS], given[CONTACTS], ratio[CONTACTS]; /* ratio: friction against t over normal force */
 } Rates;
 
 typedef struct {
@@ -44,7 +44,7 @@ typedef struct {
   Rates rates;
   double t, fallen, on[CONTACTS], mode[CONTACTS], theta[CONTACTS], preload[CONTACTS];
   double s[CONTACTS], r[CONTACTS], force[CONTACTS], least[CONTACTS], reversals[CONTACTS], stuck_s[CONTACTS];
-  double slow[2][CONTACTS]; /* low-passed forces, by two stages */
+  double slow[2][CONTACTS]; /* forces after each of two low-pass stages */
 } Body;
 
 typedef struct {
@@ -55,7 +55,7 @@ typedef struct { /* one contact */
   double nx, ny, tx, ty, lever, arm, b, slip, px, py, gap, rate;
 } Contact;
 
-typedef struct { /* palms over one step: given at two times, or rocking */
+typedef struct { /* palms during one step: given at two times, or rocking */
   const Palms *middle, *end;
   double t_end, dt;
   const Rocking *rocking;
@@ -105,7 +105,7 @@ static double gravity_at(const Scene *scene, double t) {
   return scene->gravity + scene->shake * swings;
 }
 
-static double vibration_at(const Palm *palm, double t) { /* what it adds to the slip */
+static double vibration_at(const Palm *palm, double t) { /* its contribution to the slip */
   const double tau = TAU * palm->frequency * t + palm->phase;
   double wave = cos(tau);
   if (palm->second != 0.0) wave += palm->second * cos(2.0 * tau);
@@ -113,7 +113,7 @@ static double vibration_at(const Palm *palm, double t) { /* what it adds to the 
   return palm->inwards * palm->speed * wave;
 }
 
-/* Where body and palm touch, how they approach and slip; `rig.curved_plant`'s equations. */
+/* The contact point of body and palm, and the rates of gap and slip; equations of `rig.curved_plant`. */
 static Contact contact_of(const Scene *scene, int i, const Frame *f, const State *q, double t, double *theta_io) {
   const Palm *palm = &scene->palms[i];
   const double nux = f->nu[i][0], nuy = f->nu[i][1], kappa = palm->curvature, rx = q->x - f->ox, ry = q->y - f->oy;
@@ -150,7 +150,7 @@ static Contact contact_of(const Scene *scene, int i, const Frame *f, const State
   return (Contact){nx, ny, -s, c, yx * ny - yy * nx, c * rub_x + s * rub_y, b, slip, rub_x, rub_y, gap, rate};
 }
 
-static int eliminated(double m[UNKNOWNS][UNKNOWNS + 1], int n) { /* Gauss, with pivots; 0 where it is singular */
+static int eliminated(double m[UNKNOWNS][UNKNOWNS + 1], int n) { /* Gauss with pivoting; 0 if singular */
   for (int k = 0; k < n; k++) {
     int best = k;
     for (int i = k + 1; i < n; i++)
@@ -170,14 +170,14 @@ static int eliminated(double m[UNKNOWNS][UNKNOWNS + 1], int n) { /* Gauss, with 
   return 1;
 }
 
-/* Accelerations with both contacts in their modes; `drag`: of those that stick, their slip's rate if nothing pushes. 0
-   where there is no solution. */
+/* Accelerations for the contacts' present modes; `drag`: slip rates of sticking contacts without contact forces. Returns
+   0 if there is no solution. */
 static int forced(const Scene *scene, const Body *body, const State *q, double t, const Contact *at, const double *drag,
                   Rates *out) {
   const double g = gravity_at(scene, t), rho2 = scene->rho2, damping = -scene->damping * q->w / rho2;
   double fx[UNKNOWNS], fy[UNKNOWNS], torque[UNKNOWNS], m[UNKNOWNS][UNKNOWNS + 1];
   int of[UNKNOWNS], sticks[UNKNOWNS], n = 0;
-  for (int pass = 0; pass < 2; pass++) /* normal forces first, then the friction of what sticks */
+  for (int pass = 0; pass < 2; pass++) /* normal forces first, then the friction of sticking contacts */
     for (int i = 0; i < CONTACTS; i++) {
       if (!body->on[i] || (pass && body->mode[i] != 0.0)) continue;
       const double k = pass ? 0.0 : body->mode[i] * scene->palms[i].mu, nx = -at[i].ty, ny = at[i].tx;
@@ -218,7 +218,7 @@ static int forced(const Scene *scene, const Body *body, const State *q, double t
   return 1;
 }
 
-static State ahead(const State *q, const Rates *r, double dt) { /* by velocities, and by accelerations where given */
+static State ahead(const State *q, const Rates *r, double dt) { /* by velocities, and by accelerations if given */
   State after = {q->x + dt * q->vx, q->y + dt * q->vy, q->psi + dt * q->w, q->vx, q->vy, q->w, {0}, {0}};
   if (r) after.vx += dt * r->ax, after.vy += dt * r->ay, after.w += dt * r->al;
   for (int i = 0; i < CONTACTS; i++) {
@@ -228,7 +228,7 @@ static State ahead(const State *q, const Rates *r, double dt) { /* by velocities
   return after;
 }
 
-/* The slips a moment later, less the slips now, per second: what they do if nothing pushes (r 0) or under r. */
+/* Rates of the slips by a forward difference, without contact forces (r 0) or for the accelerations r. */
 static void slip_rates(const Scene *scene, const Body *body, const Palms *palms, const State *q, double t,
                        const Contact *at, const Rates *r, double *rates) {
   const Palms later = moved(palms, AHEAD_S);
@@ -254,8 +254,8 @@ static int solve(const Scene *scene, Body *body, const Palms *palms, const Frame
   return forced(scene, body, q, t, at, drag, out);
 }
 
-/* Modes of contacts at zero slip, and the accelerations with them: the first that the law of friction allows, where
-   reversing comes before going on and both before sticking; if there is none, the one that violates it least. */
+/* Choose the modes of contacts at zero slip, and compute the accelerations: the first modes that the law of friction
+   allows, trying a reversal before continuation and both before sticking; otherwise those that violate it least. */
 static void choose_modes(const Scene *scene, Body *body, const Palms *palms, const Frame *frame, double t,
                          const int *resting) {
   const double before[CONTACTS] = {body->mode[0], body->mode[1]};
@@ -303,7 +303,7 @@ static void choose_modes(const Scene *scene, Body *body, const Palms *palms, con
 
 static void settle(const Scene *scene, Body *body, const Palms *palms, double t);
 
-/* One Runge-Kutta step in the present modes; 0 where they have no solution. */
+/* One Runge-Kutta step in the present modes; returns 0 if they have no solution. */
 static int integrate(const Scene *scene, Body *body, const Motion *motion, double dt, Palms *palms, Frame *frame,
                      double *impulse) {
   const double half = 0.5 * dt, sixth = dt / 6.0, t = body->t;
@@ -346,7 +346,7 @@ static void slips_of(const Scene *scene, Body *body, const Frame *frame, double 
     slips[i] = body->on[i] ? contact_of(scene, i, frame, &body->state, body->t, &body->theta[i]).slip : 0.0;
 }
 
-/* When, from t on, a contact that slips in `mode` comes to zero: the body's own part of the slip changes evenly. */
+/* Time from t at which a contact slipping in `mode` reaches zero slip; the body's own part of the slip is linear. */
 static double reversal(const Palm *palm, double t, double dt, double before, double after, double mode) {
   const double from = before - vibration_at(palm, t), to = after - vibration_at(palm, t + dt);
   double low = 0.0, high = dt;
@@ -360,7 +360,7 @@ static double reversal(const Palm *palm, double t, double dt, double before, dou
   return high;
 }
 
-/* On by dt, in as many pieces as there are reversals in it. */
+/* Advance by dt, divided at the reversals. */
 static void go_on(const Scene *scene, Body *body, const Motion *motion, double dt, Palms *palms, Frame *frame) {
   double left = dt;
   for (int crossing = 0; left > 0.0 && !body->fallen; crossing++) {
@@ -376,26 +376,26 @@ static void go_on(const Scene *scene, Body *body, const Motion *motion, double d
       if (sticking) solved = solve(scene, body, palms, frame, &body->state, body->t, &end);
       for (int i = 0; i < CONTACTS && solved; i++) {
         if (!body->on[i]) continue;
-        double ends = piece;
-        int stops = 0;
+        double piece_end = piece;
+        int mode_ends = 0;
         if (body->mode[i] != 0.0 && body->mode[i] * after[i] < 0.0) {
-          ends = reversal(&scene->palms[i], start.t, left, before[i], after[i], body->mode[i]), stops = 1;
+          piece_end = reversal(&scene->palms[i], start.t, left, before[i], after[i], body->mode[i]), mode_ends = 1;
         } else if (body->mode[i] == 0.0 && fabs(end.ratio[i]) > scene->palms[i].mu) {
           const double from = fabs(start.rates.ratio[i]), to = fabs(end.ratio[i]), mu = scene->palms[i].mu;
-          ends = from < mu && to < HUGE_VAL ? left * (mu - from) / (to - from) : 0.5 * left, stops = 1;
+          piece_end = from < mu && to < HUGE_VAL ? left * (mu - from) / (to - from) : 0.5 * left, mode_ends = 1;
         }
-        if (stops && ends <= piece) {
-          if (ends < piece) resting[0] = resting[1] = 0;
-          piece = ends, resting[i] = 1;
+        if (mode_ends && piece_end <= piece) {
+          if (piece_end < piece) resting[0] = resting[1] = 0;
+          piece = piece_end, resting[i] = 1;
         }
       }
     }
-    piece = crossing < CROSSINGS ? fmax(piece, 0.0) : left; /* palms that stop at once may ask for ever more */
+    piece = crossing < CROSSINGS ? fmax(piece, 0.0) : left; /* contacts may stop again at once, endlessly */
     if (solved && crossing < CROSSINGS && (resting[0] || resting[1]) && piece < left) {
       *body = start, *frame = frame_before;
       if (piece > 0.0) solved = integrate(scene, body, motion, piece, palms, frame, impulse);
     }
-    if (!solved) { /* no forces hold these modes: both contacts are let go of */
+    if (!solved) { /* no forces are consistent with these modes: both contacts are opened */
       *body = start, *frame = frame_before;
       body->on[0] = body->on[1] = 0.0;
       body->rates = (Rates){0.0, -gravity_at(scene, body->t), 0.0, {0}, {0}, {0}};
@@ -439,11 +439,11 @@ static void impact(const Scene *scene, Body *body, const Contact *at) {
   q->w += (p1 * at[0].lever + p2 * at[1].lever) * j;
 }
 
-/* Contacts that agree with gaps and forces, and the accelerations for the next step. */
+/* Make the contacts consistent with gaps and forces, and compute the accelerations for the next step. */
 static void settle(const Scene *scene, Body *body, const Palms *palms, double t) {
   const Frame frame = frame_of(scene, palms);
   Contact at[CONTACTS];
-  double were[CONTACTS] = {body->on[0], body->on[1]};
+  double was_on[CONTACTS] = {body->on[0], body->on[1]};
   for (int i = 0; i < CONTACTS; i++) at[i] = contact_of(scene, i, &frame, &body->state, t, &body->theta[i]);
   const int hit1 = !body->on[0] && at[0].gap < 0.0, hit2 = !body->on[1] && at[1].gap < 0.0;
   if (hit1 || hit2) {
@@ -455,7 +455,7 @@ static void settle(const Scene *scene, Body *body, const Palms *palms, double t)
     for (int i = 0; i < CONTACTS; i++) {
       at[i] = contact_of(scene, i, &frame, &body->state, t, &body->theta[i]);
       body->on[i] = body->on[i] && at[i].rate <= scene->parting;
-      if (body->on[i] && !were[i]) body->mode[i] = at[i].slip > 0.0 ? 1.0 : -1.0;
+      if (body->on[i] && !was_on[i]) body->mode[i] = at[i].slip > 0.0 ? 1.0 : -1.0;
     }
   }
   Rates rates;
@@ -467,7 +467,7 @@ static void settle(const Scene *scene, Body *body, const Palms *palms, double t)
       body->on[1] = 0.0;
     if (!solve(scene, body, palms, &frame, &body->state, t, &rates)) break;
   }
-  int off = 0;
+  int is_off = 0;
   for (int i = 0; i < CONTACTS; i++) {
     const Palm *palm = &scene->palms[i];
     /* on an arc |w| = s sinc(kappa s / 2); behind the hinge s is negative */
@@ -478,10 +478,10 @@ static void settle(const Scene *scene, Body *body, const Palms *palms, double t)
     const double chord = hypot(wx, wy), half = 0.5 * fabs(palm->curvature);
     const double length = half * chord < 1e-9 ? chord : asin(fmin(half * chord, 1.0)) / half;
     body->s[i] = copysign(length, frame.along[i][0] * wx + frame.along[i][1] * wy), body->r[i] = h.h;
-    if (body->on[i] && !(0.0 < body->s[i] && body->s[i] < palm->reach)) off = 1;
+    if (body->on[i] && !(0.0 < body->s[i] && body->s[i] < palm->reach)) is_off = 1;
     body->least[i] = fmin(body->least[i], body->on[i] ? rates.f[i] : 0.0);
   }
-  if (off || hypot(body->state.x - frame.ox, body->state.y - frame.oy) > scene->lost_distance) {
+  if (is_off || hypot(body->state.x - frame.ox, body->state.y - frame.oy) > scene->lost_distance) {
     body->fallen = 1.0, body->on[0] = body->on[1] = 0.0;
     rates = (Rates){0};
   }
@@ -505,14 +505,14 @@ static void stepped(const Scene *scene, Body *body, const Motion *motion, double
   }
 }
 
-/* The beginning: a body that was placed, both contacts closed, slipping as the palms vibrate. */
+/* Initial state of a body that was placed: both contacts closed, slipping as the palms vibrate. */
 void vibrating_plant_place(const Scene *scene, Body *body, const Palms *palms) {
   const Frame frame = frame_of(scene, palms);
   double slips[CONTACTS];
   for (int i = 0; i < CONTACTS; i++) body->on[i] = 1.0, body->preload[i] = 0.0, body->least[i] = HUGE_VAL;
   slips_of(scene, body, &frame, slips);
   for (int i = 0; i < CONTACTS; i++) body->mode[i] = slips[i] < 0.0 ? -1.0 : 1.0;
-  Scene rigid = *scene; /* and slick: forces without friction are about the mean ones with it */
+  Scene rigid = *scene; /* without friction: the forces are then about the mean ones with it */
   for (int i = 0; i < CONTACTS; i++) rigid.palms[i].yielding = rigid.palms[i].mu = 0.0;
   settle(&rigid, body, palms, body->t);
   for (int i = 0; i < CONTACTS; i++) {
@@ -527,7 +527,7 @@ void vibrating_plant_advance(const Scene *scene, Body *body, const Palms *middle
   stepped(scene, body, &motion, dt);
 }
 
-/* Rows of a run, one before each step of `dt`; how many there are before a contact does not keep to its bounds. */
+/* Rows of a run, one before each step of `dt`; returns how many there are before a contact violates its bounds. */
 long vibrating_plant_rock(const Scene *scene, Body *body, const Rocking *rocking, const ContactBounds *bounds, double dt,
                           Row *rows, long count) {
   const Motion motion = {.rocking = rocking};

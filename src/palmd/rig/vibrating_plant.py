@@ -1,13 +1,13 @@
-"""The emulated object on palms that really vibrate along themselves, under dry Coulomb friction, resolved in time.
+"""The emulated object on palms that vibrate along themselves, with dry Coulomb friction, resolved in time.
 
-Friction alternates with the vibration, and the normal forces with it: a contact slips forwards, backwards, or sticks.
+Friction alternates with the vibration, and so do the normal forces: a contact slips forwards, backwards, or sticks.
 Slip reversals are located to 1e-10 s within Runge–Kutta steps of at most an eightieth of a period; a contact at zero
-slip takes the first mode that Coulomb's law allows: slip that friction opposes, or stick with no more friction than μN.
-A palm's mount may give way across the palm: its mass, stiffness and damping decide how far normal forces follow the
-friction's alternation (λ of docs/theory/vibration.md). The geometry is that of `rig.curved_plant`, with curvature 0 for
-flat palms.
+slip takes the first mode that Coulomb's law allows: slip that friction opposes, or stick with friction of at most μN.
+A palm's mount may be compliant across the palm: its mass, stiffness and damping determine how far normal forces follow
+the alternation of friction (λ of docs/theory/vibration.md). The geometry is that of `rig.curved_plant`, with curvature
+0 for flat palms.
 
-Forces are what a pad of some 60 Hz bandwidth reads, not instantaneous ones.
+Forces are those that a pad of about 60 Hz bandwidth reads, not instantaneous ones.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from typing import Any
 import numpy as np
 
 from palmd.events import FloatArray, PalmMotion
-from palmd.rig.compiled_plant import ROW, ContactBounds, Drive, PackedRun, loaded
+from palmd.rig.compiled_plant import ROW, ContactBounds, Drive, PackedRun, load_library
 from palmd.rig.curved_plant import CurvedPlant
 from palmd.rig.imperfections import PERFECT, Imperfections
 from palmd.rig.mean_turning import MeanTurning
 from palmd.rig.plant import (
     _DRIFT_RATE,
-    _LOST_DISTANCE,
-    _PARTING,
-    _SHAKING_HZ,
-    _SOFT_BLOW,
+    _FALLEN_DISTANCE,
+    _SEPARATION_SPEED,
+    _SOFT_IMPACT,
+    _TABLE_HZ,
     PAD_LENGTH,
     FrictionSurface,
     Hinge,
@@ -40,13 +40,13 @@ from palmd.rig.plant import (
     PlantOptions,
     palm_frame,
 )
-from palmd.rig.shaker import INWARDS, Shaking
+from palmd.rig.shaker import SLIP_SIGNS, Shaking
 from palmd.rig.shapes import Body, Support
 from palmd.system.arcs import FLAT
 
 STEPS_PER_PERIOD = 80
 FORCE_LAG_S = 2.5e-3
-"""Of each of two stages that make means of the pads' forces over the vibration."""
+"""Time constant of each of two low-pass stages that average the pads' forces over the vibration."""
 _CONTACTS = 2
 _STEPS_PER_RESONANCE = 12.0  # of a mount
 
@@ -70,7 +70,7 @@ class _VibratingScene(ctypes.Structure):
     _fields_ = (
         ("table", ctypes.c_void_p),
         *_doubles("rho2", "damping", "gravity", "shake"),
-        ("shaking_hz", ctypes.c_double * len(_SHAKING_HZ)),
+        ("shaking_hz", ctypes.c_double * len(_TABLE_HZ)),
         *_doubles("travel"),
         *_pairs("base"),
         *_doubles("drift_rate", "soft_blow", "parting", "lost_distance", "longest_step", "force_lag"),
@@ -96,7 +96,7 @@ class _PalmMotions(ctypes.Structure):
 
 
 class VibratingPlant(CurvedPlant):
-    """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` says, for smooth bodies, in C."""
+    """As `CurvedPlant`, flat palms included, on palms that vibrate as `shaking` describes, for smooth bodies, in C."""
 
     def __init__(
         self,
@@ -111,9 +111,9 @@ class VibratingPlant(CurvedPlant):
         gravity: float = 9.81,
         reach: PadPair = (PAD_LENGTH, PAD_LENGTH),
     ) -> None:
-        """As `CurvedPlant`; raises ValueError where `resolves` says no."""
-        if not resolves(body):
-            raise ValueError("resolving a vibration takes a C compiler and a smooth body")
+        """As `CurvedPlant`; raises ValueError if `can_resolve` returns False."""
+        if not can_resolve(body):
+            raise ValueError("a vibration can be resolved only for a smooth body and with a C compiler")
         self.shaking = shaking
         self._turning = MeanTurning(shaking.period_s)
         self._t_touched = [-math.inf] * _CONTACTS
@@ -123,20 +123,20 @@ class VibratingPlant(CurvedPlant):
         )  # fmt: skip
         self._memory, self._scene = _Body(), self._compiled_scene()
 
-    # -- placing and looking ------------------------------------------------------------------------------
+    # -- placement and state ------------------------------------------------------------------------------
 
     def place(self, palms: PalmMotion, psi: float, omega0: float = 0.0) -> None:
-        """Puts the body on both palms at angle psi (rad), turning at omega0 (rad/s), both gaps closed."""
+        """Place the body on both palms at angle psi (rad), turning at omega0 (rad/s), with both gaps closed."""
         super().place(palms, psi, omega0)
         q = self.state
         self._memory = _Body(x=q.x, y=q.y, psi=q.psi, vx=q.vx, vy=q.vy, w=q.omega0, t=self._t, theta=tuple(self._theta))
         self._t_touched = [self._t] * _CONTACTS
-        self._turning.begin(self._t, q.psi, q.omega0)
+        self._turning.reset(self._t, q.psi, q.omega0)
         self._scene.place(self._memory, palms)
-        self._take_over()
+        self._copy_state()
 
     def contacts(self) -> tuple[PlantContact, PlantContact]:
-        """Both contacts as they are now, their forces as a pad reads them: means over the vibration."""
+        """Both present contacts; forces as a pad reads them, averaged over the vibration."""
         m, mass = self._memory, self.body.mass
         one, two = (
             PlantContact(on, m.s[i], mass * m.second_stage[i] if on else 0.0) for i, on in enumerate(self.touching)
@@ -145,7 +145,7 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def least_forces(self) -> tuple[float, float]:
-        """As `Plant` has it."""
+        """See `Plant`."""
         return self.body.mass * self._memory.least[0], self.body.mass * self._memory.least[1]
 
     def radii(self) -> tuple[float, float]:
@@ -154,7 +154,7 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def touching(self) -> tuple[bool, bool]:
-        """Which palms the body touches, or has touched within a period: normal forces alternate, and it may hop."""
+        """Palms that the body touches or has touched within a period: normal forces alternate, and it may bounce."""
         one, two = (
             not self.fallen and self._t - t <= 1.0 / palm.frequency
             for t, palm in zip(self._t_touched, self.shaking.palms, strict=True)
@@ -163,23 +163,23 @@ class VibratingPlant(CurvedPlant):
 
     @property
     def mean_omega0(self) -> float:
-        """The body's rate (rad/s) without the ripple that the vibration gives it."""
+        """The body's rate (rad/s) without the ripple of the vibration."""
         return self._turning.rate
 
     @property
     def reversals(self) -> tuple[float, float]:
-        """How often each contact's slip has changed its mode since the body was placed."""
+        """Number of changes of each contact's mode since the body was placed."""
         return self._memory.reversals[0], self._memory.reversals[1]
 
     @property
     def stuck_s(self) -> tuple[float, float]:
-        """For how long (s) each contact has stuck, all in all."""
+        """Total time (s) for which each contact has stuck."""
         return self._memory.stuck_s[0], self._memory.stuck_s[1]
 
-    # -- going on -----------------------------------------------------------------------------------------
+    # -- time steps ---------------------------------------------------------------------------------------
 
     def advance(self, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        """Goes on by dt seconds; `middle` and `end` are the palms half-way and at the end."""
+        """Advance by dt seconds; `middle` and `end` are the palms half-way and at the end."""
         self._t += dt
         self._frame = palm_frame(self.hinge, end)
         if self.fallen:
@@ -189,14 +189,14 @@ class VibratingPlant(CurvedPlant):
         for i in range(_CONTACTS):
             if self._memory.on[i] or self._memory.force[i] > 0.0:
                 self._t_touched[i] = self._t
-        self._take_over()
+        self._copy_state()
 
-    def rocked(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
-        """The rows of a run as `CompiledStep.run` has them, of a body that was placed and not moved since."""
+    def simulate_rocking(self, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray | None:
+        """The rows of a run, see `CompiledStep.run`, of a body that was placed and not moved since."""
         return self._scene.rock(self._memory, drive, bounds, dt, count)
 
-    def _take_over(self) -> None:
-        """The state that everything else here looks at, from the memory of what is compiled."""
+    def _copy_state(self) -> None:
+        """Copy the compiled plant's state into the attributes that this class inherits."""
         m, q = self._memory, self.state
         q.x, q.y, q.psi, q.vx, q.vy, q.omega0 = m.x, m.y, m.psi, m.vx, m.vy, m.w
         self._rates = m.ax, m.ay, m.al, m.f[0], m.f[1]
@@ -204,7 +204,7 @@ class VibratingPlant(CurvedPlant):
         self.fallen = m.fallen != 0.0
 
     def take_away(self) -> None:
-        """Removes the body from the palms until it is placed again."""
+        """Remove the body from the palms until it is placed again."""
         super().take_away()
         self._memory = _Body(fallen=1.0)
 
@@ -214,14 +214,14 @@ class VibratingPlant(CurvedPlant):
         steps = [1.0 / (STEPS_PER_PERIOD * each.frequency) for each in shakers]
         steps += [math.tau / math.sqrt(palm["stiffness"]) / _STEPS_PER_RESONANCE for palm in palms if palm["yielding"]]
         numbers = {
-            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity, "shake": self._shake,
-            "shaking_hz": _SHAKING_HZ, "travel": travel, "base": base, "drift_rate": _DRIFT_RATE,
-            "soft_blow": _SOFT_BLOW, "parting": _PARTING, "lost_distance": _LOST_DISTANCE,
-            "longest_step": min(steps), "force_lag": FORCE_LAG_S,
+            "rho2": self.body.rho**2, "damping": self.surface.damping, "gravity": self.gravity,
+            "shake": self._table_amplitude, "shaking_hz": _TABLE_HZ, "travel": travel, "base": base,
+            "drift_rate": _DRIFT_RATE, "soft_blow": _SOFT_IMPACT, "parting": _SEPARATION_SPEED,
+            "lost_distance": _FALLEN_DISTANCE, "longest_step": min(steps), "force_lag": FORCE_LAG_S,
             "arc": mode == "arc",
         }  # fmt: skip
         support = self.body.support
-        assert isinstance(support, Support), "`resolves` was asked"
+        assert isinstance(support, Support), "`can_resolve` was checked"
         return _CompiledScene(support, numbers, palms)
 
     def _palm(self, i: int) -> dict[str, float]:
@@ -231,7 +231,7 @@ class VibratingPlant(CurvedPlant):
             "curvature": self._kappa[i], "slope": self._slopes[i], "standoff": self._standoffs[i],
             "reach": self.reach[i], "mu": self.surface.mu * self._frictions[i],
             "frequency": shaker.frequency, "speed": shaker.speed, "phase": shaker.phase,
-            "second": shaker.second, "third": shaker.third, "inwards": INWARDS[i],
+            "second": shaker.second, "third": shaker.third, "inwards": SLIP_SIGNS[i],
             "yielding": self.body.mass / mass,
             "stiffness": 0.0 if math.isinf(mass) else mount.stiffness / mass,
             "damping": mount.damping / mass,
@@ -239,47 +239,49 @@ class VibratingPlant(CurvedPlant):
 
 
 class _CompiledScene:
-    """What does not change, in the form of `vibrating_plant.c`, and its functions; what is copied gets another."""
+    """The constant parameters in the form of `vibrating_plant.c`, and its functions. Copies own their memory."""
 
     def __init__(self, support: Support, numbers: Mapping[str, Any], palms: Sequence[Mapping[str, float]]) -> None:
-        self._made_of = support, numbers, palms
+        self._arguments = support, numbers, palms
         library = _library()
-        assert library is not None, "`resolves` was asked"
+        assert library is not None, "`can_resolve` was checked"
         self._library, self._table = library, np.array(support.table)
         self._scene = _VibratingScene(
             table=self._table.ctypes.data, palms=tuple(_Palm(**palm) for palm in palms), **numbers
         )
-        self._at = ctypes.byref(self._scene)
+        self._scene_address = ctypes.byref(self._scene)
 
     def place(self, body: _Body, palms: PalmMotion) -> None:
-        self._library.vibrating_plant_place(self._at, ctypes.byref(body), _palms(palms))
+        self._library.vibrating_plant_place(self._scene_address, ctypes.byref(body), _packed_palms(palms))
 
     def advance(self, body: _Body, middle: PalmMotion, end: PalmMotion, dt: float) -> None:
-        self._library.vibrating_plant_advance(self._at, ctypes.byref(body), _palms(middle), _palms(end), dt)
+        self._library.vibrating_plant_advance(
+            self._scene_address, ctypes.byref(body), _packed_palms(middle), _packed_palms(end), dt
+        )
 
     def rock(self, body: _Body, drive: Drive, bounds: ContactBounds, dt: float, count: int) -> FloatArray:
         rows, packed = np.empty((count, ROW)), PackedRun(drive, bounds)
-        done = self._library.vibrating_plant_rock(
-            self._at, ctypes.byref(body), packed.drive, packed.bounds, dt, rows.ctypes.data, count
+        row_count = self._library.vibrating_plant_rock(
+            self._scene_address, ctypes.byref(body), packed.drive, packed.bounds, dt, rows.ctypes.data, count
         )
-        return rows[:done]
+        return rows[:row_count]
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return _CompiledScene, self._made_of
+        return _CompiledScene, self._arguments
 
 
-def resolves(body: Body) -> bool:
+def can_resolve(body: Body) -> bool:
     """Whether a vibration can be resolved for the body: it is smooth, and there is a C compiler."""
     return isinstance(body.support, Support) and _library() is not None
 
 
-def _palms(motion: PalmMotion) -> ctypes._CArgObject:
+def _packed_palms(motion: PalmMotion) -> ctypes._CArgObject:
     return ctypes.byref(_PalmMotions(motion.angles, motion.rates, motion.accelerations))
 
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    library = loaded("vibrating_plant")
+    library = load_library("vibrating_plant")
     if library is None:
         return None
     pointer, double = ctypes.c_void_p, ctypes.c_double

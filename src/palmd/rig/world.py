@@ -1,8 +1,8 @@
-"""The whole emulated rig in one pure object: body, palms, arm, controller, pads, lines and mischief.
+"""The complete emulated rig in one pure object: body, palms, arm, controller, pads, lines and fault injection.
 
-`advance(t)` gives the bytes that have come out of each port by t, `receive` takes the host's. Nothing here
-reads a clock or opens a port, so the same world runs behind pseudo-terminals in real time and, faster, in one
-process with the daemon's pure step. The same seed and the same bytes in give the same bytes out.
+`advance(t)` returns the bytes that have left each port by t, `receive` takes the host's. Nothing reads a clock or opens
+a port, so the same world runs behind pseudo-terminals in real time and, faster, in one process with the daemon's pure
+step. The same seed and the same input bytes give the same output bytes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
 from palmd.rig.actuators import EmulatedActuator
 from palmd.rig.adept_arm import AdeptArm
-from palmd.rig.curved_plant import MOST_LYING, stable_on_arcs, widest
+from palmd.rig.curved_plant import MAX_CURVATURE_RATIO, max_curvature_radius, stable_on_arcs
 from palmd.rig.emulated import STEP_S, EmulatedRig
 from palmd.rig.fault_injection import PADS, FaultOrder, PortName
 from palmd.rig.friction import law_of, plant_on, shaken
@@ -37,14 +37,14 @@ from palmd.rig.shapes import Body, Kind, random_body
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
-_HOME_DEG = (45.0, 90.0)  # of flat palms, and of the tangents where a body of the radius touches curved ones
+_HOME_DEG = (45.0, 90.0)  # of flat palms; of curved ones, of their tangents where a body of the radius touches them
 _HOME_RADIUS_M = 0.02
-AWAY_S = 1.0  # how long a hand takes to put another object on the palms
-_PAD_END_M = 3e-3
+AWAY_S = 1.0  # time for which the palms are empty when the object is exchanged
+_PAD_END_M = 3e-3  # a body is placed with its contacts at least this far from the pads' ends
 
 
 def default_config(imperfections: Drawn = "none") -> Config:
-    """The defaults, for a rig without a configuration: exactly as described, or as calibration leaves one."""
+    """The default configuration: of a rig exactly as described, or with the errors that calibration leaves."""
     pads = PadsConfig(**{f"palm{palm}": VersaPadConfig(port=pad) for palm, pad in zip(PALMS, PADS, strict=True)})
     config = Config(rig=RigConfig(imperfections=imperfections), pads=pads, arm=AdeptConfig(port="arm"))
     return perfect(config) if imperfections == "none" else config
@@ -54,7 +54,7 @@ class World(EmulatedRig[EmulatedActuator]):
     """See the module."""
 
     topics = (TRUTH, BODY)
-    gauges = frozenset({"marbles", "bodies", "roller", "by_hand", "options"})
+    extra_arguments = frozenset({"marbles", "bodies", "roller", "by_hand", "options"})
 
     def __init__(
         self,
@@ -71,14 +71,14 @@ class World(EmulatedRig[EmulatedActuator]):
         by_hand: bool = False,
         t: float = 0.0,
     ) -> None:
-        """At rest at t (s), a random body of the kind, or the first of `bodies`, in a stable pose.
+        """At rest at t (s), with a random body of the kind, or the first of `bodies`, in a stable pose.
 
-        When it is exchanged it is for another random one, or for the next of them, and after the last for the first.
-        Each rubs against `surface`, by default a random one of the kind.
+        An exchange takes another random body, or the next of `bodies`, cyclically. All of them rub against `surface`,
+        by default a random one of the kind.
 
-        The configuration's `rig.imperfections` say how far the rig is off from the rest of it. With `marbles` there is
-        no body on the palms: a marble rolls over each of these pads instead. With `roller` it is one that rolls down a
-        gently sloping palm; with `by_hand` the arm is in manual mode and a hand swings the empty palms.
+        The configuration's `rig.imperfections` states the rig's true errors. With `marbles` there is no body on the
+        palms: a marble rolls over each of these pads. With `roller` a roller rolls down a gently sloping palm; with
+        `by_hand` the arm is in manual mode and a hand swings the empty palms.
         """
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = self.falls = 0
@@ -95,8 +95,8 @@ class World(EmulatedRig[EmulatedActuator]):
         self._palms = arm.palms_at(t)
         self._pad_configs: dict[PortName, PadConfig] = dict(zip(PADS, config.pads.each(), strict=True))
         pads = {
-            name: make_emulator(pad, pad_options, off.reading_error_m, rng, t)
-            for (name, pad), off in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
+            name: make_emulator(pad, pad_options, imperfection.reading_error_m, rng, t)
+            for (name, pad), imperfection in zip(self._pad_configs.items(), self.imperfections.pads, strict=True)
         }
         super().__init__(pads, arm, rng, t)
         self._marbles = {
@@ -111,16 +111,16 @@ class World(EmulatedRig[EmulatedActuator]):
         self._draw_body()
         self._put_on_palms()
 
-    # -- the outside --------------------------------------------------------------------------------------
+    # -- interface ----------------------------------------------------------------------------------------
 
     def new_object(self) -> None:
-        """A hand takes the object away and, a second later, puts another one on the palms."""
+        """Take the object away and, one second later, put another one on the palms."""
         self.plant.take_away()
         self._draw_body()
         self._t_place = self.t + AWAY_S
 
     def truth(self) -> dict[str, Any]:
-        """What is really there at `t`, as `rig/truth` tells it."""
+        """The true state at `t`, as published on `rig/truth`."""
         q, palms = self.plant.state, self._true_palms
         contacts = tuple(zip(PALMS, self.plant.contacts(), strict=True))
         return {
@@ -139,7 +139,7 @@ class World(EmulatedRig[EmulatedActuator]):
         }
 
     def object_truth(self) -> dict[str, Any]:
-        """The body itself, as `rig/object` tells it; h on the normals of a frame that turns by psi_rad."""
+        """The body, as published on `rig/object`; h by outward normals in a frame that turns by psi_rad."""
         body, surface = self.plant.body, self.plant.surface
         theta = np.arange(360, dtype=np.float64) * (math.tau / 360)
         return {
@@ -167,39 +167,39 @@ class World(EmulatedRig[EmulatedActuator]):
     # -- one step -----------------------------------------------------------------------------------------
 
     def _step(self) -> None:
-        """Half a millisecond of everything."""
+        """Advance everything by half a millisecond."""
         t = self.t
         middle, end = self._arm.palms_at(t + 0.5 * STEP_S), self._arm.palms_at(t + STEP_S)
-        was_on = not self.plant.fallen
+        was_on_palms = not self.plant.fallen
         true_palms = self.imperfections.true_palms
         self.plant.advance(true_palms(middle), true_palms(end), STEP_S)
         self._palms = end
         self._steps += 1
         t = self.t
-        self._note_contacts(was_on)
-        self._play_all(t)
+        self._count_contact_losses(was_on_palms)
+        self._inject_due_faults(t)
         if self._t_place is not None and t >= self._t_place:
             self._put_on_palms()
         if self._roller:
             self._roller.advance(t, self._true_palms)
-        self._arm.feel(end, self.plant.contacts, t)
+        self._arm.apply_contacts(end, self.plant.contacts, t)
         if self._hand:
-            self._arm.hold_by_hand(self._hand.at(t - self._t_start))
-        self._speak(t)
+            self._arm.move_by_hand(self._hand.at(t - self._t_start))
+        self._transmit_due(t)
 
     @property
     def _true_palms(self) -> PalmMotion:
         return self.imperfections.true_palms(self._palms)
 
-    # -- the body and the hands that move it --------------------------------------------------------------
+    # -- placing and removing the body --------------------------------------------------------------------
 
     def _draw_body(self) -> None:
         rig = self.config.rig
         curvatures = rig.curvatures_per_m
-        given = self._bodies
-        body = given[self.objects % len(given)] if given else random_body(self.kind, self._rng)
-        while not given and any(curvatures) and max(curvatures) * widest(body) > MOST_LYING:
-            body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
+        bodies = self._bodies
+        body = bodies[self.objects % len(bodies)] if bodies else random_body(self.kind, self._rng)
+        while not bodies and any(curvatures) and max(curvatures) * max_curvature_radius(body) > MAX_CURVATURE_RATIO:
+            body = random_body(self.kind, self._rng)  # bodies that would nest in a concave palm are not used
         surface = self._surface or random_surface(self.kind, self._rng)
         shaking, surface = shaken(vibration_of(rig.vibration), surface, body.mass, self.seed)
         self.plant = plant_on(
@@ -219,7 +219,7 @@ class World(EmulatedRig[EmulatedActuator]):
         return tuple(pad.length_mm * 1e-3 for pad in self.config.pads.each())
 
     def _put_on_palms(self) -> None:
-        """Puts the body in one of its stable poses on the pads; where there is none, tries again later."""
+        """Place the body in one of its stable poses on the pads; if there is none, try again later."""
         if self._marbles or self._roller or self._hand:
             self._t_place = None
             return
@@ -238,17 +238,17 @@ class World(EmulatedRig[EmulatedActuator]):
         self.plant.take_away()
         self._t_place = self.t + AWAY_S
 
-    def _note_contacts(self, was_on: bool) -> None:
+    def _count_contact_losses(self, was_on_palms: bool) -> None:
         touching = self.plant.touching
         if touching != self._touching:
             self.contact_losses += sum(was and not now for was, now in zip(self._touching, touching, strict=True))
             self._touching = touching
-        self.falls += was_on and self.plant.fallen
+        self.falls += was_on_palms and self.plant.fallen
 
-    def _late(self, pad: PortName) -> float:
+    def _reporting_delay(self, pad: PortName) -> float:
         return max(self.imperfections.pads[PADS.index(pad)].lag, 0.0)
 
-    def _felt(self, pad: PortName) -> list[Press]:
+    def _object_presses(self, pad: PortName) -> list[Press]:
         i = PADS.index(pad)
         if pad in self._marbles:
             return self._marbles[pad].presses(self.t - self._t_start)
@@ -258,8 +258,8 @@ class World(EmulatedRig[EmulatedActuator]):
         s = contact.s + early * self.plant.contact_rates()[i] if early else contact.s
         return [Press(s, contact.force)] if contact.touching else []
 
-    def _play(self, order: FaultOrder, begins: bool) -> None:
-        self._arm.play(order, begins, self._palms.angles)
+    def _inject_fault(self, order: FaultOrder, begins: bool) -> None:
+        self._arm.inject_fault(order, begins, self._palms.angles)
         match order.name, begins:
             case "lift", True:
                 self.plant.take_away()
@@ -269,14 +269,14 @@ class World(EmulatedRig[EmulatedActuator]):
             case "swap", True:
                 self.new_object()
             case "overflow", True:
-                assert order.port is not None, "it is for pads"
-                self._say(order.port, self._pads[order.port].overflow(self.t), self.t)
+                assert order.port is not None, "overflow is injected at pads"
+                self._transmit(order.port, self._pads[order.port].overflow(self.t), self.t)
 
 
 def _home(config: Config) -> Joints:
-    """Where the arm stands before anybody has commanded it (rad): as near to 45°, 90° as the limits allow."""
-    wanted: Joints = tuple(map(math.radians, _HOME_DEG))
+    """The palms' initial angles (rad): as near to 45°, 90° as the limits allow."""
+    preferred: Joints = tuple(map(math.radians, _HOME_DEG))
     if any(config.rig.curvatures_per_m):
-        wanted = joints_of(_HOME_RADIUS_M, wanted, config.rig.curvatures_per_m)
-    each = zip(wanted, config.limits.angles_deg, strict=True)
-    return tuple(min(max(home, math.radians(low)), math.radians(high)) for home, (low, high) in each)
+        preferred = joints_of(_HOME_RADIUS_M, preferred, config.rig.curvatures_per_m)
+    pairs = zip(preferred, config.limits.angles_deg, strict=True)
+    return tuple(min(max(home, math.radians(low)), math.radians(high)) for home, (low, high) in pairs)

@@ -62,7 +62,7 @@ def arm(swing=all_over, state=ArmState.MANUAL, tool=0.0, deaf=()):
                 count = controller.counters.commands
                 pose = LINKAGE.pose(*swing(count))
                 x, y = np.array([pose.x_m, pose.y_m]) + rng.normal(0.0, 1.5e-5, 2)
-                controller.lead(Pose(x, y, math.remainder(pose.t_rad - tool, math.tau)))
+                controller.move_by_hand(Pose(x, y, math.remainder(pose.t_rad - tool, math.tau)))
                 controller.state = state
                 said = controller.feed(data, 0.0, controller.path)
                 if count not in deaf:
@@ -105,17 +105,17 @@ def test_what_it_asks_for_is_what_the_arm_has(configured, capsys):
         assert calibrate(config) == 0
     result = yaml.safe_load((config.parent / "calibration/arm.yaml").read_text())
     assert result["palmd_arm_calibration"] == 1
-    called_for = result["configuration"]
-    assert called_for["rig"]["palm1_length_mm"] == pytest.approx(121.0, abs=0.03)
-    assert called_for["rig"]["palm2_length_mm"] == pytest.approx(118.0, abs=0.03)
-    assert called_for["arm"]["base_x_mm"] == pytest.approx(-310.0, abs=0.03)
-    assert called_for["arm"]["base_y_mm"] == pytest.approx(20.0, abs=0.03)
+    proposed_settings = result["configuration"]
+    assert proposed_settings["rig"]["palm1_length_mm"] == pytest.approx(121.0, abs=0.03)
+    assert proposed_settings["rig"]["palm2_length_mm"] == pytest.approx(118.0, abs=0.03)
+    assert proposed_settings["arm"]["base_x_mm"] == pytest.approx(-310.0, abs=0.03)
+    assert proposed_settings["arm"]["base_y_mm"] == pytest.approx(20.0, abs=0.03)
     told = result["found"]
     assert abs(told["tool_deg"]) < 4.0 * told["tool_sd_deg"] < 0.05
     assert told["rms_mm"] == pytest.approx(0.015, rel=0.3)
     out, err = capsys.readouterr()
     assert out.startswith(f"arm: {told['poses']} poses")
-    assert f"  arm: {{base_x_mm: {called_for['arm']['base_x_mm']}" in out
+    assert f"  arm: {{base_x_mm: {proposed_settings['arm']['base_x_mm']}" in out
     assert "TOOL" not in err
 
 
@@ -161,7 +161,7 @@ def test_one_palm_alone_is_too_little(configured, capsys):
 
 def test_nobody_swings_it(configured, capsys):
     with arm(swing=lambda _count: (0.6, 1.5)) as port:
-        assert "it has not moved within" in refused(configured(port), capsys)
+        assert "no motion within" in refused(configured(port), capsys)
 
 
 def test_nobody_answers(configured, capsys, monkeypatch):

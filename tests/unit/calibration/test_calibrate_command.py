@@ -163,7 +163,7 @@ def test_a_pad_that_disagrees_with_its_configuration_is_remarked(configured, mon
     monkeypatch.setattr(pad, "_listen", listen)
     assert calibrate(configured(more=", length_mm: 45")) == 0
     err = capsys.readouterr().err
-    assert "reports are no place on the pad: check zero_mm" in err
+    assert "reports are outside the pad: check zero_mm" in err
     assert "positions come in steps of 4 counts" in err
     assert "100 reads held several reports" in err
 

@@ -138,11 +138,11 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
     off = "rig: {imperfections: {palm1: {standoff_mm: 0.3}, palm2: {standoff_mm: -0.1}}}"
 
     def exchanged(*arguments):
-        world.mischief.add(order("swap", world.t))
+        world.fault_injector.add(order("swap", world.t))
         waited(*arguments)
 
-    waited = standoff_command.wait_for_none
-    monkeypatch.setattr(standoff_command, "wait_for_none", exchanged)
+    waited = standoff_command.wait_until_removed
+    monkeypatch.setattr(standoff_command, "wait_until_removed", exchanged)
     real = load_config(written(tmp_path, "off.yaml", REAL, more=off))
     with running(real, load_config(mine), 5, BODIES) as world:
         assert standoff(mine) == 0
@@ -166,7 +166,7 @@ def test_standoffs_are_found_with_two_cylinders_one_after_the_other(rig, mine, t
 
 def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
-    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     with rig():
         said = refused(mine, 3, capsys, calibrate=standoff)
     assert said == "the cylinder of 20 mm was not taken out within 0 s: nothing is stored"
@@ -174,13 +174,13 @@ def test_the_first_cylinder_is_not_taken_out(rig, mine, capsys, monkeypatch):
 
 def test_a_daemon_that_is_gone_between_the_cylinders_is_told_as_such(mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TAKE_OUT_S", 0.5)
-    monkeypatch.setattr(standoff_command, "heard", lambda *_, **__: [])
+    monkeypatch.setattr(standoff_command, "recorded_events", lambda *_, **__: [])
     assert "is a palmd running there" in refused(mine, 3, capsys, calibrate=standoff)
 
 
 def test_two_cylinders_that_are_alike_are_refused(mine, capsys):
     said = refused(mine, 1, capsys, "--second-radius-mm", "19", calibrate=standoff)
-    assert said.startswith("cylinders of 20 and 19 mm radius are too much alike")
+    assert said.startswith("cylinders of 20 and 19 mm radius are too similar")
 
 
 @pytest.mark.usefixtures("brisk")
@@ -195,12 +195,12 @@ def test_a_daemon_with_another_configuration_is_noticed(rig, mine, capsys):
     with rig():
         mine.write_text(mine.read_text().replace("palm1: {port: pad1}", "palm1: {port: pad1, zero_mm: 26.5}"))
         said = refused(mine, 3, capsys)
-    assert said == "the daemon did not make pad 1's readings with this configuration: start it anew with it"
+    assert said == "pad 1's readings were made with another configuration: restart the daemon with this one"
 
 
 def test_nothing_on_the_palms(rig, mine, capsys):
     with rig() as world:
-        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+        world.fault_injector.add(order("lift", world.t, strength=1.0, for_s=1e6))
         assert refused(mine, 3, capsys) == "nothing has touched the pads within 3 s: nothing has been moved"
         assert world.status()["arm_state"] == "R"
 
@@ -208,14 +208,14 @@ def test_nothing_on_the_palms(rig, mine, capsys):
 def test_a_cylinder_on_one_palm_only(rig, mine, capsys, monkeypatch):
     monkeypatch.setattr(cylinder_session, "TOUCHED_S", 1.0)  # the pad is silent for a moment before it is told so
     with rig() as world:
-        world.mischief.add(order("mute", world.t, port="pad2", for_s=1e6))
+        world.fault_injector.add(order("mute", world.t, port="pad2", for_s=1e6))
         said = refused(mine, 3, capsys)
-    assert said == "the cylinder is felt on palm 1 and not on palm 2 within 3 s: nothing has been moved"
+    assert said == "the cylinder touches palm 1 but not palm 2 within 3 s: nothing has been moved"
 
 
 def test_an_arm_that_may_not_be_armed(rig, mine, capsys):
     with rig() as world:
-        world.mischief.add(order("estop", world.t))
+        world.fault_injector.add(order("estop", world.t))
         time.sleep(0.3)
         said = refused(mine, 3, capsys)
     assert said.startswith("the arm cannot be armed, the state is fault; arm-estop: when it is safe, release it")
@@ -226,7 +226,7 @@ def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
 
     def lift():
         time.sleep(1.5)
-        world.mischief.add(order("lift", world.t, strength=1.0, for_s=1e6))
+        world.fault_injector.add(order("lift", world.t, strength=1.0, for_s=1e6))
 
     with rig() as world:
         thread = threading.Thread(target=lift)
@@ -244,11 +244,11 @@ def test_no_daemon(mine, capsys):
 def test_cylinders_that_do_not_fit(mine, capsys, tmp_path):
     said = refused(mine, 1, capsys, "--radius-mm", "60")
     assert said == (
-        "a cylinder of 60 mm radius can be moved by 7.7 mm along the pads; 10 mm is the least:"
+        "a cylinder of 60 mm radius can be moved by 7.7 mm along the pads; at least 10 mm are needed:"
         " the radius is too large for these pads and limits.phi2_deg"
     )
     assert "0.0 mm along the pads" in refused(mine, 1, capsys, "--radius-mm", "90")
-    assert "take a larger cylinder, or widen limits" in refused(mine, 1, capsys, "--radius-mm", "8")
+    assert "use a larger cylinder, or widen limits" in refused(mine, 1, capsys, "--radius-mm", "8")
     narrow = written(tmp_path, "narrow.yaml", limits="{phi1_deg: [40, 50], phi2_deg: [70, 110]}")
     assert "widen limits.phi1_deg" in refused(narrow, 1, capsys, calibrate=force)
 

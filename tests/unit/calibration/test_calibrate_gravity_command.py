@@ -11,7 +11,7 @@ import yaml
 from rolls import rolled
 
 from palmd.calibration import rolling_session
-from palmd.calibration.gravity import called_for, remarks
+from palmd.calibration.gravity import proposed_settings, remarks
 from palmd.calibration.linkage import changed
 from palmd.calibration.rolling_fit import GravityFit
 from palmd.calibration.rolling_session import Slope, slopes_within
@@ -162,7 +162,7 @@ def test_it_goes_to_four_slopes_and_finds_gravity_and_yaw(path, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("gravity: ")
     assert "palm 2   29.0°" in out
-    assert "lay the roller at the upper end of palm 2" in err
+    assert "place the roller at the upper end of palm 2" in err
 
 
 def test_all_slopes_are_checked_before_the_first_is_gone_to(path, capsys):
@@ -225,7 +225,7 @@ def test_nothing_rolls(path, capsys):
     daemon = Daemon(path, lazy=True)
     with serving(path, daemon):
         said = refused(path, capsys, 3)
-    assert "palm 1, 8°: nothing rolls: 0 good rolls of 13 wanted" in said
+    assert "palm 1, 8°: 0 good rolls of 13 needed" in said
     assert said.endswith("nothing touches its pad")
     assert daemon.asked[-2:] == ["hold", "stop"]
 
@@ -259,7 +259,7 @@ def test_after_a_fault_that_is_mended_it_goes_on_with_the_rolls_it_has(path, cap
         person.join()
     assert len(daemon.poses) == 6  # one of them twice
     err = capsys.readouterr().err
-    assert "arm-estop: release it; when that is mended: palmd ctl reset, palmd ctl arm" in err
+    assert "arm-estop: release it; after clearing it: palmd ctl reset, palmd ctl arm" in err
 
 
 def test_slopes_keep_to_the_limits():
@@ -271,7 +271,7 @@ def test_slopes_keep_to_the_limits():
             for (low, high), angle in zip((phi1, phi2), each.angles_deg, strict=True):
                 assert low < angle < high
             assert sum(each.angles_deg) < 172.0
-    with pytest.raises(CliError, match="limits: they leave no two slopes"):
+    with pytest.raises(CliError, match="limits: they allow no two slopes"):
         list(slopes_within(LimitsConfig(phi1_deg=(45, 50), phi2_deg=(75, 105)), 40))
     assert str(Slope(2, (41.0, 110.0), 3)) == "palm 2, 29°"
 
@@ -280,13 +280,13 @@ def test_what_a_person_should_look_into():
     fit = GravityFit(9.8, 0.0, 0.003, 0.01, 1e-4, 1e-4, 1.0, (), 0)
     assert remarks(fit, "ball") == []
     assert "counts_per_mm, and that it is a ball" in remarks(replace(fit, g=9.9), "ball")[0]
-    assert "resistance below zero" in remarks(replace(fit, resistance=-0.001), "ball")[0]
+    assert "a negative resistance" in remarks(replace(fit, resistance=-0.001), "ball")[0]
     assert "round and clean" in remarks(replace(fit, scatter=2.5), "ball")[0]
 
 
 def test_an_exact_yaw_changes_nothing(path):
     config = load_config(path)
-    values = called_for(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
+    values = proposed_settings(GravityFit(9.5, 0.0, 0.0, 0.01, 1e-4, 1e-4, 1.0, (), 0), config)
     assert values == {
         "rig": {"gravity_m_s2": 9.5}, "arm": {"base_x_mm": -280.0, "base_y_mm": 30.0, "base_yaw_deg": 1.0}
     }  # fmt: skip

@@ -61,7 +61,7 @@ def test_every_rest_is_come_to_from_both_sides_and_both_palms_bear_the_weight(ra
 
 @pytest.mark.parametrize(
     ("radius_mm", "words"),
-    [(2.0, "take a larger cylinder"), (80.0, "the radius is too large"), (300.0, "the radius is too large")],
+    [(2.0, "use a larger cylinder"), (80.0, "the radius is too large"), (300.0, "the radius is too large")],
 )
 def test_cylinders_that_cannot_be_moved_along_the_pads(radius_mm, words):
     with pytest.raises(CylinderError, match=words):
@@ -71,14 +71,14 @@ def test_cylinders_that_cannot_be_moved_along_the_pads(radius_mm, words):
 @pytest.mark.parametrize("radius_m", [0.074, 0.5])
 def test_a_cylinder_that_would_lie_in_concave_palms_is_too_large(radius_m):
     concave = replace(LIMITS, curvatures=(1 / 0.075, 1 / 0.075))
-    with pytest.raises(CylinderError, match="lie in the palms rather than on them, the radius is too large"):
+    with pytest.raises(CylinderError, match="nest in the concave palms, choose a smaller radius"):
         tipping_plan(radius_m, concave, 2)
 
 
 def test_limits_that_do_not_let_the_v_be_tipped():
     upright = MotionLimits.from_config(LimitsConfig(phi1_deg=(40.0, 50.0)), pad_length=0.0555)
     with pytest.raises(
-        CylinderError, match=r"at phi2 = 70° the limits let phi1 turn by 8° only.*widen limits.phi1_deg"
+        CylinderError, match=r"at phi2 = 70° the limits allow phi1 a range of 8° only.*widen limits.phi1_deg"
     ):
         tipping_plan(0.02, upright, 2)
     with pytest.raises(CylinderError, match="radius is too large"):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.calibration.linkage_fit import LEAST_POSES, TooLittleSwingError, fit_linkage
+from palmd.calibration.linkage_fit import MIN_POSES, TooLittleSwingError, fit_linkage
 
 ENCODER_M = 1.5e-5
 ALL_OVER = ((6.0, 120.0), (35.0, 155.0))
@@ -78,6 +78,6 @@ def test_too_little_swing_is_refused_by_what_is_missing(ranges, said):
 def test_few_or_wild_poses_are_refused():
     rng = np.random.default_rng(3)
     with pytest.raises(TooLittleSwingError, match="only 49 different poses"):
-        fit_linkage(poses(rng, (0.4, 0.1), 0.12, 0.12, 0.0, count=LEAST_POSES - 1))
-    with pytest.raises(TooLittleSwingError, match="more widely"):
+        fit_linkage(poses(rng, (0.4, 0.1), 0.12, 0.12, 0.0, count=MIN_POSES - 1))
+    with pytest.raises(TooLittleSwingError, match="swing both palms further"):
         fit_linkage(poses(rng, (0.4, 0.1), 0.12, 0.12, 0.0, count=60, noise_m=5e-3))

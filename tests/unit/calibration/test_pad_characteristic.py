@@ -196,7 +196,7 @@ def test_garbage_on_the_line_is_counted_by_cause():
         ([packet(0.01 * k, x=k % 100, y=20) for k in range(500)], "hardly moved along y"),
         ([packet(0.01 * k, x=max(k - 440, 0), y=k % 100) for k in range(500)], "hardly moved along x"),
         ([packet(0.2 * k, x=k % 100, y=k % 90) for k in range(500)], "hardly moved along x"),
-        ([packet(0.01 * k, x=1500, y=k % 90) for k in range(500)], "500 reports are no place on the pad: check axis"),
+        ([packet(0.01 * k, x=1500, y=k % 90) for k in range(500)], "500 reports are outside the pad: check axis"),
     ],
 )
 def test_too_little_is_refused_with_what_to_do(packets, said):

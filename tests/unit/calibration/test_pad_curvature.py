@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from palmd.calibration.curvature import called_for, remarks, table
+from palmd.calibration.curvature import proposed_settings, remarks, table
 from palmd.calibration.cylinder import CylinderError, contacts_m, turning_plan
 from palmd.calibration.pad_curvature import pad_curvatures
 from palmd.calibration.pad_scale import pad_scales
@@ -115,5 +115,5 @@ def test_what_is_said_of_it():
     told = table(found)
     assert "palm 1: " in told
     assert "mm concave" in told
-    assert set(called_for(found)) == {"palm1_curvature_per_m", "palm2_curvature_per_m"}
-    assert any("pad 1's zero is" in each for each in remarks(found, default_config()))
+    assert set(proposed_settings(found)) == {"palm1_curvature_per_m", "palm2_curvature_per_m"}
+    assert any("pad 1's zero has an error of" in each for each in remarks(found, default_config()))

@@ -170,7 +170,7 @@ def test_swapped_pads_are_refused():
             for each in events
         ]
 
-    assert "are the pads swapped" in refused(change=swap)
+    assert "check for swapped pads" in refused(change=swap)
 
 
 def test_a_rest_at_full_scale_is_left_out():
@@ -190,7 +190,7 @@ def test_a_rest_at_full_scale_is_left_out():
 
 
 def test_too_few_rests_are_refused():
-    assert "rested on both pads 0 times, of 64 at least" in refused(change=lambda _: [])
+    assert "rested on both pads 0 times, at least 64 are needed" in refused(change=lambda _: [])
     assert "rested on both pads 32 times" in refused(change=lambda events: events[: len(events) // 2])
     one = refused(change=lambda events: [each for each in events if getattr(each, "pad", 1) == 1])
     assert "rested on both pads 0 times" in one

@@ -100,15 +100,15 @@ def test_a_few_spoilt_readings_spoil_nothing(events):
 
 def test_readings_made_with_another_configuration_are_refused(events):
     other = CONFIGURED[0].model_copy(update={"zero_mm": 26.5})
-    assert "did not make pad 1's readings with this configuration" in refused(events, (other, CONFIGURED[1]))
+    assert "pad 1's readings were made with another configuration" in refused(events, (other, CONFIGURED[1]))
     other = CONFIGURED[1].model_copy(update={"newtons_per_count": 0.017})
-    assert "did not make pad 2's readings with this configuration" in refused(events, (CONFIGURED[0], other))
+    assert "pad 2's readings were made with another configuration" in refused(events, (CONFIGURED[0], other))
 
 
 def test_a_pad_that_does_not_follow_is_refused(events):
     across = [PadSample(e.t_sample, 2, 0.028, e.force) if isinstance(e, PadSample) and e.pad == 2 else e
               for e in events]  # fmt: skip
-    assert "pad 2's counts do not follow the cylinder (from 0 to 0 over 46 mm of way)" in refused(across)
+    assert "pad 2's counts do not follow the cylinder (from 0 to 0 over 46 mm of travel)" in refused(across)
 
 
 def test_too_little_is_refused(events):

@@ -10,7 +10,7 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import CylinderError, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.calibration.pad_standoff import pad_standoffs
-from palmd.calibration.standoff import called_for, remarks
+from palmd.calibration.standoff import proposed_settings, remarks
 from palmd.config.two_palms import Config
 from palmd.rig.imperfections import PERFECT, Imperfections, PadImperfection
 
@@ -71,6 +71,6 @@ def test_what_is_said_of_a_pad_that_lies_too_high(off):
     high, low = remarks(found, config)
     assert "above the hinge line, seen from the object: lower it by that" in high
     assert "below the hinge line, seen from the object: raise it by that" in low
-    settings = called_for(found)
+    settings = proposed_settings(found)
     for i, pad in enumerate(found, 1):  # a standoff stays until it is shimmed
         assert settings[f"palm{i}"]["standoff_sd_mm"] >= abs(pad.standoff_mm)

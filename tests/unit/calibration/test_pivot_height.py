@@ -72,12 +72,12 @@ def test_a_radius_that_is_wrong_is_a_height_that_is_wrong_by_as_much() -> None:
     ("events", "why"),
     [
         (dragged()[:200], "98 readings of the pad"),
-        (dragged(off_axis_m=3e-4), "changed by 0.4. mm only"),
-        (dragged(turns=0.1), "has to turn by more"),
+        (dragged(off_axis_m=3e-4), "changed by only 0.4. mm"),
+        (dragged(turns=0.1), "let the cylinder turn further"),
         ([e if isinstance(e, PadSample) else PalmSample(e.t_sample, (e.angles[0], math.nan)) for e in dragged()],
          "0 readings"),
         ([replace(e, s=e.s + 2e-3 * math.sin(9 * e.t_sample)) if isinstance(e, PadSample) else e for e in dragged()],
-         "follow no cylinder"),
+         "fit no cylinder"),
     ],
     ids=["few", "on its axis", "hardly turned", "no height", "not round"],
 )  # fmt: skip
@@ -124,7 +124,7 @@ def test_the_command_says_what_to_write_and_stores_it(rig, capsys) -> None:
 def test_what_is_of_no_pivoting_grasp_is_refused_and_nothing_written(rig, capsys) -> None:
     config, log = rig
     assert main(["calibrate", "height", str(shipped("cradle.yaml")), str(log), "--radius-mm", "18"]) != 0
-    assert "no pivoting grasp" in capsys.readouterr().err
+    assert "not of a pivoting grasp" in capsys.readouterr().err
     log.write_text(log.read_text().replace('"pivot"', '"swing"'))
     assert main(["calibrate", "height", str(config), str(log), "--radius-mm", "18"]) != 0
     assert "swing" in capsys.readouterr().err

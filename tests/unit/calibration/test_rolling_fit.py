@@ -7,8 +7,8 @@ import pytest
 from rolls import READING_SD, rolled, standing
 
 from palmd.calibration.rolling_fit import (
-    ROUGH,
-    STRANGE,
+    INCONSISTENT,
+    NOT_SMOOTH,
     TOO_SHORT,
     Roll,
     TooFewRollsError,
@@ -51,7 +51,7 @@ def test_gravity_and_yaw_are_found_within_the_stated_tolerance(seed):
     assert abs(fit.g - g) < 4.0 * fit.g_sd
     assert 0.7 < fit.scatter < 1.3
     assert (too_short, rough) == (0, 0)
-    assert fit.strange <= 1
+    assert fit.inconsistent <= 1
 
 
 def test_how_its_beginning_is_found_biases_no_roll_by_a_fifth_of_the_tolerance():
@@ -72,7 +72,7 @@ def test_a_pushed_or_slipping_roll_is_left_out_and_counted():
     good, _, _ = session(rng, g=9.81, yaw_error=0.0)
     slid, _, _ = session(rng, [(1, 26.0, 110.0, 3)], g=9.81, yaw_error=0.0, inertia=0.0)
     fit = fit_gravity([*good, *slid], "ball")
-    assert fit.strange == 3
+    assert fit.inconsistent == 3
     assert fit.g == pytest.approx(9.81, rel=0.005)
 
 
@@ -152,5 +152,5 @@ def test_too_few_rolls_or_slopes_are_refused_by_what_is_missing():
 def test_words_for_slopes_and_what_was_left_out():
     assert slope(1, 0.2) == 0.2
     assert slope(2, math.pi - 0.2) == pytest.approx(0.2)
-    assert causes(2, 0, 1) == {TOO_SHORT: 2, STRANGE: 1}
-    assert causes(0, 3, 0) == {ROUGH: 3}
+    assert causes(2, 0, 1) == {TOO_SHORT: 2, INCONSISTENT: 1}
+    assert causes(0, 3, 0) == {NOT_SMOOTH: 3}

@@ -12,7 +12,7 @@ import pytest
 import recorded
 import yaml
 
-from palmd.calibration.self_calibration import applied, called_for, fitted
+from palmd.calibration.self_calibration import applied, fitted, proposed_settings
 from palmd.calibration.self_fit import RigFit, combined
 from palmd.cli import main
 from palmd.config.any_config import config_hash
@@ -80,10 +80,10 @@ def test_what_only_all_runs_together_contradict_is_taken_for_unknown():
 
 def test_what_runs_do_not_tell_stays_as_it_is():
     config = load(TEXT)
-    assert called_for(fit_of(0.7, pad1_zero_m=3e-4, phi1_rad=0.01), config) == {}
+    assert proposed_settings(fit_of(0.7, pad1_zero_m=3e-4, phi1_rad=0.01), config) == {}
     only = fit_of(0.7, pad1_zero_m=3e-4, pad2_zero_m=-2e-4)
     only.covariance[R.ZERO + 1, R.ZERO + 1] = (0.2 * PRIORS[R.ZERO + 1]) ** 2
-    assert called_for(only, config) == {"pads.palm2": {"zero_mm": 28.2, "zero_sd_mm": 0.02}}
+    assert proposed_settings(only, config) == {"pads.palm2": {"zero_mm": 28.2, "zero_sd_mm": 0.02}}
 
 
 def test_the_one_sigmas_claim_no_more_than_the_runs_though_they_count_as_independent():
@@ -100,7 +100,7 @@ def test_a_pad_as_proposed_reads_where_it_is_touched(sign):
     config = load(TEXT.replace("port: p2", f"port: p2, sign: {sign}"))
     before = config.pads.palm2
     fit = fit_of(0.1, pad2_zero_m=zero, pad2_scale=scale)
-    after = applied(config, called_for(fit, config)).pads.palm2
+    after = applied(config, proposed_settings(fit, config)).pads.palm2
     reads = before.zero_mm + sign * counts / before.counts_per_mm
     touched = (reads - zero * 1e3) / (1.0 + scale)
     assert after.zero_mm + sign * counts / after.counts_per_mm == pytest.approx(touched, abs=1e-3)
@@ -110,7 +110,7 @@ def test_a_pad_as_proposed_reads_where_it_is_touched(sign):
 def test_palms_as_proposed_are_as_steep_as_they_are():
     config = load(TEXT)
     pose = RigGeometry.from_config(config).arm_pose((0.8, 1.6))
-    after = applied(config, called_for(fit_of(0.1, phi1_rad=0.01), config))
+    after = applied(config, proposed_settings(fit_of(0.1, phi1_rad=0.01), config))
     phi1, phi2 = RigGeometry.from_config(after).palm_angles(*pose[:2])
     assert (phi1, phi2) == pytest.approx((0.81, 1.6), abs=1e-5)
     assert after.rig.gravity_sd_deg == pytest.approx(0.1 * math.degrees(PRIORS[R.TILT]), rel=0.05)
@@ -225,7 +225,7 @@ def test_a_log_of_another_rig_is_refused(misjudged, tmp_path, capsys):
     config.write_text(TEXT.format(length=130.0))
     said = refused(capsys, config, misjudged[1])
     assert said.startswith(f"{misjudged[1]}: was recorded with rig.palm1_length_mm ")
-    assert f"and {config} says 130.0" in said
+    assert f"but {config} has 130.0" in said
 
 
 def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
@@ -234,7 +234,7 @@ def test_a_recording_with_other_values_is_refused(tmp_path, capsys):
     run = file.path
     config = tmp_path / "palmd.yaml"
     config.write_text(TEXT.format(length=120.0).replace("port: p2", "port: p2, zero_mm: 27.7"))
-    assert f"{run}: was recorded with pads.palm2.zero_mm 28.0, and {config} says 27.7" in refused(capsys, config, run)
+    assert f"{run}: was recorded with pads.palm2.zero_mm 28.0, but {config} has 27.7" in refused(capsys, config, run)
     config.write_text(TEXT.format(length=120.0))
     assert "no run was reconstructed" in refused(capsys, config, run)  # it holds five ticks
 

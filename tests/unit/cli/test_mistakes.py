@@ -63,7 +63,7 @@ MISTAKES = {
     "mischief that is not known": Mistake(
         "rig --mischief explode",
         1,
-        "no mischief 'explode'; there are drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop,"
+        "unknown fault 'explode'; known: drop, garble, mute, unplug, late, burst, misbaud, touch, break, estop,"
         " power_off, manual, block, freeze, jump, saturate,"
         " lift, swap, overload, overheat, undervoltage, brownout, overflow",
     ),

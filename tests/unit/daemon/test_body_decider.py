@@ -34,7 +34,7 @@ STANDING = UnderWay(Move(REST, REST, 0.0), 0.0)
 def belief():
     stand = BodyStand(SEED, RIG.gravity)
     (R,), (omega,) = stand.bearings
-    p = known_parameters(stand.plant.body, stand.plant.rubbing)
+    p = known_parameters(stand.plant.body, stand.plant.friction)
     none = np.zeros(len(icosphere()[0]), np.bool_)
     sure = 1e-14 * np.eye(6 + len(p))
     return BodyPlanningBelief(10.0, 1, 2.0, True, 0.08, R, omega, p, sure, none, np.zeros((0, 3, 3)), 1, np.eye(3))

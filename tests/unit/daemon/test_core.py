@@ -181,7 +181,7 @@ class Bench:
         return answer.result
 
     def play(self, name, **how):
-        self.world.mischief.add(order(name, self.world.t, **how))
+        self.world.fault_injector.add(order(name, self.world.t, **how))
 
     def last(self, topic):
         return next(fields for each, fields in reversed(self.messages) if each.name == topic)
@@ -1003,7 +1003,7 @@ def test_a_jog_is_told_once(ready):
 def test_a_fault_that_stood_for_a_tick_is_told_with_its_cause_after_it_has_gone(running):
     running.play("mute", port="pad1")
     running.go(0.5, lambda: running.state == "hold")
-    running.world.mischief.cancel("mute", "pad1")
+    running.world.fault_injector.cancel("mute", "pad1")
     running.go(0.3)
     assert running.faults == []
     came, went = logged(running, "fault")

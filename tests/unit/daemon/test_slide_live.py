@@ -112,7 +112,7 @@ def test_told_the_same_it_says_the_same_to_the_last_bit(lived):
 
 def test_what_is_lifted_is_unknown_until_it_is_told_anew(lived):
     rig = lived.rig
-    rig.world._leave()
+    rig.world._lose_contact()
     for _ in range(60):
         tick = rig.tick()
     said = tick.messages["palm/pivot"]

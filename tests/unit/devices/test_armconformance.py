@@ -122,32 +122,32 @@ def reading(reader):
 
 
 class AnswersSuperseded(Controller):
-    def _obey(self, command, t, actual):
+    def _execute(self, command, t, actual):
         out = b""
         if isinstance(command, SetPoint) and self._pending is not None:
             out = encode_reply(Ack(self._pending.ss, self.state, actual))
-        return out + super()._obey(command, t, actual)
+        return out + super()._execute(command, t, actual)
 
 
 class QueuesSetpoints(Controller):
     """Takes the earlier of two."""
 
-    def _obey(self, command, t, actual):
+    def _execute(self, command, t, actual):
         if isinstance(command, SetPoint) and self._pending is not None:
             return b""
-        return super()._obey(command, t, actual)
+        return super()._execute(command, t, actual)
 
 
 class TellsTwice(Controller):
-    def _come_to_rest(self):
-        super()._come_to_rest()
-        self._unasked *= 2
+    def _finish_deceleration(self):
+        super()._finish_deceleration()
+        self._unsolicited *= 2
 
 
 class TellsNothing(Controller):
-    def _come_to_rest(self):
-        super()._come_to_rest()
-        self._unasked = b""
+    def _finish_deceleration(self):
+        super()._finish_deceleration()
+        self._unsolicited = b""
 
 
 class FeedsOnRefused(Controller):
@@ -167,17 +167,17 @@ class ForgetsRepeats(Controller):
 
 
 class FeedsOnRepeats(Controller):
-    def _obey(self, command, t, actual):
-        if isinstance(command, SetPoint) and ("SetPoint", command.ss) == self._answered:
+    def _execute(self, command, t, actual):
+        if isinstance(command, SetPoint) and ("SetPoint", command.ss) == self._last_key:
             self._t_alive = self._t_setpoint = t
-        return super()._obey(command, t, actual)
+        return super()._execute(command, t, actual)
 
 
 class StopsSilently(Controller):
     """Says R at once, not D."""
 
-    def _decide(self, command, t, actual):
-        reply = super()._decide(command, t, actual)
+    def _execute_plain(self, command, t, actual):
+        reply = super()._execute_plain(command, t, actual)
         if isinstance(command, Stop) and isinstance(reply, Ack):
             self.state = ArmState.READY
             reply = Ack(command.ss, self.state, actual)
@@ -185,16 +185,16 @@ class StopsSilently(Controller):
 
 
 class StartsAgain(Controller):
-    def _decide(self, command, t, actual):
+    def _execute_plain(self, command, t, actual):
         if isinstance(command, Start) and self.state is ArmState.TRACKING:
-            self._begin(t, actual)
+            self._start_tracking(t, actual)
             return Ack(command.ss, self.state, actual)
-        return super()._decide(command, t, actual)
+        return super()._execute_plain(command, t, actual)
 
 
 class HoldsBeforeTheFirst(Controller):
-    def _begin(self, t, actual):
-        super()._begin(t, actual)
+    def _start_tracking(self, t, actual):
+        super()._start_tracking(t, actual)
         self._t_setpoint = t
 
 
@@ -217,14 +217,14 @@ class StandsStill(Controller):
 
 
 class ForgetsFaults(Controller):
-    def _come_to_rest(self):
-        super()._come_to_rest()
+    def _finish_deceleration(self):
+        super()._finish_deceleration()
         self.state = ArmState.READY
 
 
 class LosesNumbers(Controller):
-    def _decide(self, command, t, actual):
-        reply = super()._decide(command, t, actual)
+    def _execute_plain(self, command, t, actual):
+        reply = super()._execute_plain(command, t, actual)
         return Ack(reply.ss & 0x7F, reply.state, reply.pose) if isinstance(reply, Ack) else reply
 
 
@@ -249,17 +249,17 @@ class Bolts(Controller):
         self._told = limits
         self.limits = ArmLimits(limits.x_min, limits.x_max, limits.y_min, limits.y_max, 100.0, 1e6)
 
-    def _obey(self, command, t, actual):
+    def _execute(self, command, t, actual):
         if isinstance(command, armlink.Hello):
             return encode_reply(self._told.hello())
-        return super()._obey(command, t, actual)
+        return super()._execute(command, t, actual)
 
 
 class SaysOtherLimits(Controller):
-    def _obey(self, command, t, actual):
+    def _execute(self, command, t, actual):
         if isinstance(command, armlink.Hello):
             return encode_reply(HelloReply(0.016, 0.3, 0.4, -0.3, 0.3, 0.5, 5.0))
-        return super()._obey(command, t, actual)
+        return super()._execute(command, t, actual)
 
 
 class IsSlow(Controller):

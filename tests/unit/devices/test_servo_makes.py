@@ -165,7 +165,7 @@ def test_a_servo_gives_under_load_as_published_and_tells_it(kind):
     before = bench.reports[-1].pose.joints_rad[0]
     bench.go(0.5)
     for _ in range(100):
-        bench.rig._servos[0].bear(-1.04)
+        bench.rig._servos[0].set_load(-1.04)
         bench.go(5e-3)
     given = math.degrees(before - bench.go(0.1).reports[-1].pose.joints_rad[0])
     assert 1.6 < given < 2.8

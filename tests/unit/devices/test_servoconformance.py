@@ -69,7 +69,7 @@ def test_a_servo_that_is_not_there_is_asked_once(bench):
 def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
     """As those of the 330 size: the watchdog's register says that it has tripped, and the servo goes to its goal."""
     servo = bench.rig._servos[0]
-    stop, servo._stop = servo._stop, lambda t: stop(t) if t >= servo._t_there else None
+    stop, servo._stop = servo._stop, lambda t: stop(t) if t >= servo._t_arrival else None
     found = failures(BenchTalk(bench))
     assert set(found) == {12}
     assert "do not use it" in found[12].mend

@@ -184,7 +184,7 @@ def test_the_band_of_a_place_is_its_error_over_many_skins(kind, ratio):
         decoder = TaxelDecoder(config)
         decoder.feed(b"\n", 0.0)
         for s in np.linspace(0.02, 0.04, 41):
-            far.hear(decoder.protocol.question(), 0.0)
+            far.receive(decoder.protocol.question(), 0.0)
             (report,) = decoder.feed(far.report(0.0, [Press(float(s), 1.0)]), 1.0)
             errors.append(report.x_counts * 1e-3 + config.zero_mm - s * 1e3)
     rms, band = float(np.sqrt(np.mean(np.square(errors)))), math.hypot(config.grid_sd_mm, config.gain_sd_mm)

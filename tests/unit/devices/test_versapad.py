@@ -21,7 +21,7 @@ from palmd.devices.versapad import (
     encode_packet,
 )
 from palmd.events import PadLift, PadSample
-from palmd.rig.fault_injection import Switchboard, order
+from palmd.rig.fault_injection import FaultInjector, order
 
 BAUD = 9600
 PACKET_S = 0.00625
@@ -378,12 +378,12 @@ def test_what_another_device_says_ends_the_touch_once_and_a_packet_begins_it_aga
 
 def test_a_pad_that_is_damaged_is_seldom_taken_for_another_device() -> None:
     """A fifth of its bytes flipped, doubled or made up, and heavy pressure, which looks strangest."""
-    line, rng, pad = Switchboard(), np.random.default_rng(5), touched()
+    line, rng, pad = FaultInjector(), np.random.default_rng(5), touched()
     line.add(order("garble", 0.0, "pad1", 0.2))
     line.update(0.0)
     alarms = 0
     for number in range(6000):
-        pad.feed(line.spoil("pad1", encode_packet(number % 200, -number % 200, 70 + number % 50), rng), number * 0.01)
+        pad.feed(line.corrupt("pad1", encode_packet(number % 200, -number % 200, 70 + number % 50), rng), number * 0.01)
         alarms += pad.decoder.foreign
     assert alarms <= 2  # in a minute
 

@@ -53,7 +53,7 @@ def provoked(loop, name, strength=None, seconds=3.0):
     t = loop.t
     ports = ["pad1", "pad2"] if name == "saturate" else ["arm"]
     for port in ports:
-        loop.world.mischief.add(order(name, t, port, strength, for_s=seconds))
+        loop.world.fault_injector.add(order(name, t, port, strength, for_s=seconds))
     while loop.t < t + seconds:
         loop.tick()
         grave = [fault for fault in loop.core.faults.active if fault.severity in ("hold", "stop")]
@@ -79,7 +79,7 @@ def test_a_blocked_arm_is_stopped_and_does_not_spring_when_it_is_released(rig, a
     assert codes == {"following-error"}
     assert after <= 0.5
     assert "°" in text
-    while loop.world.mischief.names():
+    while loop.world.fault_injector.names():
         loop.tick()
     assert travel(loop, 1.0) <= 0.015
     assert "following-error" in {fault.code for fault in loop.core.faults.active}
@@ -126,7 +126,7 @@ def test_saturated_pads_hold_the_motion():
 def test_after_a_block_a_start_begins_where_the_arm_is():
     loop = started(ADEPT)
     provoked(loop, "block", seconds=1.0)
-    while loop.world.mischief.names():
+    while loop.world.fault_injector.names():
         loop.tick()
     for _ in range(50):
         loop.tick()

@@ -64,7 +64,7 @@ def test_a_copy_of_a_rig_goes_on_to_the_last_bit_as_the_rig_does():
         return repr([(instant.messages, instant.truth) for instant in run.run(0.3)])
 
     one, other, third = (moving() for _ in range(3))
-    third.world.mischief.add(order("lift", third.t))
+    third.world.fault_injector.add(order("lift", third.t))
     assert bits(third) != bits(one) == bits(other)
 
 
@@ -120,7 +120,7 @@ CAMPAIGN = [
 )
 def test_campaign(pads, name, port, strength, codes, state):
     run = moving(pads)
-    run.world.mischief.add(order(name, run.t, port, strength))
+    run.world.fault_injector.add(order(name, run.t, port, strength))
     t_cause, seen, speed, t_stood = run.t, set(), math.inf, None
     while run.t < t_cause + 2.0:
         instant = run.tick()
@@ -150,7 +150,7 @@ def test_a_port_that_goes_is_told(pads, end):
 
 def test_after_a_fault_of_a_servo_reset_and_start_go_on():
     run = moving()
-    run.world.mischief.add(order("overload", run.t, "arm"))
+    run.world.fault_injector.add(order("overload", run.t, "arm"))
     for _ in range(100):
         run.tick()
     assert run.core.state is State.FAULT

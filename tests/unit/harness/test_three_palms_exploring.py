@@ -34,7 +34,7 @@ class Informed:
             return None
         self.done = True
         truth, n = world.truth(), len(icosphere()[0])
-        p = known_parameters(world.body.body, world.body.rubbing)
+        p = known_parameters(world.body.body, world.body.friction)
         covariance = np.diag([1e-6] * 3 + [1e-4] * 3 + [1e-9] * (len(p) - 9) + [1e-4] * 8 + [1e-2])
         omega = np.array([truth[f"omega_{axis}_rad_s"] for axis in "xyz"])
         h = np.array(world.object_truth()["h_m"])

@@ -35,7 +35,7 @@ LIMITS = TiltLimits.over(WIDE, 1e3 * SIDE)
 def stand():
     """A body at rest, and what is known of it."""
     there = BodyStand(SEED, GRAVITY)
-    return there, known_parameters(there.plant.body, there.plant.rubbing)
+    return there, known_parameters(there.plant.body, there.plant.friction)
 
 
 def bearings(count, omega=(0.0, 0.0, 0.0)):
@@ -315,7 +315,7 @@ def test_a_move_that_is_under_way_is_foreseen_to_its_end_and_beyond():
 def test_a_few_seconds_of_exploring_show_more_than_where_it_lay():
     there = BodyStand(SEED, GRAVITY)
     directions = icosphere(3)[0]
-    foresight = BodyPredictor(known_parameters(there.plant.body, there.plant.rubbing), ThreePalmsRig())
+    foresight = BodyPredictor(known_parameters(there.plant.body, there.plant.friction), ThreePalmsRig())
     explorer = BodyExplorer(foresight, LIMITS, directions, SEED)
     pose, t, touched = tuple(REST_POSE.tolist()), 0.0, np.zeros(len(directions), np.bool_)
     while t < 4.0:

@@ -29,7 +29,7 @@ from palmd.observer.three_palms.smoother import BodySmoother
 from palmd.observer.three_palms.touched_outline import directions_near, touched_outline
 from palmd.rig.three_palms.bodies import Bodies, random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms
-from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
 from palmd.system.three_palms import GAP_S, BodyAnswer, ThreePalmsRig, palms_at, readings_of
 
 RIG = ThreePalmsRig()
@@ -75,7 +75,7 @@ class Rolled:
         )  # fmt: skip
         self.p = parameters(lambda u: body.support(u[None])[0][0], self.inertia, 8)
         self.p[-3] = 1e-4
-        plant = BodyOnPalms(body, Rubbing(np.array([0.1]), np.array([0.01]), np.array([1e-4])), 9.81)
+        plant = BodyOnPalms(body, FrictionParameters(np.array([0.1]), np.array([0.01]), np.array([1e-4])), 9.81)
         R, at = random_rotation(rng, 1), planes(0.0)
         normal, rate = at.normal[0], at.normal_rate[0]
         h, x, _ = body.support(-np.einsum("bji,nj->bni", R, normal))
@@ -248,7 +248,9 @@ class Lived:
     def __init__(self):
         rng = np.random.default_rng(SEED)
         self.rig = RIG
-        plant = BodyOnPalms(random_bodies(1, rng), Rubbing(np.array([0.1]), np.array([0.01]), np.zeros(1)), 9.81)
+        plant = BodyOnPalms(
+            random_bodies(1, rng), FrictionParameters(np.array([0.1]), np.array([0.01]), np.zeros(1)), 9.81
+        )
         self._settle(plant, rng)
         self.h_of = lambda at: plant.body.support(at[None])[0][0]
         self.inertia = plant.body.inertia[0]
@@ -276,7 +278,7 @@ class Lived:
         R, at = random_rotation(rng, 1), palms_at(*swung(np.zeros(3)))
         h = plant.body.support(-np.einsum("bji,nj->bni", R, at.normal[0]))[0][0]
         still = np.zeros((1, 3))
-        slow = BodyOnPalms(plant.body, Rubbing(np.zeros(1), np.ones(1), np.full(1, 4e-3)), 9.81)
+        slow = BodyOnPalms(plant.body, FrictionParameters(np.zeros(1), np.ones(1), np.full(1, 4e-3)), 9.81)
         slow.begin(BodyStates(np.linalg.solve(at.normal[0], h)[None], still, R, still))
         for _ in range(1500):
             slow.advance(inputs_of(at), self.STEP)

@@ -59,7 +59,7 @@ class Recorded:
             self.tick()
 
     def play(self, name, port=None, strength=None):
-        self.world.mischief.add(order(name, self.t, port, strength))
+        self.world.fault_injector.add(order(name, self.t, port, strength))
 
     def give(self, name, who=""):
         self.core.handle(Request(name, who=who), self.t)
@@ -225,7 +225,7 @@ def test_a_fault_of_a_moment_is_told_although_it_is_over(tmp_path):
         rig.play("mute", "pad1")
         while rig.core.state != "hold":
             rig.tick()
-        rig.world.mischief.cancel("mute", "pad1")
+        rig.world.fault_injector.cancel("mute", "pad1")
 
     run, _ = run_of(tmp_path, blink)
     told = explain(run)

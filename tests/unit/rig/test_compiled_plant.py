@@ -127,9 +127,9 @@ def test_a_copy_goes_on_alike_and_by_itself():
 )
 def test_a_whole_run_has_the_same_bits(monkeypatch, kind, seed, rests, imperfections, lost):
     scene = simulate._draw(kind, np.random.default_rng(seed), None, None, rests, imperfections)
-    compiled = simulate.run_of(scene, 3.0, PlantOptions(), ())
-    monkeypatch.setattr(Plant, "rocked", lambda *_: None)
-    python = simulate.run_of(scene, 3.0, PlantOptions(), ())
+    compiled = simulate.simulate_run(scene, 3.0, PlantOptions(), ())
+    monkeypatch.setattr(Plant, "simulate_rocking", lambda *_: None)
+    python = simulate.simulate_run(scene, 3.0, PlantOptions(), ())
     assert (compiled is None) == (python is None) == lost
     assert lost or compiled.tobytes() == python.tobytes()
 

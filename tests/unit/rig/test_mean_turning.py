@@ -12,7 +12,7 @@ STEP_S = 1e-3
 @pytest.mark.parametrize(("one_hz", "other_hz", "worst"), [(240.0, 240.0, 3e-3), (233.5, 246.5, 1e-2)])
 def test_a_ripple_is_left_out_and_a_slow_motion_is_followed_at_once(one_hz, other_hz, worst):
     turning, ripple = MeanTurning(0.5 / one_hz + 0.5 / other_hz), 0.1  # rad/s
-    turning.begin(0.0, 0.0, 0.0)
+    turning.reset(0.0, 0.0, 0.0)
     errors = []
     for step in range(1, 1000):
         t = step * STEP_S
@@ -25,7 +25,7 @@ def test_a_ripple_is_left_out_and_a_slow_motion_is_followed_at_once(one_hz, othe
 
 def test_until_two_periods_have_passed_it_is_as_it_was_put_there():
     turning = MeanTurning(4e-3)
-    turning.begin(1.0, 0.3, 0.7)
+    turning.reset(1.0, 0.3, 0.7)
     for step in range(1, 8):
         turning.take(1.0 + step * STEP_S, 0.3)
         assert turning.rate == 0.7

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from palmd.rig.arm import Linkage, Servo, turn
+from palmd.rig.arm import Linkage, Servo, wrap_angle
 
 LINKAGE = Linkage((0.12, 0.01), 0.11, 0.13, (-0.3, 0.05), math.radians(30.0))
 
@@ -15,7 +15,7 @@ def test_there_and_back(phi1_deg, phi2_deg):
     phi1, phi2 = math.radians(phi1_deg), math.radians(phi2_deg)
     pose = LINKAGE.pose(phi1, phi2)
     assert LINKAGE.angles(pose.x_m, pose.y_m) == pytest.approx((phi1, phi2))
-    assert turn(pose.t_rad - (phi1 + phi2 - LINKAGE.yaw)) == pytest.approx(0.0, abs=1e-12)
+    assert wrap_angle(pose.t_rad - (phi1 + phi2 - LINKAGE.yaw)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_pose_worked_by_hand():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palmd.rig.fault_injection import INJECTABLE_FAULTS, InjectionError, Switchboard, order, parse
+from palmd.rig.fault_injection import INJECTABLE_FAULTS, FaultInjector, InjectionError, order, parse
 
 
 def rng():
@@ -11,7 +11,7 @@ def rng():
 
 
 def board(*texts, t=0.0):
-    switchboard = Switchboard()
+    switchboard = FaultInjector()
     for text in texts:
         switchboard.add(parse(text, t))
     switchboard.update(t)
@@ -78,19 +78,19 @@ def test_cancelling():
 
 def test_bytes_are_left_alone_where_nothing_is_on():
     switchboard = board("drop@pad1,strength=1")
-    assert switchboard.spoil("pad2", b"hello", rng()) == b"hello"
-    assert switchboard.spoil("pad1", b"hello", rng()) == b""
+    assert switchboard.corrupt("pad2", b"hello", rng()) == b"hello"
+    assert switchboard.corrupt("pad1", b"hello", rng()) == b""
 
 
 def test_drop_and_garble_hit_about_as_many_as_asked_for():
     data = bytes(5000)
-    assert len(board("drop@arm,strength=0.3").spoil("arm", data, rng())) == pytest.approx(3500, abs=150)
-    spoilt = board("garble@arm,strength=0.3").spoil("arm", data, rng())
+    assert len(board("drop@arm,strength=0.3").corrupt("arm", data, rng())) == pytest.approx(3500, abs=150)
+    spoilt = board("garble@arm,strength=0.3").corrupt("arm", data, rng())
     assert len(spoilt) == pytest.approx(6000, abs=150)  # a third flipped, two thirds with a byte more
     assert sum(byte != 0 for byte in spoilt) == pytest.approx(1000, abs=150)
 
 
 def test_mute_and_misbaud():
-    assert board("mute@arm").spoil("arm", b"hello", rng()) == b""
-    noise = board("misbaud@arm").spoil("arm", b"a" * 100, rng())
+    assert board("mute@arm").corrupt("arm", b"hello", rng()) == b""
+    noise = board("misbaud@arm").corrupt("arm", b"a" * 100, rng())
     assert noise.count(b"a") < 10

@@ -173,7 +173,7 @@ def test_draws_are_as_wide_as_the_rig_is_known_and_the_same_for_the_same_seed():
     draws = [drawn(CALIBRATED, seed) for seed in range(400)]
     assert draws[3] == drawn(CALIBRATED, 3)
     for each in fields(PadImperfection):
-        if each.name == "place":
+        if each.name == "smooth_error":
             continue
         values = [getattr(pad, each.name) for off in draws for pad in off.pads]
         sd = AS_CALIBRATED[f"{each.name}_sd"]
@@ -193,7 +193,7 @@ def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
     sd, length, pad = 7e-5, 3e-3, RigDescription().pads[0].length
     rig = RigDescription().with_pads(map_sd=sd, map_length=length)
     places = pad / 2 + np.array([0.0, length, 6.0 * length])
-    found = [each.place for seed in range(400) for each in drawn(rig, seed).pads]
+    found = [each.smooth_error for seed in range(400) for each in drawn(rig, seed).pads]
     values = np.array([[place.at(float(s)) for s in places] for place in found])
     assert np.std(values[:, 0]) == pytest.approx(sd, rel=0.15)  # less what a line takes of it
     alike = np.corrcoef(values.T)[0]
@@ -203,7 +203,7 @@ def test_pads_have_smooth_errors_of_place_as_large_and_as_long_as_described():
     for place in found[:5]:
         line = np.polyfit(everywhere, [place.at(float(s)) for s in everywhere], 1)
         assert np.abs(np.polyval(line, everywhere)).max() < 0.05 * sd  # those are the pad's zero and scale
-    off = PadImperfection(zero=1e-4, place=found[0])
+    off = PadImperfection(zero=1e-4, smooth_error=found[0])
     assert off.reading_error_m(0.02, 0.0) == pytest.approx(1e-4 + found[0].at(0.02))
     assert drawn(rig, 3).constants() == drawn(rig.with_pads(map_sd=0.0), 3).constants()
 
@@ -259,8 +259,8 @@ def test_a_configuration_asks_in_units_of_the_workshop():
     straight = {"port": "a", "map_sd_mm": 0}
     straight = known.model_copy(update={"pads": type(known.pads)(palm1=straight, palm2={"port": "b"})})
     first, second = configured(straight, 1).pads
-    assert first.place == NO_ERROR
-    assert second.place == drawn(rig_description(straight), 1).pads[1].place != NO_ERROR
+    assert first.smooth_error == NO_ERROR
+    assert second.smooth_error == drawn(rig_description(straight), 1).pads[1].smooth_error != NO_ERROR
 
 
 @pytest.mark.parametrize(

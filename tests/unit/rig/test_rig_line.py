@@ -201,7 +201,7 @@ def test_the_next_host_of_a_socket_waits_until_the_first_has_gone(socket_line, h
 
 def test_waiting_tells_of_a_socket_what_has_come_until_it_is_read(socket_line, host):
     waiter = LineWaiter()
-    waiter.watch(socket_line.fileno, edges=False)
+    waiter.watch(socket_line.fileno, edge_triggered=False)
     assert waiter.ready() == {}
     assert host.poll_open(0.0)
     host.write(b"before it was let in")

@@ -50,7 +50,7 @@ def heard(world, seconds):
 @pytest.mark.parametrize(("marbles", "silent"), [(("pad1",), "pad2"), (("pad2",), "pad1"), (("pad1", "pad2"), None)])
 def test_it_rolls_over_its_own_pad_instead_of_the_object(marbles, silent):
     world = World(default_config(), 1, marbles=marbles)
-    world.mischief.add(order("swap", 0.5))  # a hand that is busy with the marble puts nothing on the palms
+    world.fault_injector.add(order("swap", 0.5))  # a hand that is busy with the marble puts nothing on the palms
     reports = heard(world, 3.0)
     assert all(reports[name] > 100 for name in marbles)
     assert silent is None or reports[silent] == 0

@@ -16,7 +16,7 @@ LINKAGE = Linkage.from_config(CONFIG)
 def judge(*angles_deg, dt=0.016):
     found = SetPointChecker(LINKAGE, CONFIG.limits)
     for k, (phi1, phi2) in enumerate(angles_deg):
-        found.hear(LINKAGE.pose(math.radians(phi1), math.radians(phi2)), k * dt)
+        found.check(LINKAGE.pose(math.radians(phi1), math.radians(phi2)), k * dt)
     return found.as_dict()
 
 
@@ -31,21 +31,21 @@ def test_an_arm_that_holds_may_be_gone_on_with_from_where_it_stands():
     before, stands, far = (LINKAGE.pose(math.radians(phi1), 1.5) for phi1 in (50, 45, 40))
     for standing, step_deg in ((None, 5), (stands, 0), (far, 5)):
         found = SetPointChecker(LINKAGE, CONFIG.limits)
-        found.hear(before, 0.0)
-        found.hear(stands, 0.016, standing)
+        found.check(before, 0.0)
+        found.check(stands, 0.016, standing)
         assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(step_deg / 0.016)
 
 
-def test_a_rig_that_listened_late_knows_nothing_faster_than_over_the_time_there_may_have_been():
+def test_a_rig_that_note_delay_knows_nothing_faster_than_over_the_time_there_may_have_been():
     """Two set-points lay in a heap: sent 0.03 s apart, dated 7 ms apart; what comes in time is judged as ever."""
     found = SetPointChecker(LINKAGE, CONFIG.limits)
     for t, late_s, phi1 in ((0.0, 0.0, 45), (0.016, 0.04, 46), (0.023, 0.04, 48), (0.078, 0.0, 48)):
-        found.listened_late(t, late_s)
-        found.hear(LINKAGE.pose(math.radians(phi1), 1.5), t)
+        found.note_delay(t, late_s)
+        found.check(LINKAGE.pose(math.radians(phi1), 1.5), t)
     assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(2 / 0.047)
     for k, phi1 in enumerate((48, 50)):
-        found.listened_late(0.2 + k * 0.016, 0.0)
-        found.hear(LINKAGE.pose(math.radians(phi1), 1.5), 0.2 + k * 0.016)
+        found.note_delay(0.2 + k * 0.016, 0.0)
+        found.check(LINKAGE.pose(math.radians(phi1), 1.5), 0.2 + k * 0.016)
     assert found.as_dict()["largest_rate_deg_s"] == pytest.approx(2 / 0.016)
 
 
@@ -54,8 +54,8 @@ def test_a_really_fast_set_point_is_found_however_late_a_rig_listens():
     for late_s in (0.0, 0.005, 0.05, 0.08):
         found = SetPointChecker(LINKAGE, CONFIG.limits)
         for t, phi1 in ((0.0, 45), (0.016, 55)):
-            found.listened_late(t, late_s)
-            found.hear(LINKAGE.pose(math.radians(phi1), 1.5), t)
+            found.note_delay(t, late_s)
+            found.check(LINKAGE.pose(math.radians(phi1), 1.5), t)
         rate_deg_s = found.as_dict()["largest_rate_deg_s"]
         assert rate_deg_s > 100.0
         assert rate_deg_s == pytest.approx(10 / (0.016 + late_s))
@@ -73,12 +73,12 @@ def test_on_the_limits(angles):
 
 def test_out_of_reach_counts_as_outside():
     found = SetPointChecker(LINKAGE, CONFIG.limits)
-    found.hear(Pose(0.9, 0.9, 0.0), 0.0)
+    found.check(Pose(0.9, 0.9, 0.0), 0.0)
     assert found.outside_limits == 1
 
 
 def test_tool_angle():
     found = SetPointChecker(LINKAGE, CONFIG.limits)
     pose = LINKAGE.pose(0.8, 1.6)
-    found.hear(Pose(pose.x_m, pose.y_m, pose.t_rad - 0.1 + math.tau), 0.0)
+    found.check(Pose(pose.x_m, pose.y_m, pose.t_rad - 0.1 + math.tau), 0.0)
     assert found.as_dict()["largest_tool_error_deg"] == pytest.approx(math.degrees(0.1))

@@ -10,7 +10,7 @@ from palmd.devices.armlink import LineReader, Pose, SetPoint, Start, encode_comm
 from palmd.devices.versapad import VersaPadDecoder, encode_packet
 from palmd.rig.fault_injection import PORTS, order
 from palmd.rig.line import PtyLine
-from palmd.rig.tally import DeviceTally, HostLines, Listener
+from palmd.rig.tally import DeviceTally, HostLines, ReferenceHost
 from palmd.rig.world import World, default_config
 
 
@@ -37,7 +37,7 @@ def test_set_points_are_counted_before_mischief_and_the_touched_ones_among_them(
 
 
 def test_a_listener_hears_whole_packets_and_forgets_half_ones_when_the_plug_is_pulled():
-    listener = Listener(VersaPadDecoder(9600))
+    listener = ReferenceHost(VersaPadDecoder(9600))
     packet = encode_packet(10, 20, 30)
     listener.take(packet + packet[:4], 0.0)
     assert (listener.as_dict()["packets"], listener.as_dict()["pending"]) == (1, 4)
@@ -49,8 +49,8 @@ def test_a_listener_hears_whole_packets_and_forgets_half_ones_when_the_plug_is_p
 
 def test_every_byte_on_a_line_is_sent_or_still_waiting():
     world = World(default_config(), 3)
-    world.mischief.add(order("garble", 0.5, "pad1", 0.3, for_s=1.0))
-    world.mischief.add(order("mute", 0.5, "pad2", for_s=1.0))
+    world.fault_injector.add(order("garble", 0.5, "pad1", 0.3, for_s=1.0))
+    world.fault_injector.add(order("mute", 0.5, "pad2", for_s=1.0))
     out = dict.fromkeys(PORTS, b"")
     for step in range(1, 2001):
         for port, data in world.advance(step * 1e-3).items():

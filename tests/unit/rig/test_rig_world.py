@@ -44,7 +44,7 @@ class Loop:
         return self.world.status()
 
     def mischief(self, name, **settings):
-        self.world.mischief.add(order(name, self.world.t, **settings))
+        self.world.fault_injector.add(order(name, self.world.t, **settings))
 
     def run(self, seconds):
         for _ in range(round(seconds * 1e3)):
@@ -257,7 +257,7 @@ def test_manual_again_and_again_leaves_the_palms_within_their_limits():
     for _ in range(6):
         loop.mischief("manual")
         loop.run(1.0)
-        loop.world.mischief.cancel("manual", None)
+        loop.world.fault_injector.cancel("manual", None)
         loop.run(0.1)
         phi1_deg = math.degrees(loop.world.truth()["phi1_rad"])
         assert low < phi1_deg < high

@@ -176,7 +176,7 @@ def test_what_is_registered_is_done_at_the_action(bus, port):
 
 
 def test_an_action_with_nothing_registered_is_an_error(port):
-    reader = port.arm.listener()
+    reader = port.arm.make_decoder()
     from palmd.devices import dynamixel as dxl
 
     port.writePort(dxl.encode(1, dxl.Instruction.ACTION))

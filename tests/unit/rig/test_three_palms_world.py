@@ -13,7 +13,7 @@ from palmd.events import PadSample
 from palmd.messages import stamp
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms, backend, palm_rows
-from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
 from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.system.three_palms import PALMS, palms_at, readings_of
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
@@ -34,7 +34,7 @@ def palms(t):
 @pytest.mark.skipif(backend() != "c", reason="no C compiler")
 def test_the_compiled_plant_does_what_its_twin_does():
     rng = np.random.default_rng(5)
-    body, rubbing = random_bodies(1, rng), Rubbing(np.array([0.1]), np.array([0.01]), np.array([1e-4]))
+    body, rubbing = random_bodies(1, rng), FrictionParameters(np.array([0.1]), np.array([0.01]), np.array([1e-4]))
     R, normal = random_rotation(rng, 1), palms(0.0)[0, :9].reshape(3, 3)
     h = body.support(-np.einsum("bji,nj->bni", R, normal))[0][0]
     still = np.zeros((1, 3))
@@ -162,7 +162,7 @@ def turned(body, rubbing, begun, frequencies, compiled=True, steps=500):
 
 def vibrating_scene():
     rng = np.random.default_rng(5)
-    body, rubbing = random_bodies(1, rng), Rubbing(np.array([0.2]), np.array([0.0157]), np.array([1e-4]))
+    body, rubbing = random_bodies(1, rng), FrictionParameters(np.array([0.2]), np.array([0.0157]), np.array([1e-4]))
     R, normal = random_rotation(rng, 1), palms(0.0)[0, :9].reshape(3, 3)
     h = body.support(-np.einsum("bji,nj->bni", R, normal))[0][0]
     still = np.zeros((1, 3))

@@ -11,11 +11,11 @@ import pytest
 
 from palmd.events import PalmMotion
 from palmd.rig.plant import FrictionSurface, Hinge, Plant, PlantOptions
-from palmd.rig.shaker import INWARDS, Mount, Shaker, Shaking
+from palmd.rig.shaker import SLIP_SIGNS, Mount, Shaker, Shaking
 from palmd.rig.shapes import Body, ellipse
 from palmd.rig.sign_pairs import CurvedSignPairsPlant, SignPairsPlant
 from palmd.rig.simulate import smoothed
-from palmd.rig.vibrating_plant import VibratingPlant, resolves
+from palmd.rig.vibrating_plant import VibratingPlant, can_resolve
 
 STEP_S = 5e-4
 FIXED = Hinge("fixed", base=(0.0, 0.0))
@@ -25,7 +25,7 @@ BODY = Body(
 SPEED = 0.015
 ALONG_PHASE = {"independent": 1.3, "in_phase": math.pi, "antiphase": 0.0}  # rad, of palm 2 along t2 after 1 along t1
 
-pytestmark = pytest.mark.skipif(not resolves(BODY), reason="resolving a vibration takes a C compiler")
+pytestmark = pytest.mark.skipif(not can_resolve(BODY), reason="resolving a vibration takes a C compiler")
 
 
 def shaking(relation, frequency=250.0, speed=SPEED, mount=None):
@@ -37,7 +37,7 @@ def shaking(relation, frequency=250.0, speed=SPEED, mount=None):
         relation,
         tuple(
             Shaker(f, speed, phase + (math.pi if inwards < 0.0 else 0.0), **mounts)
-            for f, phase, inwards in zip((frequency, second), phases, INWARDS, strict=True)
+            for f, phase, inwards in zip((frequency, second), phases, SLIP_SIGNS, strict=True)
         ),
     )
 

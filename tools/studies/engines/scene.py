@@ -26,9 +26,9 @@ from palmd.rig.simulate import (
     Line,
     Rocking,
     SimulatedRun,
-    eased,
+    draw_rock,
     log_lines,
-    rock,
+    smooth_step,
     smoothed,
     truth_of,
 )
@@ -57,7 +57,7 @@ class DitheredRocking(Rocking):
 
     def at(self, t: float) -> PalmMotion:
         """Angles, rates, accelerations of both palms at t (s)."""
-        palms, (w, dw, ddw), k = Rocking.at(self, t), eased(t), math.tau * _DITHER_HZ
+        palms, (w, dw, ddw), k = Rocking.at(self, t), smooth_step(t), math.tau * _DITHER_HZ
         s, c = _DITHER_RAD * math.sin(k * t), _DITHER_RAD * math.cos(k * t)
         more = (w * s, dw * s + w * k * c, ddw * s + 2.0 * dw * k * c - w * k * k * s)
         return PalmMotion(*(tuple(each + m for each in mine) for mine, m in zip(
@@ -128,7 +128,7 @@ def palm_steps(scene: EngineScene, row: int, steps: int) -> Iterator[list[PalmSt
             PalmStep(
                 angle + late * (rate + 0.5 * late * acceleration),
                 rate + (late + 0.5 * dt) * acceleration,
-                shaker.moved(t),
+                shaker.displacement(t),
                 shaker.outward_speed(t + 0.5 * dt),
             )
             for (angle, rate, acceleration), shaker in zip(turns, shakers, strict=True)
@@ -183,7 +183,8 @@ def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> EngineScen
     body = with_slug(uniform_body_of("ellipse", ellipse(*half_axes), float(rng.uniform(*_MASS_KG))), rng)
     motion = DitheredRocking if kind == "dry" else Rocking
     rocking = motion(
-        rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), ()), rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), ())
+        draw_rock(rng, (0.68, 0.82), (0.35, 0.70), (0.16, 0.38), ()),
+        draw_rock(rng, (1.50, 1.82), (0.10, 0.28), (0.17, 0.42), ()),
     )
     surface = FrictionSurface(mu=0.0 if kind == "slick" else float(rng.uniform(*_MU)))
     vibration = Vibration(_RELATIONS[kind])

@@ -67,20 +67,20 @@ class LightRig(EmulatedRig[AdeptArm]):
     def _step(self) -> None:
         self._steps += 1
         t = self.t
-        self._play_all(t)
-        self._speak(t)
+        self._inject_due_faults(t)
+        self._transmit_due(t)
         if self.lived is not None:
             self.lived(t)
 
-    def _play(self, order: FaultOrder, begins: bool) -> None:
-        self.arm.play(order, begins, self.palms().angles)
+    def _inject_fault(self, order: FaultOrder, begins: bool) -> None:
+        self.arm.inject_fault(order, begins, self.palms().angles)
         if order.name == "lift":
             self._t_back = None if begins else self.t
         elif order.name == "swap" and begins:
             self._t_back = self.t + _AWAY_S
             self._phase = float(self._rng.uniform(0.0, math.tau))
 
-    def _felt(self, pad: PortName) -> list[Press]:
+    def _object_presses(self, pad: PortName) -> list[Press]:
         if self._t_back is None or self.t < self._t_back:
             return []
         first, second = directions(self.palms().angles)

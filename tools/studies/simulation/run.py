@@ -236,7 +236,7 @@ class Simulation:
     def _order(self, what: Happening) -> None:
         """The rig's tricks are ordered beforehand."""
         if isinstance(what, Trick):
-            self.rig.mischief.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
+            self.rig.fault_injector.add([FaultOrder(what.name, what.port, what.strength, what.t, what.t + what.for_s)])
 
     def _judge_the_end(self, t: float) -> None:
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}

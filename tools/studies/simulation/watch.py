@@ -261,7 +261,7 @@ class Watch:
             self._look_at_answers(t)
 
     def _look_at_set_points(self, t: float) -> None:
-        judge = self._arm.judge
+        judge = self._arm.setpoint_checker
         if judge.outside_limits:
             self._break(t, "set-points inside the limits", f"{judge.outside_limits} outside")
         if judge.largest_rate_rad_s > self._rate_most:

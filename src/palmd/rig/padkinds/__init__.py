@@ -1,1 +1,1 @@
-"""The emulated far sides of pads, a file a kind: `palmd.rig.pads` finds them by the configuration's `kind`."""
+"""Emulators of pads, one file per kind: `palmd.rig.pads` finds them by the configuration's `kind`."""

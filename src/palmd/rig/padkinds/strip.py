@@ -14,7 +14,7 @@ JITTER_S = 1e-4
 
 
 class StripEmulator(CountingPad):
-    """A strip: reports at an even rate, slower ones while it is not touched; as noisy as configured."""
+    """A strip: reports at a constant rate, more slowly while it is not touched; noise as configured."""
 
     def __init__(
         self,
@@ -27,34 +27,34 @@ class StripEmulator(CountingPad):
         """See `PadEmulator`."""
         self.baud = config.baud
         self._sequence = 0
-        self._t_said = t
+        self._t_idle_report = t
         super().__init__(
             config, options, reading_error_m, rng, t, counts=(0, POSITION_MAX), full_scale=FORCE_MAX,
-            shortest_s=TOUCHED_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
+            min_interval_s=TOUCHED_S - 5 * JITTER_S, noise_m=config.noise_mm * 1e-3,
         )  # fmt: skip
 
-    def listener(self) -> StripDecoder:
-        """Of its packets."""
+    def make_decoder(self) -> StripDecoder:
+        """A new decoder of its packets."""
         return StripDecoder(self._line_baud)
 
     @property
     def _line_baud(self) -> int:
-        assert self.baud is not None, "a strip is on a line"
+        assert self.baud is not None, "a strip has a serial line"
         return self.baud
 
     def _interval(self) -> float:
         return TOUCHED_S + float(self._rng.normal(0.0, JITTER_S))
 
-    def _touch(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
-        return self._said(counts, pressure, touched=True)
+    def _touch_report(self, t: float, counts: int, across: int, pressure: int) -> bytes:  # noqa: ARG002
+        return self._packet(counts, pressure, touched=True)
 
-    def _untouched(self, t: float, lifted: bool) -> bytes:
-        if not (lifted or t - self._t_said >= UNTOUCHED_S):
+    def _lifted_report(self, t: float, lifted: bool) -> bytes:
+        if not (lifted or t - self._t_idle_report >= UNTOUCHED_S):
             return b""
-        self._t_said = t
-        return self._said(0, 0, touched=False)
+        self._t_idle_report = t
+        return self._packet(0, 0, touched=False)
 
-    def _said(self, position: int, force: int, *, touched: bool) -> bytes:
+    def _packet(self, position: int, force: int, *, touched: bool) -> bytes:
         self._sequence = (self._sequence + 1) % 256
         return encode(position, force, self._sequence, touched=touched, saturated=force >= FORCE_MAX)
 

@@ -1,7 +1,7 @@
-"""An emulated array of pressure sensors: what each taxel counts of a contact, in the bytes of its protocol. Pure.
+"""An emulated array of pressure sensors: what each taxel counts for a contact, in the bytes of its protocol. Pure.
 
-A contact presses as a parabola does (Hertz), across the whole palm, and the wider the harder it presses. Its width, and
-the sensitivity of each taxel, are not what the configuration says but drawn about it; the host assumes another profile.
+The pressure of a contact is parabolic along the palm (Hertz) and uniform across it, and its width grows with the force.
+Width and taxel sensitivities are drawn about the configured values; the host assumes another pressure profile.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from palmd.events import FloatArray
 from palmd.rig.pads import EmulatorFactory, PadEmulator, PadOptions, Press
 
 JITTER_S = 2e-4
-ANSWER_S = 2e-4  # after the question, on top of its way
-WIDTH_SD = 0.15  # of the width's logarithm, from one skin to another
-WIDENS = 1.0 / 6.0  # power of the force by which a contact becomes wider
+ANSWER_S = 2e-4  # from the end of the request to the start of the answer
+WIDTH_SD = 0.15  # standard deviation of the width's logarithm between arrays
+WIDTH_EXPONENT = 1.0 / 6.0  # exponent of the force with which the width of a contact grows
 COUNT_SD = 0.3  # noise of a taxel, in counts
 
 
 class TaxelEmulator(PadEmulator):
-    """An array as noisy as configured, which says what its protocol lets it say."""
+    """A taxel array with noise as configured, which speaks the configured protocol."""
 
     def __init__(
         self,
@@ -39,67 +39,69 @@ class TaxelEmulator(PadEmulator):
         """See `PadEmulator`."""
         self.baud = config.line_baud
         self._config = config
-        self._speech = _SPEECH[config.protocol](config)
-        super().__init__(config, options, reading_error_m, rng, t, shortest_s=0.0, noise_m=config.noise_mm * 1e-3)
+        self._protocol = _PROTOCOLS[config.protocol](config)
+        super().__init__(config, options, reading_error_m, rng, t, min_interval_s=0.0, noise_m=config.noise_mm * 1e-3)
         self._width_mm = config.contact_width_mm * math.exp(WIDTH_SD * float(rng.standard_normal()))
         self._gains = 1.0 + config.taxel_gain_sd * rng.standard_normal((config.rows, config.columns))
-        self.due = self._speech.due(self.due, 0.0)
+        self.due = self._protocol.due(self.due, 0.0)
 
-    def listener(self) -> TaxelDecoder:
-        """Of its frames."""
+    def make_decoder(self) -> TaxelDecoder:
+        """A new decoder of its frames."""
         return TaxelDecoder(self._config)
 
-    def hear(self, data: bytes, t: float) -> None:
-        """A command or a question."""
-        if self._speech.hear(data, t):
+    def receive(self, data: bytes, t: float) -> None:
+        """Receive a command or a request."""
+        if self._protocol.receive(data, t):
             self.due = t + ANSWER_S
 
     def _interval(self) -> float:
         wait_s = self._config.report_s + float(self._rng.normal(0.0, JITTER_S))
-        return self._speech.due(self.due, wait_s) - self.due
+        return self._protocol.due(self.due, wait_s) - self.due
 
-    def _pressed(self, t: float, felt: list[Press]) -> bytes:
+    def _contact_report(self, t: float, contacts: list[Press]) -> bytes:
         array = np.zeros_like(self._gains)
-        for press in felt:
-            array += self._felt_by_each(press)
-        return self._say(t, array)
+        for press in contacts:
+            array += self._taxel_forces(press)
+        return self._report(t, array)
 
-    def _untouched(self, t: float, lifted: bool) -> bytes:  # noqa: ARG002
-        return self._say(t, np.zeros_like(self._gains))
+    def _lifted_report(self, t: float, lifted: bool) -> bytes:  # noqa: ARG002
+        return self._report(t, np.zeros_like(self._gains))
 
-    def _felt_by_each(self, press: Press) -> FloatArray:
-        """Newtons by taxel."""
+    def _taxel_forces(self, press: Press) -> FloatArray:
+        """Force (N) by taxel."""
         config = self._config
-        seen_mm = self._seen_m(press.s, press.force) * 1e3
-        force = self._felt_n(press.force)
-        place = config.sign * (seen_mm - config.zero_mm) * config.counts_per_mm / taxels.UM_PER_MM
-        reach = math.sqrt(5.0) * self._width_mm * press.force**WIDENS  # of a parabola of that standard deviation
+        measured_mm = self._measured_position_m(press.s, press.force) * 1e3
+        force = self._measured_force_n(press.force)
+        centre_mm = config.sign * (measured_mm - config.zero_mm) * config.counts_per_mm / taxels.UM_PER_MM
+        half_width = (
+            math.sqrt(5.0) * self._width_mm * press.force**WIDTH_EXPONENT
+        )  # of a parabola with that standard deviation
         edges = (np.arange(config.rows + 1) - 0.5) * config.pitch_mm
-        shares = np.diff(_parabola((edges - place) / reach))
+        shares = np.diff(_parabola((edges - centre_mm) / half_width))
         return np.asarray(force * shares[:, None] / config.columns * self._gains)
 
-    def _say(self, t: float, newtons: FloatArray) -> bytes:
+    def _report(self, t: float, newtons: FloatArray) -> bytes:
         config = self._config
         noise = self._rng.normal(0.0, COUNT_SD, newtons.shape)
         counts = np.rint(newtons / config.newtons_per_count + config.rest_counts + noise)
-        return self._speech.say(np.clip(counts, 0, config.full_scale_counts).astype(int), t)
+        return self._protocol.encode(np.clip(counts, 0, config.full_scale_counts).astype(int), t)
 
 
 def _parabola(x: FloatArray) -> FloatArray:
-    """Share of a parabolic pressure over -1 to 1 that lies before x."""
+    """Share of a parabolic pressure over −1 to 1 that lies below x."""
     inside = np.clip(x, -1.0, 1.0)
     return np.asarray(0.5 + 0.25 * inside * (3.0 - inside**2))
 
 
 class _Tsf85:
-    """Sends by itself once it has been commanded to."""
+    """Sends periodically after it has been commanded to."""
 
     def __init__(self, config: TaxelsConfig) -> None:
         self._modules = config.rows // taxels.TSF85_ROWS
         self._period_ms = 0
         self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, begins=taxels.TSF85_START)
 
-    def hear(self, data: bytes, t: float) -> bool:
+    def receive(self, data: bytes, t: float) -> bool:
         for _, raw in self._commands.feed(data, t):
             self._period_ms = raw[4]
         return self._period_ms > 0
@@ -107,11 +109,11 @@ class _Tsf85:
     def due(self, t: float, wait_s: float) -> float:
         return t + wait_s if self._period_ms else math.inf
 
-    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:
+    def encode(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:
         fields = b""
         for module in range(self._modules):
-            mine = counts[module * taxels.TSF85_ROWS : (module + 1) * taxels.TSF85_ROWS]
-            fields += tsf85_field(taxels.PRESSURES, module, mine.astype(">u2").tobytes())
+            own = counts[module * taxels.TSF85_ROWS : (module + 1) * taxels.TSF85_ROWS]
+            fields += tsf85_field(taxels.PRESSURES, module, own.astype(">u2").tobytes())
             for kind in (taxels.VIBRATION, taxels.ACCELERATION, taxels.RATE, taxels.TEMPERATURE):
                 fields += tsf85_field(kind, module, bytes(taxels.TSF85_FIELD_BYTES[kind]))
             fields += tsf85_field(taxels.TIME, module, int(t * 1e3).to_bytes(8, "big"))
@@ -125,34 +127,34 @@ def _command_size(head: Head) -> int | None:
 
 
 class _St0001:
-    """Answers; its values are millinewtons once they are selected, and converter counts of a fifth before."""
+    """Answers requests; values are in millinewtons once selected, before that in converter counts, a fifth as large."""
 
     def __init__(self, config: TaxelsConfig) -> None:
         self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)
         self._answers = b""
-        self._asked = self._millinewtons = False
+        self._is_requested = self._millinewtons = False
 
-    def hear(self, data: bytes, t: float) -> bool:
+    def receive(self, data: bytes, t: float) -> bool:
         for _, raw in self._requests.feed(data, t):
             if raw[1] == taxels.READ_PRESSURES:
-                self._asked = True
+                self._is_requested = True
             else:
                 register, value = int.from_bytes(raw[2:4], "big"), int.from_bytes(raw[4:6], "big")
                 self._millinewtons |= register == taxels.VALUE_TYPE and value == taxels.MILLINEWTONS
                 self._answers += raw
-        return self._asked or bool(self._answers)
+        return self._is_requested or bool(self._answers)
 
     def due(self, t: float, wait_s: float) -> float:  # noqa: ARG002
         return math.inf
 
-    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
-        said, self._answers = self._answers, b""
-        if self._asked:
+    def encode(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
+        data, self._answers = self._answers, b""
+        if self._is_requested:
             values = counts if self._millinewtons else counts // 5
             raw = values.astype("<u2").tobytes()
-            said += modbus_frame(taxels.READ_PRESSURES, len(raw).to_bytes(2, "little") + raw)
-        self._asked = False
-        return said
+            data += modbus_frame(taxels.READ_PRESSURES, len(raw).to_bytes(2, "little") + raw)
+        self._is_requested = False
+        return data
 
 
 def _request_size(head: Head) -> int | None:
@@ -166,21 +168,21 @@ def _has_crc(raw: bytes) -> bool:
 
 
 class _Text:
-    """A line for each frame."""
+    """Sends one line per frame."""
 
     def __init__(self, config: TaxelsConfig) -> None:
-        """Nothing of it is needed."""
+        """The configuration is not needed."""
 
-    def hear(self, data: bytes, t: float) -> bool:  # noqa: ARG002
+    def receive(self, data: bytes, t: float) -> bool:  # noqa: ARG002
         return False
 
     def due(self, t: float, wait_s: float) -> float:
         return t + wait_s
 
-    def say(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
+    def encode(self, counts: np.ndarray[tuple[int, ...], np.dtype[np.int_]], t: float) -> bytes:  # noqa: ARG002
         return " ".join(map(str, counts.ravel())).encode() + b"\n"
 
 
-_SPEECH: dict[str, type[_Tsf85 | _St0001 | _Text]] = {"tsf85": _Tsf85, "st0001": _St0001, "text": _Text}
+_PROTOCOLS: dict[str, type[_Tsf85 | _St0001 | _Text]] = {"tsf85": _Tsf85, "st0001": _St0001, "text": _Text}
 
 EMULATOR: EmulatorFactory = TaxelEmulator

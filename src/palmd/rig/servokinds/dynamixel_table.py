@@ -1,6 +1,6 @@
-"""The control table of an emulated servo: which registers there are, what may be written to each, and when not. Pure.
+"""The control table of an emulated servo: its registers, their permitted values, and when they may be written. Pure.
 
-That of an XL430-W250 without its indirect addresses. Source: ROBOTIS e-Manual, XL430-W250 and DYNAMIXEL Protocol 2.0.
+That of an XL430-W250 without indirect addresses. Source: ROBOTIS e-Manual, XL430-W250 and DYNAMIXEL Protocol 2.0.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from palmd.devices.servobus import Register
 
 TABLE_BYTES = 148
 POSITION_MODE, EXTENDED_MODE = 3, 4
-FARTHEST = 1_048_575
-"""Goals in extended position mode: 256 turns either way."""
+EXTENDED_LIMIT = 1_048_575
+"""Limit of goals in extended position mode: 256 turns either way."""
 
 
 class TableRefusal(IntEnum):
-    """The error in the answer to an instruction that is not carried out."""
+    """The error code in the answer to an instruction that is not executed."""
 
     FAILED = 1
     INSTRUCTION = 2
@@ -30,11 +30,11 @@ class TableRefusal(IntEnum):
 
 
 class TableEntry(NamedTuple):
-    """A register: its value as it leaves the factory, and what it takes; nothing where it is read only."""
+    """A register, its factory value and its permitted values; none if it is read only."""
 
     register: Register
     factory: int = 0
-    takes: Sequence[int] = ()
+    allowed: Sequence[int] = ()
 
 
 def _to(most: int, least: int = 0) -> range:
@@ -105,21 +105,21 @@ _GOALS = (GOAL_PWM, GOAL_VELOCITY, dxl.GOAL)
 
 def values_in(address: int, data: bytes) -> Iterator[tuple[TableEntry, int]] | TableRefusal:
     """The registers that `data` covers from an address on, each with its value; or why that cannot be written."""
-    found, at, end = [], address, address + len(data)
-    while at < end:
-        entry = _BY_ADDRESS.get(at)
-        if entry is None or not entry.takes:
+    entries, position, end = [], address, address + len(data)
+    while position < end:
+        entry = _BY_ADDRESS.get(position)
+        if entry is None or not entry.allowed:
             return TableRefusal.ACCESS
         if entry.register.end > end:
             return TableRefusal.LENGTH
-        raw = data[at - address : entry.register.end - address]
-        found.append((entry, int.from_bytes(raw, "little", signed=entry.register.signed)))
-        at = entry.register.end
-    return iter(found)
+        raw = data[position - address : entry.register.end - address]
+        entries.append((entry, int.from_bytes(raw, "little", signed=entry.register.signed)))
+        position = entry.register.end
+    return iter(entries)
 
 
 def refusal(address: int, data: bytes, get: Callable[[Register], int]) -> TableRefusal | None:
-    """Why a servo whose registers `get` gives does not take this, None when it does."""
+    """Why a servo, whose registers `get` returns, refuses this write; None if it accepts."""
     values = values_in(address, data)
     if isinstance(values, TableRefusal):
         return values
@@ -127,7 +127,7 @@ def refusal(address: int, data: bytes, get: Callable[[Register], int]) -> TableR
         register = entry.register
         if register.address < dxl.EEPROM_END and get(dxl.TORQUE):
             return TableRefusal.ACCESS
-        if value not in entry.takes or (register in _GOALS and get(dxl.WATCHDOG) < 0):
+        if value not in entry.allowed or (register in _GOALS and get(dxl.WATCHDOG) < 0):
             return TableRefusal.RANGE
         if not _within_limit(register, value, get):
             return TableRefusal.LIMIT
@@ -140,7 +140,7 @@ def _within_limit(register: Register, value: int, get: Callable[[Register], int]
     if register == dxl.GOAL:
         if get(dxl.OPERATING_MODE) == POSITION_MODE:
             return get(dxl.MIN_POSITION) <= value <= get(dxl.MAX_POSITION)
-        return -FARTHEST <= value <= FARTHEST
+        return -EXTENDED_LIMIT <= value <= EXTENDED_LIMIT
     if register == GOAL_VELOCITY:
         return abs(value) <= get(VELOCITY_LIMIT)
     return register != GOAL_PWM or abs(value) <= get(PWM_LIMIT)

@@ -1,1 +1,1 @@
-"""The emulated rig of three palms in space: bodies, how they move, and the logs that they leave."""
+"""The emulated rig of three palms in space: bodies, their motion, and logs."""

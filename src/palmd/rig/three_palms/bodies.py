@@ -1,9 +1,8 @@
-"""Random convex bodies that no finite set of harmonics holds: sums of a ball, ellipsoids and a rounded polytope.
+"""Random convex bodies that no finite set of harmonics represents: sums of a ball, ellipsoids and a rounded polytope.
 
 Each is given by its support function about the centre of mass,
-H(x) = ρ|x| + Σ √(xᵀAₑx) + (Σ max(0, vⱼ·x)^q)^(1/q) − e·x, whose
-gradient at a unit vector is the point with that outward normal, and whose Hessian has the radii of curvature.
-Arrays hold B bodies side by side.
+H(x) = ρ|x| + Σ √(xᵀAₑx) + (Σ max(0, vⱼ·x)^q)^(1/q) − e·x, whose gradient at a unit vector is the point with that
+outward normal, and whose Hessian has the radii of curvature. Arrays hold B bodies.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from palmd.events import FloatArray
 
 ELLIPSOIDS = 2
 VERTICES = 12
-LEAST_RADIUS = 0.15
-"""Of curvature anywhere, as a share of the mean radius."""
+MIN_RADIUS = 0.15
+"""Smallest radius of curvature, over the mean radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +60,18 @@ class Bodies:
         bend = bend + ((q - 1) / size)[..., None, None] * (spread - corner[..., :, None] * corner[..., None, :])
         return h, point, bend
 
-    def take(self, which: FloatArray) -> Bodies:
-        """Those of these indices."""
-        return Bodies(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+    def select(self, indices: FloatArray) -> Bodies:
+        """The bodies with these indices."""
+        return Bodies(*(getattr(self, name)[indices] for name in self.__dataclass_fields__))
 
 
 def random_bodies(count: int, random: np.random.Generator) -> Bodies:
-    """So many of them: 14 to 24 mm in mean radius, up to a fifth from round, centre of mass up to 1.5 mm off."""
-    found = [_one(random) for _ in range(count)]
-    return Bodies(*(np.stack([each[i] for each in found]) for i in range(6)))
+    """Bodies with mean radius 14 to 24 mm, up to a fifth from round, and the centre of mass up to 1.5 mm off-centre."""
+    drawn = [_draw_body(random) for _ in range(count)]
+    return Bodies(*(np.stack([each[i] for each in drawn]) for i in range(6)))
 
 
-def _one(random: np.random.Generator) -> tuple[FloatArray, ...]:
+def _draw_body(random: np.random.Generator) -> tuple[FloatArray, ...]:
     while True:
         radius = random.uniform(0.014, 0.024)
         shares = random.dirichlet([4.0, 4.0, 2.5])
@@ -88,30 +87,32 @@ def _one(random: np.random.Generator) -> tuple[FloatArray, ...]:
         body = Bodies(ball[None], forms[None], vertices[None], np.array([sharpness]), none[None], np.zeros((1, 3, 3)))
         u = spread_directions(600)[None]
         if (np.einsum("bvi,bni->bnv", body.vertices, u).max(-1) <= 1e-4).any():
-            continue  # the vertices do not surround the middle
+            continue  # the vertices do not surround the centre
         h, point, bend = body.support(u)
-        least = np.linalg.eigvalsh(bend + 1.0 * u[..., :, None] * u[..., None, :])[..., 0]
-        if least.min() < LEAST_RADIUS * h.mean() or np.ptp(h) > 0.45 * h.mean():
+        min_radius = np.linalg.eigvalsh(bend + 1.0 * u[..., :, None] * u[..., None, :])[..., 0]
+        if min_radius.min() < MIN_RADIUS * h.mean() or np.ptp(h) > 0.45 * h.mean():
             continue
-        # as if its density were even: second moment of the solid from cones over its surface
+        # for uniform density: second moment of the solid from cones over its surface
         weight = h[0] * np.linalg.det(bend[0] + u[0, :, :, None] * u[0, :, None, :])
-        middle = 0.75 * (weight[:, None] * point[0]).sum(0) / weight.sum()
-        about = middle + centre
-        moment = 0.6 * np.einsum("n,ni,nj->ij", weight, point[0], point[0]) / weight.sum() - np.outer(middle, middle)
+        centroid = 0.75 * (weight[:, None] * point[0]).sum(0) / weight.sum()
+        com = centroid + centre
+        moment = 0.6 * np.einsum("n,ni,nj->ij", weight, point[0], point[0]) / weight.sum() - np.outer(
+            centroid, centroid
+        )
         moment = moment * random.uniform(0.85, 1.1) + np.outer(centre, centre)
-        return ball, forms, vertices, np.array(sharpness), about, np.trace(moment) * np.eye(3) - moment
+        return ball, forms, vertices, np.array(sharpness), com, np.trace(moment) * np.eye(3) - moment
 
 
 def spread_directions(count: int) -> FloatArray:
-    """(count, 3) directions, evenly spread."""
+    """(count, 3) unit vectors, evenly spread over the sphere."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
     across = np.sqrt(1.0 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
 
 
 def random_rotation(random: np.random.Generator, count: int) -> FloatArray:
-    """(count, 3, 3) rotations."""
+    """(count, 3, 3) random rotations."""
     R: FloatArray = np.asarray(np.linalg.qr(random.normal(size=(count, 3, 3)))[0], np.float64)
     R *= np.linalg.det(R)[:, None, None]
     return R

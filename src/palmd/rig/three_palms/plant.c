@@ -1,24 +1,24 @@
-/* One step of one body on three palms: as `rig.three_palms.plant`, which says what is computed, and why. The palms of
-   joints: as `system.three_palms.palms_at`. */
+/* One step of one body on three palms, see `rig.three_palms.plant`; and the palms for given joints, see
+   `system.three_palms.palms_at`. */
 
 #include <math.h>
 #include <string.h>
 
 #define ELLIPSOIDS 2
 #define VERTICES 12
-#define PULL 100.0 /* 1/s, of what holds the gaps at zero */
-#define INSTANTS 64 /* of the palms' vibrations */
+#define PULL 100.0 /* 1/s, rate at which errors of the gaps decay */
+#define INSTANTS 64 /* of the palms' vibrations, over which is averaged */
 #define KINK 0.03
-#define WAYS 3 /* that a palm may push: along its normal, along its vibration and across that */
+#define WAYS 3 /* directions of contact forces: along the normal, along the vibration, and across it */
 
-typedef double Instant[3]; /* the palms' speeds as they vibrate, over their amplitude */
+typedef double Instant[3]; /* the palms' vibration speeds over their amplitude */
 
 static const double PI = 3.14159265358979323846;
 
 typedef struct {
   double ball, forms[ELLIPSOIDS][3][3], vertices[VERTICES][3], sharpness, offset[3], inertia[3][3];
   double mu, dither, drag, gravity;
-} Scene; /* dither: pi V / 2, V the amplitude of a palm's speed as it vibrates */
+} Scene; /* dither: pi V / 2, V the amplitude of a palm's vibration speed */
 
 typedef struct {
   double normal[3][3], rate[3][3], acceleration[3][3], spin[3][3];
@@ -56,7 +56,7 @@ static void inverse(const double A[3][3], double out[3][3]) {
     for (int j = 0; j < 3; j++) out[i][j] = c[j][i] / det;
 }
 
-/* h, its gradient and second derivative times s, at the unit normal u */
+/* h, its gradient, and its Hessian times s, at the unit normal u */
 static double support(const Scene *b, const double *u, const double *s, double *point, double *bent) {
   double h = b->ball - dot(b->offset, u), along = dot(u, s);
   for (int i = 0; i < 3; i++) {
@@ -98,13 +98,13 @@ static double support(const Scene *b, const double *u, const double *s, double *
   return h + size;
 }
 
-/* the directions of friction of a contact that slips so (m/s): along the vibration, and across it */
+/* the direction of friction (along the vibration, across it) for a contact's slip (m/s) */
 static void direction(double along, double across, double speed, double now, double *out) {
-  const double there = along + speed * now, size = sqrt(there * there + across * across + KINK * KINK * speed * speed);
-  out[0] = there / size, out[1] = across / size;
+  const double slip = along + speed * now, size = sqrt(slip * slip + across * across + KINK * KINK * speed * speed);
+  out[0] = slip / size, out[1] = across / size;
 }
 
-/* at `count` instants of the vibrations, whose mean it is */
+/* derivatives of the state, averaged over `count` instants of the vibrations */
 static void rates(const Scene *b, const Palms *palms, const State *x, const Instant *instants, int count, State *out,
                   Touch *touch) {
   double J[3][3], J_inverse[3][3], RI[3][3], jacobian[3][6], wrench[3][WAYS][6], free[6] = {0, 0, -b->gravity}, wanted[3];
@@ -126,7 +126,7 @@ static void rates(const Scene *b, const Palms *palms, const State *x, const Inst
     const double *normal = palms->normal[n], *rate = palms->rate[n], *bend = palms->acceleration[n];
     double u[3], s[3], local[3], bent[3], r[3], slide[3], turning[3], spinning[3];
     cross(x->w, normal, spinning);
-    for (int i = 0; i < 3; i++) turning[i] = rate[i] - spinning[i]; /* of the normal, as the body sees it */
+    for (int i = 0; i < 3; i++) turning[i] = rate[i] - spinning[i]; /* of the normal, relative to the body */
     turned_back(x->R, normal, u);
     turned_back(x->R, turning, s);
     for (int i = 0; i < 3; i++) u[i] = -u[i], s[i] = -s[i];
@@ -156,7 +156,7 @@ static void rates(const Scene *b, const Palms *palms, const State *x, const Inst
     wanted[n] = -bias - 2.0 * PULL * gap_rate - PULL * PULL * gap;
     wanted[n] -= dot(jacobian[n], free) + dot(jacobian[n] + 3, free + 3);
   }
-  double by[3][3][WAYS], push[3][WAYS] = {{0}}; /* what each push gives each gap; its mean */
+  double by[3][3][WAYS], push[3][WAYS] = {{0}}; /* gap accelerations by unit forces; mean forces */
   for (int n = 0; n < 3; n++)
     for (int m = 0; m < 3; m++)
       for (int way = 0; way < WAYS; way++)
@@ -199,7 +199,7 @@ static State moved(const State *x, const State *by, double dt) {
   return out;
 }
 
-/* one step of Newton's towards the nearest rotation */
+/* one Newton step towards the nearest rotation */
 static void straighten(State *state) {
   double gram[3][3], R[3][3];
   for (int i = 0; i < 3; i++)
@@ -215,8 +215,8 @@ static void straighten(State *state) {
   memcpy(state->R, R, sizeof R);
 }
 
-/* palms: at the beginning, midway and at the end. lattice, shift: phases (rad) at `INSTANTS`, over which all is averaged.
-   Leaves the state after dt (s), and the touch then. */
+/* palms: at the beginning, midway and at the end. lattice, shift: phases (rad) at `INSTANTS`, over which is averaged.
+   Replaces the state by that after dt (s), and returns its contacts. */
 void three_palms_step(const Scene *scene, const Palms *palms, const double (*lattice)[3], const double *shift, double dt,
                       State *state, Touch *touch) {
   State k[4], at, mean;
@@ -247,8 +247,8 @@ static void palms_between(const Palms *palms, double share, Palms *out) {
   for (unsigned i = 0; i < sizeof(Palms) / sizeof(double); i++) to[i] = w[0] * at[0][i] + w[1] * at[1][i] + w[2] * at[2][i];
 }
 
-/* The same with the vibrations themselves, in `count` steps of the midpoint rule: phase is that of each palm, which goes
-   on at its rate (rad/s). force: of a sensor that falls behind by `slow` (s). */
+/* The same with the vibrations resolved, in `count` steps of the midpoint rule. phase: of each palm, updated; rate: of
+   the phases (rad/s). force: of a sensor with the time constant `slow` (s). */
 void three_palms_vibrate(const Scene *scene, const Palms *palms, double *phase, const double *rate, double slow, long count,
                          double dt, State *state, Touch *touch) {
   const double h = dt / count, kept = exp(-h / slow);
@@ -275,7 +275,7 @@ void three_palms_vibrate(const Scene *scene, const Palms *palms, double *phase, 
   memcpy(touch->force, force, sizeof force);
 }
 
-/* One instant later: palms[2] and its pads' axes (a, b) of angles, rates and accelerations of beta, gamma2, gamma3. */
+/* Shift by one instant; palms[2] and its pads' axes (a, b) from angles, rates, accelerations of beta, gamma2, gamma3. */
 void three_palms_turn(Palms *palms, double axes[3][2][3], const double joints[3][3]) {
   const double *angle = joints[0], *rate = joints[1], *acceleration = joints[2];
   double c[3], s[3];

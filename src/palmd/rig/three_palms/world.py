@@ -1,7 +1,7 @@
-"""The emulated rig of three palms in space in one pure object, as `rig.world.World` is that of two palms.
+"""The emulated rig of three palms in space in one pure object, the counterpart of `rig.world.World` for two palms.
 
-The body is held on the palms by constraint forces; where a palm would have to pull, or a contact leaves its pad, the
-body falls off: a hand puts it back, at rest, some time later.
+Constraint forces keep the body on the palms; where a palm would have to pull, or a contact leaves its pad, the body
+falls off, and a hand puts it back at rest some time later.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from palmd.rig.three_palms.arm import TiltArm
 from palmd.rig.three_palms.bodies import random_bodies, random_rotation
 from palmd.rig.three_palms.compiled import BodyOnPalms, TurningPalms
 from palmd.rig.three_palms.pads import PlanePadEmulator
-from palmd.rig.three_palms.plant import BodyStates, Rubbing
+from palmd.rig.three_palms.plant import BodyStates, FrictionParameters
 from palmd.system.three_palms import HALVINGS, JOINTS, PALMS, room_on_pads
 from palmd.three_palms_quantities import PALM3_BODY, PALM3_TRUTH
 
-HALF_STEP = 2
-"""Base steps in half a step of the plant."""
-PLANT_STEP_S = 2 * HALF_STEP * STEP_S
+STEPS_PER_HALF = 2
+"""Base steps per half step of the plant."""
+PLANT_STEP_S = 2 * STEPS_PER_HALF * STEP_S
 REST_POSE = np.array([0.9, 0.8, 0.8])
 SETTLING_S = 2.5
 SETTLING_DRAG = 4e-3
 AWAY_S = 2.0
 MASS_KG = (0.04, 0.12)
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
-_STILL = (0.0,) * len(JOINTS)
-_NOTHING = [[math.nan, math.nan]] * len(PALMS)  # is what pads read
+_AT_REST = (0.0,) * len(JOINTS)
+_NO_READINGS = [[math.nan, math.nan]] * len(PALMS)
 
 
 class ThreePalmsWorld(EmulatedRig[TiltArm]):
@@ -54,7 +54,7 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         pad_options: PadOptions = GOOD_PADS,
         t: float = 0.0,
     ) -> None:
-        """The palms at rest, and a random body at rest on them; the rig is as the configuration says."""
+        """The palms at rest with a random body at rest on them; the rig is exactly as configured."""
         self.config, self.seed, self.kind = config, seed, kind
         self.contact_losses = 0
         rng = np.random.default_rng(seed)
@@ -67,27 +67,29 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         self._side = config.pads.palm1.length_mm * 1e-3
         self._joints = arm.joints(t)
         self._palms = TurningPalms(self._joints)
-        self._read = self._before = _NOTHING  # a and b of each pad, at `_read_at`, and a step before
-        self._read_at = t
-        self._back_at = -math.inf
+        self._readings = self._previous_readings = (
+            _NO_READINGS  # a and b of each pad, at `_t_readings` and a step before
+        )
+        self._t_readings = t
+        self._t_return = -math.inf
         self._lifted = False
         self._touching = True
         self._draw_body()
 
     @property
     def body(self) -> BodyOnPalms:
-        """What is on the palms, and how it moves."""
+        """The body on the palms, with its motion."""
         return self._body
 
-    # -- the outside --------------------------------------------------------------------------------------
+    # -- interface ----------------------------------------------------------------------------------------
 
     def new_object(self) -> None:
-        """A hand takes the body away and, two seconds later, puts another one on the palms."""
+        """Take the body away and, two seconds later, put another one on the palms."""
         self._draw_body()
-        self._leave(self.t)
+        self._lose_contact(self.t)
 
     def truth(self) -> dict[str, Any]:
-        """What is really there at `t`, as `rig/palm3` tells it."""
+        """The true state at `t`, as published on `rig/palm3`."""
         body, touching = self._body, self._touching
         R, force = body.state[6:15].reshape(3, 3), self._mass * body.force if touching else np.full(3, math.nan)
         return {
@@ -96,8 +98,8 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
             **dict(zip((f"com_{axis}_m" for axis in "xyz"), body.state[:3].tolist(), strict=True)),
             **dict(zip((f"{joint}_rad" for joint in JOINTS), self._joints[0], strict=True)),
             **dict(zip((f"{joint}_rate_rad_s" for joint in JOINTS), self._joints[1], strict=True)),
-            **{f"a{palm}_m": self._read[i][0] for i, palm in enumerate(PALMS)},
-            **{f"b{palm}_m": self._read[i][1] for i, palm in enumerate(PALMS)},
+            **{f"a{palm}_m": self._readings[i][0] for i, palm in enumerate(PALMS)},
+            **{f"b{palm}_m": self._readings[i][1] for i, palm in enumerate(PALMS)},
             **{f"f{palm}_n": float(force[i]) for i, palm in enumerate(PALMS)},
             **{f"touch{palm}": touching for palm in PALMS},
             "object": self.objects,
@@ -105,8 +107,8 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         }
 
     def object_truth(self) -> dict[str, Any]:
-        """The body itself, as `rig/palm3_object` tells it."""
-        body, rubbing = self._body.body, self._body.rubbing
+        """The body itself, as published on `rig/palm3_object`."""
+        body, friction = self._body.body, self._body.friction
         return {
             "object": self.objects,
             "shape": "the sum of a ball, two ellipsoids and a rounded polytope",
@@ -114,9 +116,9 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
             "h_m": body.support(icosphere()[0][None])[0][0].tolist(),
             "inertia_m2": body.inertia[0].ravel().tolist(),
             "mass_kg": self._mass,
-            "mu": float(rubbing.mu[0]),
-            "dither_m_s": float(rubbing.dither[0]),
-            "damping_m2_s": float(rubbing.drag[0]),
+            "mu": float(friction.mu[0]),
+            "dither_m_s": float(friction.dither[0]),
+            "damping_m2_s": float(friction.drag[0]),
         }
 
     def _counts(self) -> dict[str, Any]:
@@ -125,42 +127,42 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
     # -- one step -----------------------------------------------------------------------------------------
 
     def _step(self) -> None:
-        """Half a millisecond of everything; the plant goes on every fourth."""
+        """Advance everything by half a millisecond; the plant advances every fourth time."""
         self._steps += 1
         t = self.t
-        self._play_all(t)
-        self._speak(t)
-        if self._steps % HALF_STEP:
+        self._inject_due_faults(t)
+        self._transmit_due(t)
+        if self._steps % STEPS_PER_HALF:
             return
         self._joints = self._arm.joints(t)
         self._palms.turn(self._joints)
-        if self._steps % (2 * HALF_STEP) == 0:
-            self._live(t)
+        if self._steps % (2 * STEPS_PER_HALF) == 0:
+            self._advance_plant(t)
 
-    def _live(self, t: float) -> None:
-        """A step of the plant, which ends now."""
+    def _advance_plant(self, t: float) -> None:
+        """One step of the plant, which ends at the present."""
         if not self._touching:
-            if not self._lifted and t >= self._back_at:
-                self._settle()
+            if not self._lifted and t >= self._t_return:
+                self._place_body()
             return
         body = self._body
         body.advance(self._palms.rows, PLANT_STEP_S)
-        read = self._palms.readings(body.point)
-        self._before, self._read, self._read_at = self._read, read.tolist(), t
-        if not (body.force.min() > 0.0 and room_on_pads(read, self._side).min() > 0.0):
+        readings = self._palms.readings(body.point)
+        self._previous_readings, self._readings, self._t_readings = self._readings, readings.tolist(), t
+        if not (body.force.min() > 0.0 and room_on_pads(readings, self._side).min() > 0.0):
             self.contact_losses += 1
-            self._leave(t)
+            self._lose_contact(t)
 
-    def _leave(self, t: float) -> None:
-        self._touching, self._back_at = False, t + AWAY_S
-        self._read = _NOTHING
+    def _lose_contact(self, t: float) -> None:
+        self._touching, self._t_return = False, t + AWAY_S
+        self._readings = _NO_READINGS
 
-    def _settle(self) -> None:
-        """The body is put on the palms as they stand, some way round, where it comes to rest."""
+    def _place_body(self) -> None:
+        """Place the body in a random orientation on the palms as they stand, and let it settle to rest."""
         body, rng = self._body, self._rng
-        palms = TurningPalms((self._joints[0], _STILL, _STILL)).rows
-        slow = Rubbing(0 * body.rubbing.mu, body.rubbing.dither, np.full(1, SETTLING_DRAG))
-        trial = BodyOnPalms(body.body, slow, self.config.rig.gravity_m_s2)
+        palms = TurningPalms((self._joints[0], _AT_REST, _AT_REST)).rows
+        settling = FrictionParameters(0 * body.friction.mu, body.friction.dither, np.full(1, SETTLING_DRAG))
+        trial = BodyOnPalms(body.body, settling, self.config.rig.gravity_m_s2)
         R = random_rotation(rng, 1)
         normal = palms[0, :9].reshape(3, 3)
         h, _, _ = body.body.support(-np.einsum("bji,nj->bni", R, normal))
@@ -173,12 +175,12 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
         body.state[3:6] = body.state[15:] = 0.0
         self._touching = True
 
-    def _felt(self, pad: PortName) -> list[Press]:
+    def _object_presses(self, pad: PortName) -> list[Press]:
         number = list(self._middles).index(pad)
-        since = self.t - self._read_at
+        since = self.t - self._t_readings
         a, b = (
             now + since * ((now - before) / PLANT_STEP_S)
-            for now, before in zip(self._read[number], self._before[number], strict=True)
+            for now, before in zip(self._readings[number], self._previous_readings[number], strict=True)
         )
         if not (self._touching and math.isfinite(a)):
             return []
@@ -186,17 +188,17 @@ class ThreePalmsWorld(EmulatedRig[TiltArm]):
 
     def _draw_body(self) -> None:
         rng = self._rng
-        rubbing = Rubbing(rng.uniform(*MU, 1), rng.uniform(*DITHER_M_S, 1), np.zeros(1))
-        self._body = BodyOnPalms(random_bodies(1, rng), rubbing, self.config.rig.gravity_m_s2)
+        friction = FrictionParameters(rng.uniform(*MU, 1), rng.uniform(*DITHER_M_S, 1), np.zeros(1))
+        self._body = BodyOnPalms(random_bodies(1, rng), friction, self.config.rig.gravity_m_s2)
         self._mass = float(rng.uniform(*MASS_KG))
         self.objects += 1
-        self._settle()
+        self._place_body()
 
-    def _play(self, order: FaultOrder, begins: bool) -> None:
-        self._arm.play(order, begins)
+    def _inject_fault(self, order: FaultOrder, begins: bool) -> None:
+        self._arm.inject_fault(order, begins)
         if order.name == "swap" and begins:
             self.new_object()
         elif order.name == "lift":
             self._lifted = begins
             if begins and self._touching:
-                self._leave(self.t)
+                self._lose_contact(self.t)
