@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
     """What all runs tell of the rig; constants are open, as in each run, by how much contradicts their priors."""
-    known = RigBelief.of(rig).told
+    known = RigBelief.of(rig).described_sd
     runs = [(*(each.rig_by_prior or (each.rig, each.rig_covariance)), each.rig_prior_sd) for each in answers]
     together = combined(runs, known)
     return combined(runs, criticised(together.values, together.covariance, known, known).sd)

@@ -1,4 +1,4 @@
-"""The outline of an object with corners by all readings of all rides, each at its place on it. Pure, offline."""
+"""Fit of a rounded polygon to all readings of the associated contact-mode segments. Pure, offline."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.observer.cornered import discs, seats
-from palmd.observer.damped import minimised
-from palmd.observer.lying import SEAT, SHARED, RideReadings
-from palmd.observer.places import Places, Seat, believed
+from palmd.observer.cornered import discs, mode_parameters
+from palmd.observer.damped import minimise
+from palmd.observer.lying import MODE_PARAMETERS, SHARED, SegmentReadings
+from palmd.observer.places import Association, ModeEstimate, prior_residuals
 from palmd.observer.record import IntArray
 
-ROUNDS = 3  # in which is looked for what rocks
-STEP_M = 1e-7
+ROUNDS = 3  # fits; after each one the readings while the object rocks are left out
+STEP_M = 1e-7  # for difference quotients
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
-    """What is believed of the numbers that all rides share (`lying.SHARED`), and its one-sigmas."""
+class SharedPrior:
+    """Prior mean and 1σ of the numbers that all segments share (`mode_model.SHARED`)."""
 
     mean: FloatArray
     sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class CorneredFit:
-    """The outline p, the shared numbers, where each ride has its place, and how it is explained."""
+class RoundedPolygonFit:
+    """Fitted outline p and shared numbers with their joint covariance, associations, and residuals of each segment."""
 
-    places: Places
-    lyings: tuple[RideReadings, ...]
+    association: Association
+    segments: tuple[SegmentReadings, ...]
     residuals: tuple[FloatArray, ...]
     p: FloatArray
     shared: FloatArray
@@ -40,89 +40,100 @@ class CorneredFit:
 
     @property
     def chi2(self) -> float:
-        """Of each reading."""
+        """Mean squared normalised residual of the readings."""
         return float(np.mean(np.concatenate(self.residuals) ** 2))
 
     @property
     def sides(self) -> IntArray:
-        """Of each ride, on which it lies."""
-        sides: IntArray = self.places.sides[self.places.used == 1]
+        """The side on which the object lies, for each segment."""
+        sides: IntArray = self.association.sides[self.association.used == 1]
         return sides
 
     @property
     def corners(self) -> IntArray:
-        """Of each ride, which is opposite."""
-        corners: IntArray = self.places.corners[self.places.used == 1]
+        """The corner on the other palm, for each segment."""
+        corners: IntArray = self.association.corners[self.association.used == 1]
         return corners
 
-    def seat(self, which: int) -> FloatArray:
-        """Y, ρ, a, H (m) of a ride."""
+    def parameters(self, which: int) -> FloatArray:
+        """Mode parameters Y, ρ, a, H (m) of a segment."""
         side, corner = (each[[which]] for each in (self.sides, self.corners))
-        seat: FloatArray = seats(self.p, side, corner, [self.lyings[which].ride.palm])[0]
-        return seat
+        parameters: FloatArray = mode_parameters(self.p, side, corner, [self.segments[which].segment.palm])[0]
+        return parameters
 
 
-class _AllRides:
-    """What is to be least squared."""
+class _PolygonProblem:
+    """Least-squares problem of all segments."""
 
-    def __init__(self, lyings: Sequence[RideReadings], places: Places, shared: Shared):
-        used = np.flatnonzero(places.used)
-        self.lyings, self._shared = lyings, shared
-        self.sides, self.corners = places.sides[used], places.corners[used]
-        self._palms = [each.ride.palm for each in lyings]
-        self._own = len(places.p)
-        centres, radii = discs(places.p)
+    def __init__(self, segments: Sequence[SegmentReadings], association: Association, shared: SharedPrior):
+        used = np.flatnonzero(association.used)
+        self.segments, self._shared = segments, shared
+        self.sides, self.corners = association.sides[used], association.corners[used]
+        self._palms = [each.segment.palm for each in segments]
+        self._own = len(association.p)
+        centres, radii = discs(association.p)
         self._reach, self._radius = float(np.abs(centres).mean()), float(np.median(radii))
         self._gauge = float(np.angle(centres[0]))
 
-    def seats(self, p: FloatArray) -> FloatArray:
-        return seats(p[: self._own], self.sides, self.corners, self._palms)
+    def mode_parameters(self, p: FloatArray) -> FloatArray:
+        return mode_parameters(p[: self._own], self.sides, self.corners, self._palms)
 
     def at(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals, of what is believed last, and their derivatives."""
-        there, own = self.seats(p), np.eye(len(p))[: self._own]
-        moved = np.stack([(self.seats(p + STEP_M * unit) - there) / STEP_M for unit in own], axis=2)
+        """Residuals (readings, then prior) and their derivatives."""
+        parameters, own = self.mode_parameters(p), np.eye(len(p))[: self._own]
+        slopes_by_p = np.stack(
+            [(self.mode_parameters(p + STEP_M * unit) - parameters) / STEP_M for unit in own], axis=2
+        )
         misses, rows = list[FloatArray](), list[FloatArray]()
-        for seat, by, lying in zip(there, moved, self.lyings, strict=True):
-            slopes = lying.slopes(seat, p[self._own :])
-            misses.append(lying.residuals(seat, p[self._own :]))
-            rows.append(np.concatenate([slopes[:, :SEAT] @ by, slopes[:, SEAT:]], axis=1))
-        believed = self._believed(p)
+        for mode, by_p, readings in zip(parameters, slopes_by_p, self.segments, strict=True):
+            slopes = readings.slopes(mode, p[self._own :])
+            misses.append(readings.residuals(mode, p[self._own :]))
+            rows.append(np.concatenate([slopes[:, :MODE_PARAMETERS] @ by_p, slopes[:, MODE_PARAMETERS:]], axis=1))
+        prior_misses = self._prior_residuals(p)
         steps = STEP_M * np.eye(len(p))
-        misses.append(believed)
-        rows.append(np.stack([(self._believed(p + step) - believed) / STEP_M for step in steps], axis=1))
+        misses.append(prior_misses)
+        rows.append(np.stack([(self._prior_residuals(p + step) - prior_misses) / STEP_M for step in steps], axis=1))
         return np.concatenate(misses), np.concatenate(rows)
 
-    def _believed(self, p: FloatArray) -> FloatArray:
-        shared = (p[self._own :] - self._shared.mean) / self._shared.sd
-        return np.concatenate([believed(p[: self._own], self._reach, self._radius, self._gauge), shared])
+    def _prior_residuals(self, p: FloatArray) -> FloatArray:
+        shared_misses = (p[self._own :] - self._shared.mean) / self._shared.sd
+        return np.concatenate([prior_residuals(p[: self._own], self._reach, self._radius, self._gauge), shared_misses])
 
 
-def fitted(found: Sequence[Seat], whole: Sequence[RideReadings], places: Places, shared: Shared) -> CorneredFit | None:
-    """By all readings of the rides that have a place, where they lie still; None where nothing is told.
+def fit_rounded_polygon(
+    estimates: Sequence[ModeEstimate],
+    segments: Sequence[SegmentReadings],
+    association: Association,
+    shared: SharedPrior,
+) -> RoundedPolygonFit | None:
+    """Fit to all readings of the associated segments while the object lies still; None where it is undetermined.
 
-    whole: the readings of each, rocking and all.
+    segments: all readings of each segment, including those while it rocks.
     """
-    used = np.flatnonzero(places.used).tolist()
-    lyings, p = [found[i].lying for i in used], np.concatenate([places.p, shared.mean])
+    used = np.flatnonzero(association.used).tolist()
+    used_segments, p = [estimates[i].readings for i in used], np.concatenate([association.p, shared.mean])
     try:
         for _ in range(ROUNDS):
-            problem = _AllRides(lyings, places.of(used), shared)
-            p = minimised(problem.at, p).p
-            lyings = [
-                whole[i].only(whole[i].still(seat, p[-SHARED:])) for i, seat in zip(used, problem.seats(p), strict=True)
+            problem = _PolygonProblem(used_segments, association.of(used), shared)
+            p = minimise(problem.at, p).p
+            used_segments = [
+                segments[i].only(segments[i].still(mode, p[-SHARED:]))
+                for i, mode in zip(used, problem.mode_parameters(p), strict=True)
             ]
-            used = [i for i, each in zip(used, lyings, strict=True) if each.enough]
-            lyings = [each for each in lyings if each.enough]
+            used = [i for i, each in zip(used, used_segments, strict=True) if each.enough]
+            used_segments = [each for each in used_segments if each.enough]
             if not used:
                 return None
-        problem = _AllRides(lyings, places.of(used), shared)
-        least = minimised(problem.at, p)
+        problem = _PolygonProblem(used_segments, association.of(used), shared)
+        least = minimise(problem.at, p)
         covariance = np.asarray(np.linalg.inv(least.information), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    told = least.p[-SHARED:]
-    residuals = tuple(each.residuals(seat, told) for each, seat in zip(lyings, problem.seats(least.p), strict=True))
-    return CorneredFit(
-        places.of(used), tuple(lyings), residuals, least.p[:-SHARED], told, covariance, least.settled
+    shared_values = least.p[-SHARED:]
+    residuals = tuple(
+        each.residuals(mode, shared_values)
+        for each, mode in zip(used_segments, problem.mode_parameters(least.p), strict=True)
+    )
+    return RoundedPolygonFit(
+        association.of(used), tuple(used_segments), residuals, least.p[:-SHARED], shared_values, covariance, least.settled
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Least squares of a few numbers by damped Gauss–Newton steps. Pure."""
+"""Robust least squares in a few unknowns by damped Gauss–Newton steps. Pure."""
 
 from __future__ import annotations
 
@@ -9,21 +9,28 @@ import numpy as np
 
 from palmd.events import FloatArray
 
-GATE = 4.0  # sigmas, from which on a residual counts as its size does
-ENOUGH, MOST_DAMPING = 1e-6, 1e9
+GATE = 4.0  # σ, beyond which a residual's cost grows linearly
+SMALL_FALL, MOST_DAMPING = (
+    1e-6,
+    1e9,
+)  # relative fall of the cost at which the iteration ends; damping at which it gives up
 
 
 @dataclass(frozen=True, slots=True)
-class Least:
-    """Where the cost is least, half its second derivatives there, and whether the last step gained nothing."""
+class Minimum:
+    """A minimum: p, half the cost's second derivatives there, and whether the last step gained nothing."""
 
     p: FloatArray
     information: FloatArray
     settled: bool
 
 
-def minimised(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: FloatArray, iterations: int = 40) -> Least:
-    """From p on. at(p): residuals in one-sigmas, and their derivatives by p; far ones count by their size alone."""
+def minimise(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: FloatArray, iterations: int = 40) -> Minimum:
+    """Minimise the cost from p on.
+
+    at(p): residuals, normalised by their 1σ, and their derivatives. The cost of a residual is quadratic within `GATE`,
+    linear beyond.
+    """
     misses, rows = at(p)
     cost, damping = _cost(misses), 1e-3
     settled = False
@@ -32,11 +39,11 @@ def minimised(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: Floa
         information = rows.T @ (weight[:, None] * rows)
         damped = information + damping * np.diag(np.diagonal(information))
         step = -np.linalg.solve(damped, rows.T @ (weight * misses))
-        there, there_rows = at(p + step)
-        new = _cost(there)
-        if new < cost:
-            settled = cost - new < ENOUGH * cost
-            p, misses, rows, cost, damping = p + step, there, there_rows, new, damping / 5.0
+        new_misses, new_rows = at(p + step)
+        new_cost = _cost(new_misses)
+        if new_cost < cost:
+            settled = cost - new_cost < SMALL_FALL * cost
+            p, misses, rows, cost, damping = p + step, new_misses, new_rows, new_cost, damping / 5.0
             if settled:
                 break
         else:
@@ -44,7 +51,7 @@ def minimised(at: Callable[[FloatArray], tuple[FloatArray, FloatArray]], p: Floa
             if damping > MOST_DAMPING:
                 break
     weight = 1.0 / np.sqrt(1.0 + (misses / GATE) ** 2)
-    return Least(p, rows.T @ (weight[:, None] * rows), settled)
+    return Minimum(p, rows.T @ (weight[:, None] * rows), settled)
 
 
 def _cost(misses: FloatArray) -> float:

@@ -1,10 +1,11 @@
-"""What lies on a side on one palm, a corner on the other: where both palms feel it, by geometry and balance. Pure.
+"""Measurement model of an object that lies with a side on one palm and touches the other palm with a corner. Pure.
 
-It turns with the palm that it lies on, so its motion is that of the palms. In that palm's frame (x from the hinge
-outwards, y towards the object; mirrored for palm 2) the corner's centre is at x_c = (Y cos φ2 + ρ)/sin φ2 and Y, and
-the centre of mass at x_c + a and H. The other palm reads (Y + ρ cos φ2)/sin φ2. Newton's law gives the force on either
-palm, with friction μ σ(u) as everywhere, and the torques about the centre of mass where on its side the object stands:
-that the ridden palm reads, and it tells a and H. Nothing is integrated. Not for use inside the loop.
+It turns with the palm that it lies on, the supporting palm, so its motion is that of the palms. In that palm's frame (x
+from the hinge outwards, y towards the object; mirrored for palm 2) the corner's centre is at x_c = (Y cos φ2 + ρ)/sin
+φ2 and Y, and the centre of mass at x_c + a and H. The other palm reads (Y + ρ cos φ2)/sin φ2. Newton's law gives the
+force on either palm, with friction μ σ(u) as everywhere. The torques about the centre of mass give where on its side
+the object stands: that is what the supporting palm reads, and it determines a and H. Nothing is integrated. Not for use
+inside the loop.
 """
 
 from __future__ import annotations
@@ -20,22 +21,23 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model.friction import averaged_direction, mean_direction, sign_shares
 from palmd.observer.record import Record
-from palmd.observer.rides import Ride, unexplained
+from palmd.observer.rides import ModeSegment, rejected_windows
 from palmd.system.mechanism import JOINTS, OPENING, PALMS
 from palmd.system.vibration import VibrationLaw
 
-SEAT, SHARED = 4, 3
-"""How many numbers: Y, ρ, a, H (m); and ln of the radius of gyration (m), μ, ln of the dither's speed (m/s)."""
-STEPS = (*(1e-6,) * SEAT, *(1e-4,) * SHARED)  # for slopes
-WINDOW_SIGMAS, MOST = 4.0, 10.0  # of χ² in a window, beyond which it rocks; a residual's share of it
-LEAST_READINGS = 16  # of either pad
+MODE_PARAMETERS, SHARED = 4, 3
+"""How many mode parameters: Y, ρ, a, H (m); shared numbers: ln radius of gyration (m), μ, ln dither speed (m/s)."""
+STEPS = (*(1e-6,) * MODE_PARAMETERS, *(1e-4,) * SHARED)  # for difference quotients
+# of χ² in a window, beyond which the object rocks; largest normalised residual that is added to it
+WINDOW_SIGMAS, MOST = 4.0, 10.0
+LEAST_READINGS = 16  # of each pad
 
 Marks = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
-    """A frame that turns with a palm, at n times: all that the balance needs of the palms' motion.
+class SupportFrame:
+    """Motion of a frame that turns with the supporting palm, at n times: all that the balance of forces needs.
 
     pull: gravity less the hinge's acceleration, along the palm and out of it (n, 2; m/s²). spin, turn: the frame's rate
     and acceleration (n; rad/s, rad/s²), from x to y. opening: φ2, its rate and acceleration (n, 3).
@@ -47,8 +49,8 @@ class Carried:
     opening: FloatArray
 
     @classmethod
-    def by(cls, palm: int, palms: FloatArray, rig: FloatArray) -> Carried:
-        """By `palm` (0, 1) of palms (n, 6), both as a `Record` has them."""
+    def by(cls, palm: int, palms: FloatArray, rig: FloatArray) -> SupportFrame:
+        """The frame of `palm` (0, 1); palms (n, 6) and rig as in a `Record`."""
         motion = palms.reshape(len(palms), 3, len(JOINTS))
         first, rate, turn = motion[:, :, 0].T
         phi, spin, spun = motion[:, :, : palm + 1].sum(axis=2).T
@@ -62,48 +64,50 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Where the other palm and the ridden one feel it, s (n; m), and how hard they press, per unit mass (n; m/s²)."""
+    """Predicted contacts on the other and the supporting palm (n; m), and forces on them per unit mass (n; m/s²)."""
 
     other: FloatArray
-    ridden: FloatArray
+    support: FloatArray
     other_force: FloatArray
-    ridden_force: FloatArray
+    support_force: FloatArray
 
 
-def balance(seat: FloatArray, shared: FloatArray, carried: Carried, law: VibrationLaw = "sign_pairs") -> Balance:
-    """Of what lies as `seat` says (`SEAT` numbers) and rubs and turns as `shared` says (`SHARED`).
+def balance(mode: FloatArray, shared: FloatArray, carried: SupportFrame, law: VibrationLaw = "sign_pairs") -> Balance:
+    """Predict contacts and forces for mode parameters `mode` and shared numbers `shared`.
 
     Means over the palms' vibrations, which are taken to be independent.
     """
-    high, radius, away, height = seat
+    height_c, radius, offset, height_m = mode
     gyration2, mu, dither = np.exp(2.0 * shared[0]), shared[1], np.exp(shared[2])
     phi, rate, turn = carried.opening.T
     sin, cos = np.sin(phi), np.cos(phi)
-    other = (high + radius * cos) / sin
-    centre = (high * cos + radius) / sin
-    slips = -other / sin * rate  # along the ridden palm, as its centre of mass and its corner do
-    x = centre + away
-    along = -other / sin * turn + (radius / sin + 2.0 * other * cos / sin**2) * rate**2
-    along = along - carried.turn * height - carried.spin**2 * x - carried.pull[:, 0]
-    out = carried.turn * x + 2.0 * carried.spin * slips - carried.spin**2 * height - carried.pull[:, 1]
-    lever = centre - radius * sin - x, high + radius * cos - height
+    other = (height_c + radius * cos) / sin
+    centre = (height_c * cos + radius) / sin
+    slip = -other / sin * rate  # speed of centre of mass and corner along the supporting palm
+    x = centre + offset
+    tangential = -other / sin * turn + (radius / sin + 2.0 * other * cos / sin**2) * rate**2
+    tangential = tangential - carried.turn * height_m - carried.spin**2 * x - carried.pull[:, 0]
+    normal = carried.turn * x + 2.0 * carried.spin * slip - carried.spin**2 * height_m - carried.pull[:, 1]
+    lever = centre - radius * sin - x, height_c + radius * cos - height_m
     means = np.zeros((3, len(phi)))
-    for share, direction, other_direction in _directions(slips, slips * cos, dither, law):
-        rubs, other_rubs = mu * direction, mu * other_direction
-        push = np.stack([sin - other_rubs * cos, -cos - other_rubs * sin])  # of the other palm, by its normal force
-        other_force = (along + rubs * out) / (push[0] + rubs * push[1])
-        ridden_force = out - push[1] * other_force
-        torque = (lever[0] * push[1] - lever[1] * push[0]) * other_force - height * rubs * ridden_force
-        means += share * np.stack([other_force, ridden_force, torque])
-    other_force, ridden_force, torque = means
-    ridden = x + (gyration2 * carried.turn - torque) / ridden_force
-    return Balance(other, ridden, other_force, ridden_force)
+    for share, direction, other_direction in _directions(slip, slip * cos, dither, law):
+        friction, other_friction = mu * direction, mu * other_direction
+        push = np.stack(
+            [sin - other_friction * cos, -cos - other_friction * sin]
+        )  # of the other palm, per unit normal force
+        other_force = (tangential + friction * normal) / (push[0] + friction * push[1])
+        support_force = normal - push[1] * other_force
+        torque = (lever[0] * push[1] - lever[1] * push[0]) * other_force - height_m * friction * support_force
+        means += share * np.stack([other_force, support_force, torque])
+    other_force, support_force, torque = means
+    support = x + (gyration2 * carried.turn - torque) / support_force
+    return Balance(other, support, other_force, support_force)
 
 
 def _directions(
     slip: FloatArray, other: FloatArray, dither: float, law: VibrationLaw
 ) -> Iterator[tuple[FloatArray | float, FloatArray | float, FloatArray | float]]:
-    """(share of the time, direction of slip on the ridden palm, on the other) for slips (n; m/s); dither is πV/2."""
+    """(share of time, slip's direction on the supporting palm, on the other) for slips (n; m/s); dither is πV/2."""
     if law == "averaged":
         yield 1.0, averaged_direction(slip, dither, np), averaged_direction(other, dither, np)
         return
@@ -113,70 +117,76 @@ def _directions(
 
 
 @dataclass(frozen=True, slots=True)
-class RideReadings:
-    """The readings of both pads in one ride, for as long as the object lies still; s and one-sigma in m.
+class SegmentReadings:
+    """The readings of both pads in one segment; s and its 1σ in m.
 
-    on_ridden: which of them are the ridden palm's. law: of friction.
+    on_support: which readings are of the supporting palm. law: of friction.
     """
 
-    ride: Ride
+    segment: ModeSegment
     t: FloatArray
     s: FloatArray
     sd: FloatArray
-    on_ridden: Marks
-    carried: Carried
+    on_support: Marks
+    frame: SupportFrame
     law: VibrationLaw = "sign_pairs"
 
     @classmethod
-    def of(cls, record: Record, ride: Ride, trim: float, law: VibrationLaw = "sign_pairs") -> RideReadings:
-        """Of `record`, but for so long (s) at either end."""
+    def of(cls, record: Record, segment: ModeSegment, trim: float, law: VibrationLaw = "sign_pairs") -> SegmentReadings:
+        """The readings of `record` in `segment`, without `trim` (s) at either end."""
         t = record.contact_t
-        mine = (t > ride.start + trim) & (t < ride.end - trim)
-        carried = Carried.by(ride.palm, record.contact_palms[mine], record.rig)
-        on_ridden = record.contact_pad[mine] == PALMS[ride.palm]
+        during = (t > segment.start + trim) & (t < segment.end - trim)
+        frame = SupportFrame.by(segment.palm, record.contact_palms[during], record.rig)
+        on_support = record.contact_pad[during] == PALMS[segment.palm]
         return cls(
-            ride, t[mine], record.contact_value[mine], np.sqrt(record.contact_variance[mine]), on_ridden, carried, law
+            segment,
+            t[during],
+            record.contact_value[during],
+            np.sqrt(record.contact_variance[during]),
+            on_support,
+            frame,
+            law,
         )
 
-    def residuals(self, seat: FloatArray, shared: FloatArray) -> FloatArray:
-        """Of all readings (n), in one-sigmas."""
-        there = balance(seat, shared, self.carried, self.law)
-        return (np.where(self.on_ridden, there.ridden, there.other) - self.s) / self.sd
+    def residuals(self, mode: FloatArray, shared: FloatArray) -> FloatArray:
+        """Residuals of all readings (n), normalised by their 1σ."""
+        predicted = balance(mode, shared, self.frame, self.law)
+        return (np.where(self.on_support, predicted.support, predicted.other) - self.s) / self.sd
 
-    def slopes(self, seat: FloatArray, shared: FloatArray) -> FloatArray:
-        """The same by seat and shared numbers: (n, SEAT + SHARED)."""
-        both, columns = np.concatenate([seat, shared]), []
+    def slopes(self, mode: FloatArray, shared: FloatArray) -> FloatArray:
+        """Derivatives of the residuals by mode parameters and shared numbers: (n, MODE_PARAMETERS + SHARED)."""
+        both, columns = np.concatenate([mode, shared]), []
         for i, step in enumerate(STEPS):
             after, before = both.copy(), both.copy()
             after[i] += step
             before[i] -= step
-            ahead, behind = (self.residuals(each[:SEAT], each[SEAT:]) for each in (after, before))
+            ahead, behind = (self.residuals(each[:MODE_PARAMETERS], each[MODE_PARAMETERS:]) for each in (after, before))
             columns.append((ahead - behind) / (2.0 * step))
         return np.stack(columns, axis=1)
 
     @property
     def openings(self) -> tuple[float, float]:
-        """The least φ2 and the largest (rad)."""
-        phi = self.carried.opening[:, 0]
+        """Least and largest φ2 (rad)."""
+        phi = self.frame.opening[:, 0]
         return float(phi.min()), float(phi.max())
 
-    def still(self, seat: FloatArray, shared: FloatArray) -> Marks:
-        """Which of the readings are explained, and none about them is not: elsewhere the object rocks or tips."""
-        residuals, kept = self.residuals(seat, shared), np.ones(len(self.t), dtype=np.bool_)
-        for mine in (self.on_ridden, ~self.on_ridden):
-            squares = np.minimum(residuals[mine] ** 2, MOST**2)
-            for start, end in unexplained(self.t[mine], squares, WINDOW_SIGMAS):
+    def still(self, mode: FloatArray, shared: FloatArray) -> Marks:
+        """Readings that are explained, as are all within a window about them; elsewhere the object rocks or tips."""
+        residuals, kept = self.residuals(mode, shared), np.ones(len(self.t), dtype=np.bool_)
+        for of_palm in (self.on_support, ~self.on_support):
+            squares = np.minimum(residuals[of_palm] ** 2, MOST**2)
+            for start, end in rejected_windows(self.t[of_palm], squares, WINDOW_SIGMAS):
                 kept &= (self.t < start) | (self.t > end)
         return kept
 
     @property
     def enough(self) -> bool:
-        """Whether there are readings enough of both pads."""
-        on_ridden = int(self.on_ridden.sum())
-        return min(on_ridden, len(self.t) - on_ridden) >= LEAST_READINGS
+        """Whether both pads have enough readings."""
+        on_support = int(self.on_support.sum())
+        return min(on_support, len(self.t) - on_support) >= LEAST_READINGS
 
-    def only(self, kept: Marks) -> RideReadings:
-        """The same of some of its readings."""
-        carried = Carried(*(getattr(self.carried, name)[kept] for name in ("pull", "spin", "turn", "opening")))
-        at = {name: getattr(self, name)[kept] for name in ("t", "s", "sd", "on_ridden")}
-        return replace(self, carried=carried, **at)
+    def only(self, kept: Marks) -> SegmentReadings:
+        """The same with these readings only."""
+        frame = SupportFrame(*(getattr(self.frame, name)[kept] for name in ("pull", "spin", "turn", "opening")))
+        arrays = {name: getattr(self, name)[kept] for name in ("t", "s", "sd", "on_support")}
+        return replace(self, frame=frame, **arrays)

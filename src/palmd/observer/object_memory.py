@@ -20,7 +20,7 @@ from palmd.model.arcs import contacts_on_arcs
 from palmd.model.touch import LEAST_SLACK
 from palmd.observer.coverage import Marks
 from palmd.observer.mass import MassEstimator
-from palmd.observer.riding import Riding
+from palmd.observer.riding import FixedModeTest
 from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, normal_directions
@@ -54,7 +54,7 @@ class KnownObject:
     touched: Marks
     mass: MassEstimator
     spread: FloatArray | None = None
-    riding: Riding | None = None
+    riding: FixedModeTest | None = None
 
     @property
     def smoothed(self) -> bool:

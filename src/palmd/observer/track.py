@@ -13,7 +13,7 @@ from palmd.observer.fusion import Fusion
 from palmd.observer.innovation_test import InnovationTest
 from palmd.observer.mass import MassEstimator
 from palmd.observer.prior import BlindStart
-from palmd.observer.riding import Riding
+from palmd.observer.riding import FixedModeTest
 
 
 @dataclass(slots=True)
@@ -36,7 +36,7 @@ class Track:
     mass: MassEstimator
     likely_mass: MassEstimator
     coverage: Coverage
-    riding: Riding
+    riding: FixedModeTest
     valid: bool = False
     predictable: bool = False
     confirmed: bool = False
