@@ -18,7 +18,7 @@ from palmd.blas import one_thread
 from palmd.events import Event, FloatArray
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG, C
-from palmd.observer.beginning import with_zero_orientation
+from palmd.observer.backward_extension import with_zero_orientation
 from palmd.observer.chain import Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief

@@ -113,8 +113,8 @@ class Record:
             self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
-            self.gap_steps[(self.gap_steps >= first) & (self.gap_steps < last)] - first, self.discrepancy[first : last + 1],
-            self.contact_map[c],
+            self.gap_steps[(self.gap_steps >= first) & (self.gap_steps < last)] - first,
+            self.discrepancy[first : last + 1], self.contact_map[c],
         )  # fmt: skip
 
     @property
@@ -247,8 +247,8 @@ def lay_out(
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
         step, offset, pad, palms, _contact_forces(level, pad, most_forces), level > 0.0, value, variance, weight,
-        step[has_force], offset[has_force], pad[has_force], palms[has_force], force[has_force], force_variance[has_force],
-        weight[has_force],
+        step[has_force], offset[has_force], pad[has_force], palms[has_force], force[has_force],
+        force_variance[has_force], weight[has_force],
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.model.smoothing import C
-from palmd.observer.beginning import with_free_node
+from palmd.observer.backward_extension import with_free_node
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import marginal_of_constants
 from palmd.observer.fixed_lag_smoother import PATIENCE, Answer, FixedLagSmoother

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 from palmd.model import shape, smoothing
 from palmd.model.smoothing import NODE, ORDER, C
-from palmd.observer.beginning import extended_backwards, knowledge_of_constants
+from palmd.observer.backward_extension import extended_backwards, knowledge_of_constants
 from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import STILL_RAD, DataSegment
 from palmd.observer.factor import Knowledge, Prior

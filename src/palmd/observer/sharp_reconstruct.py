@@ -14,16 +14,16 @@ from palmd.model import sharp
 from palmd.model.shape import coefficients_of
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import ORDER, RIG, C
-from palmd.observer.cornered_reconstruct import rounded_polygon_reconstruction
 from palmd.observer.factor import conditional_covariance, friction_of
+from palmd.observer.flat_side_fits import LEAST_S, Candidate
+from palmd.observer.flat_side_search import FlatSideSearch, in_order
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import concatenated_records
+from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstruction
 from palmd.observer.search import Search, explained, nothing_moves
 from palmd.observer.shape_classification import root_of, shape_class
-from palmd.observer.sided import FlatSideSearch, in_order
-from palmd.observer.sided_fits import LEAST_S, Candidate
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
@@ -167,7 +167,8 @@ def _result(
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
-        reason="", seconds=time.perf_counter() - started, turned_sd=math.nan if len(record.gap_steps) else float(sd[len(p)]),
+        reason="", seconds=time.perf_counter() - started,
+        turned_sd=math.nan if len(record.gap_steps) else float(sd[len(p)]),
         sides=sides_of(p, covariance),
         shape_class=shape_class(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip

@@ -166,7 +166,8 @@ class Smoother:
             rejected += predicted > LARGE_PREDICTED
             damping *= 6.0
         return Fit(
-            guess, noise, equations.cost, equations.chi2, equations.force_chi2, equations.process_cost, equations.prior_cost, equations.outliers, equations.outlier_run,
+            guess, noise, equations.cost, equations.chi2, equations.force_chi2, equations.process_cost,
+            equations.prior_cost, equations.outliers, equations.outlier_run,
             count, settled, Linearised(self._residuals.record, self._known, guess, noise, equations),
         )  # fmt: skip
 

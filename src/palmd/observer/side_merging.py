@@ -16,7 +16,12 @@ from palmd.events import FloatArray
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES
 from palmd.model.smoothing import NODE
 from palmd.observer.data_segment import SUSPICIOUS_GAP_S
-from palmd.observer.joined import (
+from palmd.observer.flat_side_fits import MOST_CUT, MOST_OUTLIERS, SIDE_M, Candidate, FlatSide, FlatSideFits
+from palmd.observer.mode_initialisation import NEAR_S, palm_turn, rotated, trimmed_spans
+from palmd.observer.mode_segments import ModeSegment
+from palmd.observer.normal_equations import Guess
+from palmd.observer.record import Record, total_duration
+from palmd.observer.side_alignment import (
     APART_M,
     NEARLY_RAD,
     SAME_SIDE_RAD,
@@ -31,11 +36,6 @@ from palmd.observer.joined import (
     supporting_palm,
     updated_contact,
 )
-from palmd.observer.normal_equations import Guess
-from palmd.observer.record import Record, total_duration
-from palmd.observer.ridden import NEAR_S, palm_turn, rotated, trimmed_spans
-from palmd.observer.rides import ModeSegment
-from palmd.observer.sided_fits import MOST_CUT, MOST_OUTLIERS, SIDE_M, Candidate, FlatSide, FlatSideFits
 
 # duration of segments on one side, to be merged with others; number of such parts, the longest first
 LEAST_PART_S, MOST_PARTS = 0.7, 20

@@ -19,10 +19,10 @@ from palmd.model.shape import turned
 from palmd.model.sharp import FOURIER, LENGTHS, NORMALS, WIDTH
 from palmd.model.smoothing import ORDER, C
 from palmd.observer.factor import Prior
+from palmd.observer.mode_segments import TRIM_S, ModeSegment, rejected_windows
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import normal_angles, wrapped
 from palmd.observer.record import Record
-from palmd.observer.rides import TRIM_S, ModeSegment, rejected_windows
 from palmd.system.mechanism import OPENING, PALMS, normal_directions
 
 SPAN, LONGER = (2.0, 98.0), 1.5  # percentiles of e over which the side extends; factor on its length

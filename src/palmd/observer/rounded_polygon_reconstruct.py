@@ -11,19 +11,27 @@ import numpy as np
 
 from palmd.events import FloatArray
 from palmd.model.smoothing import RIG, C
-from palmd.observer.cornered import discs, side_normals, support, turned
-from palmd.observer.cornered_fit import RoundedPolygonFit, SharedPrior, fit_rounded_polygon
-from palmd.observer.lying import SegmentReadings, SupportFrame, balance
+from palmd.observer.data_association import (
+    STAYS_S,
+    Association,
+    ModeEstimate,
+    anchor_of,
+    associated,
+    certain,
+    mode_estimate,
+)
+from palmd.observer.flat_side_fits import LEAST_S, LN_GYRATION, LN_GYRATION_SD
 from palmd.observer.mass import MassEstimator
+from palmd.observer.mode_initialisation import trimmed_spans
+from palmd.observer.mode_model import SegmentReadings, SupportFrame, balance
+from palmd.observer.mode_segments import TRIM_S, ModeSegment, group_by_mode
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
-from palmd.observer.places import STAYS_S, Association, ModeEstimate, anchor_of, associated, certain, mode_estimate
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.record import IntArray, Record, total_duration
-from palmd.observer.ridden import trimmed_spans
-from palmd.observer.rides import TRIM_S, ModeSegment, group_by_mode
+from palmd.observer.rounded_polygon import discs, side_normals, support, turned
+from palmd.observer.rounded_polygon_fit import RoundedPolygonFit, SharedPrior, fit_rounded_polygon
 from palmd.observer.search import Search
 from palmd.observer.shape_classification import root_of, shape_class
-from palmd.observer.sided_fits import LEAST_S, LN_GYRATION, LN_GYRATION_SD
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 from palmd.system.mechanism import PALMS, normal_directions

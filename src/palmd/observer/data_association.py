@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.observer.cornered import discs, mode_parameters, normal_violation, regular, side_normals
-from palmd.observer.damped import minimise
-from palmd.observer.lying import MODE_PARAMETERS, SegmentReadings
+from palmd.observer.gauss_newton import minimise
+from palmd.observer.mode_model import MODE_PARAMETERS, SegmentReadings
+from palmd.observer.mode_segments import ModeSegment
 from palmd.observer.outline import wrapped
 from palmd.observer.record import IntArray
-from palmd.observer.rides import ModeSegment
+from palmd.observer.rounded_polygon import discs, mode_parameters, normal_violation, regular, side_normals
 
 ROUNDS = 3  # fits, after each of which the readings while the object rocks are left out
 HEIGHT, HEIGHT_SD_M, AWAY_SD_M = 0.9, 8e-3, 15e-3  # initial H, in radii of gyration; 1σ of the priors of H and a

@@ -13,10 +13,17 @@ from palmd.model import sharp
 from palmd.model.sharp import CONSTANTS, LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import C
 from palmd.observer.factor import Prior
+from palmd.observer.mode_initialisation import (
+    explained_spans,
+    initial_guess,
+    initial_normal,
+    narrowed,
+    on_nodes,
+    trimmed_spans,
+)
+from palmd.observer.mode_segments import ModeSegment, combined_corner
 from palmd.observer.normal_equations import LOOSENED, Guess, ProcessNoise
 from palmd.observer.record import Record, total_duration
-from palmd.observer.ridden import explained_spans, initial_guess, initial_normal, narrowed, on_nodes, trimmed_spans
-from palmd.observer.rides import ModeSegment, combined_corner
 from palmd.observer.search import HIGH_PRIOR_COST, MOST_PRIOR_COST
 from palmd.observer.smoother import Fit, Posterior, Smoother
 

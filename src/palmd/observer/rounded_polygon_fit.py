@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmd.events import FloatArray
-from palmd.observer.cornered import discs, mode_parameters
-from palmd.observer.damped import minimise
-from palmd.observer.lying import MODE_PARAMETERS, SHARED, SegmentReadings
-from palmd.observer.places import Association, ModeEstimate, prior_residuals
+from palmd.observer.data_association import Association, ModeEstimate, prior_residuals
+from palmd.observer.gauss_newton import minimise
+from palmd.observer.mode_model import MODE_PARAMETERS, SHARED, SegmentReadings
 from palmd.observer.record import IntArray
+from palmd.observer.rounded_polygon import discs, mode_parameters
 
 ROUNDS = 3  # fits; after each one the readings while the object rocks are left out
 STEP_M = 1e-7  # for difference quotients
@@ -135,5 +135,6 @@ def fit_rounded_polygon(
         for each, mode in zip(used_segments, problem.mode_parameters(least.p), strict=True)
     )
     return RoundedPolygonFit(
-        association.of(used), tuple(used_segments), residuals, least.p[:-SHARED], shared_values, covariance, least.settled
+        association.of(used), tuple(used_segments), residuals, least.p[:-SHARED], shared_values, covariance,
+        least.settled,
     )  # fmt: skip

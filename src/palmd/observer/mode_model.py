@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from palmd.events import FloatArray
 from palmd.model.friction import averaged_direction, mean_direction, sign_shares
+from palmd.observer.mode_segments import ModeSegment, rejected_windows
 from palmd.observer.record import Record
-from palmd.observer.rides import ModeSegment, rejected_windows
 from palmd.system.mechanism import JOINTS, OPENING, PALMS
 from palmd.system.vibration import VibrationLaw
 

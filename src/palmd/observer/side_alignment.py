@@ -20,12 +20,12 @@ from palmd.events import FloatArray
 from palmd.model import sharp
 from palmd.model.sharp import NORMALS, WIDTH
 from palmd.observer.factor import Prior
-from palmd.observer.followed import TRACKED_WIDTH, tracked_orientation
+from palmd.observer.mode_initialisation import outline_through
+from palmd.observer.mode_segments import ModeSegment
 from palmd.observer.normal_equations import Guess, Residuals
+from palmd.observer.orientation_tracking import TRACKED_WIDTH, tracked_orientation
 from palmd.observer.outline import normal_angles, wrapped
 from palmd.observer.record import Record
-from palmd.observer.ridden import outline_through
-from palmd.observer.rides import ModeSegment
 
 NEAR_M = 2e-4  # tolerance of heights over the same side
 NEAR_RHO_M = 5e-4  # tolerance of the radii of the same corner

@@ -25,14 +25,7 @@ from palmd.model.sharp import LENGTHS, NORMALS, SIDES
 from palmd.model.smoothing import NODE
 from palmd.observer.data_segment import SUSPICIOUS_GAP_S
 from palmd.observer.first_guess import blind_starts
-from palmd.observer.followed import tracked_orientation
-from palmd.observer.normal_equations import Guess
-from palmd.observer.outline import normal_angles
-from palmd.observer.record import Record, concatenated_records, lay_out, total_duration
-from palmd.observer.ridden import NEAR_S, initial_normal, palm_turn, trimmed_spans
-from palmd.observer.rides import ModeSegment, find_mode_segments, group_by_mode
-from palmd.observer.search import Search, diverged
-from palmd.observer.sided_fits import (
+from palmd.observer.flat_side_fits import (
     FINE,
     FIXED,
     LAST_ITERATIONS,
@@ -47,7 +40,14 @@ from palmd.observer.sided_fits import (
     held,
     smoother_of,
 )
-from palmd.observer.sides_joined import BRIDGE_S, LEAST_PART_S, MOST_PARTS, Part, SideMerger
+from palmd.observer.mode_initialisation import NEAR_S, initial_normal, palm_turn, trimmed_spans
+from palmd.observer.mode_segments import ModeSegment, find_mode_segments, group_by_mode
+from palmd.observer.normal_equations import Guess
+from palmd.observer.orientation_tracking import tracked_orientation
+from palmd.observer.outline import normal_angles
+from palmd.observer.record import Record, concatenated_records, lay_out, total_duration
+from palmd.observer.search import Search, diverged
+from palmd.observer.side_merging import BRIDGE_S, LEAST_PART_S, MOST_PARTS, Part, SideMerger
 
 SPACING_S = 0.005  # of the nodes during the search
 BANK_S, BANK_STARTS = 1.0, 3  # seconds that the bank of filters reads; number of filters from which fits start
