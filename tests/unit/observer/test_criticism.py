@@ -82,7 +82,7 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
     )  # fmt: skip
     covariance = np.linalg.inv(linear.design.T @ linear.design + np.diag(sd**-2.0))
     found = criticised(covariance @ linear.design.T @ heard, covariance, sd, sd)
-    assert found.odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(CAUSE_SIZES)), abs=1e-3)
+    assert found.log_odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(CAUSE_SIZES)), abs=1e-3)
 
 
 def test_doubt_is_in_the_answer_before_anything_is_named():
@@ -135,7 +135,7 @@ def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
     ]
     gains = np.array([other[3] - evidence for other in each])
     found = criticised(y[RIG], covariance[RIG, RIG], sd, sd)
-    assert found.odds == pytest.approx(
+    assert found.log_odds == pytest.approx(
         np.logaddexp.reduce(gains) + LN_PRIOR_NAMED - math.log(len(CAUSE_SIZES)), abs=1e-6
     )
     declared = known < 1.0  # better than calibration leaves it, where more is in doubt

@@ -76,7 +76,7 @@ def test_the_orientation_of_a_coin_cannot_be_told_that_of_a_block_up_to_half_a_t
     random = np.random.default_rng(9)
     coin, block = (_named(thing(kind, random).body, random) for kind in ("coin", "block"))
     assert coin.turn_rad == 0.0
-    assert coin.text.endswith("; its orientation cannot be told")
+    assert coin.text.endswith("; its orientation is undetermined")
     assert as_json(coin)["orientation_told"] is False
     assert block.turn_rad == math.pi
     assert "mm long side" in block.text
