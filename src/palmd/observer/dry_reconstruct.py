@@ -39,24 +39,24 @@ LEAST_FRICTION = 3.0  # σ of the friction; an object without friction is handle
 RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: factor on the radius; deviation of the outline, in prior 1σ
 
 
-def dry_reconstruction(search: Search, seed: int, begun: float) -> Reconstruction | None:
+def dry_reconstruction(search: Search, seed: int, started: float) -> Reconstruction | None:
     """Outline of an object that sticks to one palm and slips along the other, if it explains the segment of `search`.
 
     Or a part of the segment: where an object falls over, no sequence of stuck palms goes on. None where the estimate is
-    in doubt. Flat palms only. begun: when the reconstruction was started (`time.perf_counter`).
+    in doubt. Flat palms only. started: when the reconstruction was started (`time.perf_counter`).
     """
     if search.rig.curved or search.segment.lasts < LEAST_S or nothing_moves(search.record):
         return None
     try:
         found = _found(search, seed)
         if isinstance(found, float):
-            return _of_parts(search, found, seed, begun)
-        return None if found is None else _result(search, *found, begun)
+            return _of_parts(search, found, seed, started)
+        return None if found is None else _result(search, *found, started)
     except np.linalg.LinAlgError:
         return None
 
 
-def _of_parts(search: Search, lost: float, seed: int, begun: float) -> Reconstruction | None:
+def _of_parts(search: Search, lost: float, seed: int, started: float) -> Reconstruction | None:
     """Result of the longer explained part, before the object was `lost` (s) or, if it stuck until then, after that."""
     segment = search.segment
     parts = [segment.until(lost - BEFORE_LOST_S)]
@@ -64,7 +64,7 @@ def _of_parts(search: Search, lost: float, seed: int, begun: float) -> Reconstru
         parts.append(segment.since(lost + AFTER_LOST_S))
     for part in sorted(parts, key=lambda part: part.lasts, reverse=True):
         if part.lasts >= LEAST_S:
-            result = dry_reconstruction(Search(part, search.rig, belief=search.belief), seed, begun)
+            result = dry_reconstruction(Search(part, search.rig, belief=search.belief), seed, started)
             if result is not None:
                 return result
     return None
@@ -139,7 +139,7 @@ def _has_rival(model: DryModel, fit: DryFit, search: Search, seed: int) -> bool:
     return other.cost < fit.cost + DOUBT and float(np.sqrt(np.mean(difference**2))) > DIFFERENT_M
 
 
-def _result(search: Search, model: DryModel, fit: DryFit, begun: float) -> Reconstruction | None:
+def _result(search: Search, model: DryModel, fit: DryFit, started: float) -> Reconstruction | None:
     """The result; None where the outline is hollow or too uncertain, or there is no friction."""
     record, z = model.record, fit.z.copy()
     covariance: FloatArray = np.asarray(np.linalg.inv(fit.matrix), dtype=np.float64)
@@ -164,6 +164,6 @@ def _result(search: Search, model: DryModel, fit: DryFit, begun: float) -> Recon
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=fit.psi, omega0=np.gradient(fit.psi, record.t),
         radii=np.stack([rows @ z[SHAPE] for rows in lying.h]),
-        reason="", seconds=time.perf_counter() - begun, turned_sd=model.turned_sd(fit, covariance),
+        reason="", seconds=time.perf_counter() - started, turned_sd=model.turned_sd(fit, covariance),
         shape_class=shape_class(outline.theta, outline.h, root, outline.touched),
     )  # fmt: skip

@@ -32,7 +32,7 @@ SIDE_M, SIDE_SD_M = 15e-3, 8e-3  # length of a side before it is touched
 NEW_SIDE_SD_RAD = 0.05  # 1σ of a new side's normal
 Stage = tuple[float, float, float]
 """Width w of a side (rad), 1σ of ln w, and the gate beyond which a defect is an impact."""
-FIXED = 1e-3
+FIXED = 1e-3  # 1σ of ln w where the width is held
 FINE: tuple[Stage, ...] = ((0.001, 1.0, NOISE.gate),)
 Way = tuple[tuple[float, float], ...]  # widths of a side (rad), and factors on the process noise
 # ways to fit contact-mode segments

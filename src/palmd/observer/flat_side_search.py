@@ -248,11 +248,11 @@ class FlatSideSearch:
         if len(candidate.sides) == SIDES:
             return
         record, guess = candidate.record, candidate.fit.guess
-        contact_normals_ = normal_angles(record.palms, guess.x[:, 0])
+        theta = normal_angles(record.palms, guess.x[:, 0])
         normals = [float(normal) for normal in guess.p[NORMALS : NORMALS + len(candidate.sides)]]
         for k in (int(np.searchsorted(record.t, now)), len(record.t) - 1):
             for palm in (0, 1):
-                normal = float(contact_normals_[k, palm])
+                normal = float(theta[k, palm])
                 if any(abs(math.remainder(normal - other, math.tau)) < 0.1 for other in normals):
                     continue
                 normals.append(normal)
@@ -325,9 +325,11 @@ def _pieces(segments: Sequence[ModeSegment]) -> list[ModeSegment]:
 
 def _neighbours(groups: Sequence[Sequence[ModeSegment]]) -> set[int]:
     """Groups of sufficient duration that have a segment next to one of another such group."""
-    enough = [i for i, group in enumerate(groups[:MOST_PARTS]) if total_duration(trimmed_spans(group)) > LEAST_PART_S]
-    group = sorted((segment.start, segment.end, i) for i in enough for segment in groups[i])
-    pairs = ((i, j) for (_, end, i), (start, _, j) in pairwise(group) if i != j and start - end < BRIDGE_S)
+    enough = [
+        i for i, segments in enumerate(groups[:MOST_PARTS]) if total_duration(trimmed_spans(segments)) > LEAST_PART_S
+    ]
+    segments = sorted((segment.start, segment.end, i) for i in enough for segment in groups[i])
+    pairs = ((i, j) for (_, end, i), (start, _, j) in pairwise(segments) if i != j and start - end < BRIDGE_S)
     return {each for pair in pairs for each in pair}
 
 

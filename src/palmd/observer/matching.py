@@ -133,7 +133,7 @@ def _turn_matrix(turn: float) -> FloatArray:
 
 @cache
 def _turn_matrices() -> FloatArray:
-    """`_turning` of each of `_TURNS`."""
+    """`_turn_matrix` of each of `_TURNS`."""
     return np.stack([_turn_matrix(float(turn)) for turn in _TURNS])
 
 

@@ -31,7 +31,7 @@ from palmd.system.vibration import INDEPENDENT
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
 # A sliding and a sticking object move too differently for one filter: each pose is started with both.
-FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and one-sigma
+FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and 1σ
 MOST_STARTS = DIRECTIONS // (APART + 1) * len(FRICTIONS)  # of one outline
 DEVIATION = 0.1  # of another object, at least, in prior 1σ of any object: with more, small ones go unnoticed
 DEVIATION_OF_RADIUS = 3e-3  # relative

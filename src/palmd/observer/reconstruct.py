@@ -234,7 +234,7 @@ def _in_doubt(
 class _NonSmooth:
     """Search for non-smooth contact models, done once, when first needed.
 
-    found: all segments, that of `search` first: contact-mode segments may be found in the others as well.
+    segments: all segments, that of `search` first: contact-mode segments may be found in the others as well.
     """
 
     def __init__(

@@ -52,21 +52,25 @@ MODEL_SD_M, OVERCONFIDENCE = 1e-5, 1.5
 
 
 def rounded_polygon_reconstruction(
-    search: Search, record: Record, mode_segments: Sequence[ModeSegment], begun: float
+    search: Search, record: Record, mode_segments: Sequence[ModeSegment], started: float
 ) -> Reconstruction | None:
     """Outline of the polygon on whose sides the object has lain; None where it is in doubt.
 
-    record: the data segment of `search`, and others that may be of the same object. ridden: all contact-mode segments
-    of `record`. begun: when the reconstruction was started (`time.perf_counter`).
+    record: the data segment of `search`, and others that may be of the same object.
+    mode_segments: all contact-mode segments of `record`.
+    started: when the reconstruction was started (`time.perf_counter`).
     """
     if not declared_exact(search.rig):
         return None
     segments = _without_overlaps(mode_segments)
-    if len(group_by_mode(segments)) < LEAST_MODES or not any(ride.excludes_disc for ride in segments):
+    if len(group_by_mode(segments)) < LEAST_MODES or not any(segment.excludes_disc for segment in segments):
         return None
     shared_prior = _shared_prior(search, float(search.prior.mean[C.SHAPE]), GYRATION_SD)
     law = search.rig.vibration.law
-    readings = [SegmentReadings.of(record, ride, TRIM_S, law) for ride in sorted(segments, key=lambda ride: ride.start)]
+    readings = [
+        SegmentReadings.of(record, segment, TRIM_S, law)
+        for segment in sorted(segments, key=lambda segment: segment.start)
+    ]
     estimated = [
         (estimate, each)
         for each in readings
@@ -90,7 +94,7 @@ def rounded_polygon_reconstruction(
     fit = fit_rounded_polygon(estimates, readings, replace(best, used=used), shared_prior)
     if fit is None or _used_duration(estimates, fit.association.used) < LEAST_S or _is_doubtful(fit, readings):
         return None
-    return _result(fit, rivals, search, record, begun)
+    return _result(fit, rivals, search, record, started)
 
 
 def _shared_prior(search: Search, radius: float, sd: float) -> SharedPrior:
@@ -123,13 +127,13 @@ def _is_doubtful(fit: RoundedPolygonFit, segments: Sequence[SegmentReadings]) ->
         return True
     return any(
         float(np.sum(each[of_palm] ** 2)) > of_palm.sum() * MOST_CHI2 + SEGMENT_SIGMAS * math.sqrt(2.0 * of_palm.sum())
-        for each, segment in zip(fit.residuals, fit.segments, strict=True)
-        for of_palm in (segment.on_support, ~segment.on_support)
+        for each, observed in zip(fit.residuals, fit.segments, strict=True)
+        for of_palm in (observed.on_support, ~observed.on_support)
     )
 
 
 def _result(
-    fit: RoundedPolygonFit, rivals: Sequence[Association], search: Search, whole: Record, begun: float
+    fit: RoundedPolygonFit, rivals: Sequence[Association], search: Search, whole: Record, started: float
 ) -> Reconstruction | None:
     """The result; None where rivals disagree or the outline is too uncertain."""
     record, psi, spin = _motion(fit, whole)
@@ -161,7 +165,7 @@ def _result(
         mass=mass.value, mass_sd=mass.sd, rig=search.prior.mean[RIG], rig_covariance=np.diag(search.prior.sd[RIG] ** 2),
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=psi, omega0=spin, radii=np.stack([support(p, each)[0] for each in normals.T]),
-        reason="", seconds=time.perf_counter() - begun,
+        reason="", seconds=time.perf_counter() - started,
         sides=_sides(fit, p, covariance), shape_class=shape_class(theta, h, root_of(rows, covariance), touched),
     )  # fmt: skip
 
@@ -172,13 +176,13 @@ def _motion(fit: RoundedPolygonFit, whole: Record) -> tuple[Record, FloatArray, 
     ψ follows the supporting palm.
     """
     stays = list[tuple[float, float, int, int]]()
-    for segment, side in zip(fit.segments, fit.sides.tolist(), strict=True):
-        start, end, palm = float(segment.t[0]), float(segment.t[-1]), segment.segment.palm
+    for observed, side in zip(fit.segments, fit.sides.tolist(), strict=True):
+        start, end, palm = float(observed.t[0]), float(observed.t[-1]), observed.segment.palm
         before = stays[-1] if stays else None
         if (
             before is not None
             and before[2:] == (palm, side)
-            and segment.segment.start - before[1] < STAYS_S + 2 * TRIM_S
+            and observed.segment.start - before[1] < STAYS_S + 2 * TRIM_S
         ):
             start = stays.pop()[0]
         stays.append((start, end, palm, side))
@@ -213,11 +217,11 @@ def _rivals_agree(rivals: Sequence[Association], anchor: int, relative_normals: 
 def _mass_of(fit: RoundedPolygonFit, whole: Record, search: Search) -> MassEstimator:
     """Mass, from the forces on either pad while the object lies still."""
     mass = MassEstimator(search.rig.pads)
-    for which, segment in enumerate(fit.segments):
-        during = (whole.force_t > segment.t[0]) & (whole.force_t < segment.t[-1])
-        frame = SupportFrame.by(segment.segment.palm, whole.force_palms[during], whole.rig)
-        predicted = balance(fit.parameters(which), fit.shared, frame, segment.law)
-        on_support = whole.force_pad[during] == PALMS[segment.segment.palm]
+    for which, observed in enumerate(fit.segments):
+        during = (whole.force_t > observed.t[0]) & (whole.force_t < observed.t[-1])
+        frame = SupportFrame.by(observed.segment.palm, whole.force_palms[during], whole.rig)
+        predicted = balance(fit.parameters(which), fit.shared, frame, observed.law)
+        on_support = whole.force_pad[during] == PALMS[observed.segment.palm]
         pressed = np.where(on_support, predicted.support_force, predicted.other_force)
         for pad, force, expected in zip(whole.force_pad[during], whole.force_value[during], pressed, strict=True):
             mass.feed(int(pad), float(force), float(expected))

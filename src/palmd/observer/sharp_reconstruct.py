@@ -49,8 +49,8 @@ def sharp_reconstruction(
 ) -> Reconstruction | None:
     """The outline with flat sides that explains the longest explained part of the segment of `search`.
 
-    With contact-mode segments of the same object in the segments of `others`. None where no result is certain. begun:
-    when the reconstruction was started (`time.perf_counter`). say: called with the progress.
+    With contact-mode segments of the same object in the segments of `others`. None where no result is certain.
+    started: when the reconstruction was started (`time.perf_counter`). say: called with the progress.
     """
     if nothing_moves(search.record) or search.segment.lasts < LEAST_S:
         return None

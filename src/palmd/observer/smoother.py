@@ -186,9 +186,8 @@ class Smoother:
     def with_discrepancy(self, guess: Guess, hopping_only: bool = False) -> Record:
         """The record with the friction law's uncertainty at `guess` as process noise.
 
-        hopping_only: only in steps in which contacts hop.
-        Without `hopping_only`, the least cost over motions and constants is that of an object so heavy that only the
-        uncertainty of steps turns it; only prior knowledge contradicts that.
+        hopping_only: only in steps in which contacts hop. Without it, the least cost over motions and constants is that
+        of an object so heavy that only the uncertainty of steps turns it; only prior knowledge contradicts that.
         """
         return replace(self._residuals.record, discrepancy=self._residuals.discrepancy(guess, hopping_only))
 

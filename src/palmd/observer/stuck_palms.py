@@ -58,7 +58,7 @@ class StuckGuess:
     """The stuck palm (0 or 1) at each node of a record, and the object that explains the readings.
 
     outline: coefficients (m), with ψ = 0 at the first node; mass (kg); mu: mean friction of both palms; asymmetry: (μ1
-    − μ2)/(μ1 + μ2). explained: end (s) of the explained readings.
+    − μ2)/(μ1 + μ2). explained_until: end (s) of the explained readings.
     """
 
     palms: Palms
