@@ -42,9 +42,8 @@ STILL_CONTRADICTED = -2.0  # log odds (nats) down to which it stays contradicted
 # probability
 NAMED = 0.25
 LN_PRIOR_NAMED = math.log(0.01)  # log prior odds of a cause to be named
-PRIOR_DOUBTED = (
-    0.05  # prior odds of a cause for bands, of what is declared better than calibrated; divided by the cause's size
-)
+# prior odds of a cause for bands, of what is declared better than calibrated; divided by the cause's size
+PRIOR_DOUBTED = 0.05
 CAUSE_SIZES = (1.0, 3.0, 10.0)  # sizes of a cause, relative to what calibration leaves
 MOST_CAUSES = 3  # causes in one explanation
 # limit of a constant, relative to the prior 1σ of an opened one; beyond it the description does not fit the rig

@@ -163,9 +163,8 @@ def certain(rivals: Sequence[Association], durations: FloatArray) -> IntArray:
     """
     best = rivals[0]
     time_on_side = np.bincount(best.sides, weights=durations * best.used, minlength=best.count)
-    anchor = anchor_of(
-        rivals, durations * (best.sides == np.argmax(time_on_side))
-    )  # the side on which the object lies longest
+    # the side on which the object lies longest
+    anchor = anchor_of(rivals, durations * (best.sides == np.argmax(time_on_side)))
     if anchor is None:
         return np.zeros_like(best.used)
     used, positions = best.used.copy(), list[tuple[FloatArray, IntArray, FloatArray]]()

@@ -30,10 +30,8 @@ BEFORE_LOST_S, AFTER_LOST_S = 0.3, 1.0
 ROUNDS, WORTH = 3, 10.0
 HOPELESS = 4.0  # χ² of the first fit, beyond which no other sequence of stuck palms helps
 MOST_OUTLIERS = 0.02
-MOST_PRIOR_COST, MOST_TURN_COST = (
-    60.0,
-    2.0,
-)  # limit of the cost of the prior; and more for each change of the stuck palm
+# limit of the cost of the prior; and more for each change of the stuck palm
+MOST_PRIOR_COST, MOST_TURN_COST = 60.0, 2.0
 MOST_FRICTION_RATIO = 1.0  # friction over normal force: nothing that lies on a pad sticks better
 LEAST_FRICTION = 3.0  # σ of the friction; an object without friction is handled by another model
 RIVAL_RADIUS, RIVAL_SHAPE = 1.05, 0.5  # of a second start: factor on the radius; deviation of the outline, in prior 1σ

@@ -72,9 +72,8 @@ def blind_starts(
         return []
     at, score = np.array(times), filters.bank.score
     order = [int(i) for i in np.argsort(-score, kind="stable")[:count]]
-    same = [
-        state for state in states if len(state) == len(states[-1])
-    ]  # filters keep their numbers until one is dropped
+    # filters keep their numbers until one is dropped
+    same = [state for state in states if len(state) == len(states[-1])]
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]

@@ -10,10 +10,8 @@ import numpy as np
 from palmd.events import FloatArray
 
 GATE = 4.0  # σ, beyond which a residual's cost grows linearly
-SMALL_FALL, MOST_DAMPING = (
-    1e-6,
-    1e9,
-)  # relative fall of the cost at which the iteration ends; damping at which it gives up
+# relative fall of the cost at which the iteration ends; damping at which it gives up
+SMALL_FALL, MOST_DAMPING = 1e-6, 1e9
 
 
 @dataclass(frozen=True, slots=True)

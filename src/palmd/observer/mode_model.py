@@ -92,9 +92,8 @@ def balance(mode: FloatArray, shared: FloatArray, carried: SupportFrame, law: Vi
     means = np.zeros((3, len(phi)))
     for share, direction, other_direction in _directions(slip, slip * cos, dither, law):
         friction, other_friction = mu * direction, mu * other_direction
-        push = np.stack(
-            [sin - other_friction * cos, -cos - other_friction * sin]
-        )  # of the other palm, per unit normal force
+        # of the other palm, per unit normal force
+        push = np.stack([sin - other_friction * cos, -cos - other_friction * sin])
         other_force = (tangential + friction * normal) / (push[0] + friction * push[1])
         support_force = normal - push[1] * other_force
         torque = (lever[0] * push[1] - lever[1] * push[0]) * other_force - height_m * friction * support_force

@@ -21,10 +21,8 @@ LEAST_S, LEAST_READINGS = 0.5, 10  # of a segment
 SIGMAS, MODEL_SHARE = 3.5, 0.02  # of χ², beyond which a segment has ended; and a share of it for model error
 EXCLUDES_SIGMAS = 10.0  # of χ², beyond which readings certainly contradict a segment
 EVERY = 4  # readings of a pad between two candidate starts of a segment
-SAME_MODE_M, SAME_MODE_CHI2 = (
-    2e-5,
-    16.0,
-)  # difference of Y and ρ of the same mode, besides their noise; squared Mahalanobis distance
+# difference of Y and ρ of the same mode, besides their noise; squared Mahalanobis distance
+SAME_MODE_M, SAME_MODE_CHI2 = 2e-5, 16.0
 CORNER_M = 5e-3  # largest ρ of a corner
 TRIM_S = 0.1  # at both ends of a segment, where the object tips or still rocks
 WINDOW_S = 0.2  # over which the χ² of a pad's readings is tested

@@ -148,9 +148,8 @@ def _of_segments(
         return _rejected(STICKS, started) if stick_slip is None else stick_slip
     if main is None or main.reason:
         shorter = _by_length(data_segments(events, SUSPICIOUS_GAP_S), rig)
-        swapped = (
-            shorter if shorter and shorter[0].lasts < segments[0].lasts else []
-        )  # the object may have been swapped in a gap
+        # the object may have been swapped in a gap
+        swapped = shorter if shorter and shorter[0].lasts < segments[0].lasts else []
         until_swap = _search(swapped[0], rig) if swapped else None
         alternatives = _NonSmooth(search, segments, rig, seed, started, say, non_smooth)
         result = _in_doubt(search, main, attempts[SMOOTH_FIRST:], until_swap, alternatives, seed)
@@ -369,9 +368,8 @@ def _other_searches(segments: Sequence[DataSegment], rig: RigDescription) -> lis
 def attempts_on(search: Search) -> Numbered:
     """Attempts for a record; some start later, as a search may be hard from the beginning and easy from later on."""
     live, lasts = attempts_for(search.rig), float(search.record.t[-1] - search.record.t[0])
-    later = [
-        each for each in LATER_ATTEMPTS if each.later_s + each.seconds <= lasts
-    ]  # a shorter one would be no second opinion
+    # a shorter one would be no second opinion
+    later = [each for each in LATER_ATTEMPTS if each.later_s + each.seconds <= lasts]
     exact = [live[0]._replace(exact=True)] if has_map(search.rig) else []
     return tuple(enumerate((*exact, live[0], *later, *live[1:])))
 

@@ -34,8 +34,8 @@ class Record:
 
     palms (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time.
     *_offset: time into the step. *_weight: of each reading, 1 except at rest.
-    contact_force: initially from the readings (`_contact_forces`), 0 on pads without force. contact_has_force: whether the
-    pad measured a force, which it does not beyond its scale.
+    contact_force: initially from the readings (`_contact_forces`), 0 on pads without force.
+    contact_has_force: whether the pad measured a force, which it does not beyond its scale.
     gap_steps: steps between parts, over which the motion is unknown (`within`).
     discrepancy (K + 1): uncertainty of ω0 by the model besides the process noise ((rad/s)²/s) in the step that begins
     there, initially 0.

@@ -56,9 +56,8 @@ DISCREPANCY_ROUNDS = 3
 """Evaluations of the friction law's uncertainty along the motion found with it (study 2026-11-30: five of six logged
 searches converged, after 1, 2, 2, 3 and 5)."""
 HASTY = 5  # rejected steps in a row, where a shorter window can be tried instead
-TURNS: FloatArray = np.array(
-    [[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]]
-)  # with palm 1 (φ1), with palm 2 (φ1 + φ2), not at all
+# with palm 1 (φ1), with palm 2 (φ1 + φ2), not at all
+TURNS: FloatArray = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
 MOTIONS = (0, 1, 2)  # rows of `TURNS`
 MOTION_ITERATIONS = 30  # of a fit with one of these motions
 # residual, and number of readings in a row with it, by which a prediction has diverged

@@ -202,7 +202,7 @@ def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
     log, _ = dry
     search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 4.0)
     model, z = drawn(search)
-    fit = model._found(z, model._terms(z), settled=True)
+    fit = model._result(z, model._terms(z), settled=True)
     start = model.filter_start(fit, blind(search.record, search.prior, 0.0))
     its = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
     assert np.abs(z[its]).min() > 1e-5
@@ -383,13 +383,13 @@ def test_a_reading_at_a_nodes_time_but_for_rounding_is_foretold_as_the_others_ar
     foretold = []
     for step in range(4):
         z[4] = step * 1e-6
-        foretold.append(model._contact_terms(z, *model._followed(z)).residual[k])
+        foretold.append(model._contact_terms(z, *model._orientation(z)).residual[k])
     assert np.diff(foretold, 3) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_derivatives_are_those_of_finite_differences(dry):
     model, z = drawn(searched(dry[0], 4.0))
-    psi, slope = model._followed(z)
+    psi, slope = model._orientation(z)
     of_contacts, of_forces = (of(z, psi, slope).jacobian for of in (model._contact_terms, model._force_terms))
     standoff, tilt, turn, asymmetry = (RIG.start + which for which in (R.STANDOFF, R.TILT, R.TURN, R.FRICTION))
 
@@ -399,12 +399,12 @@ def test_the_derivatives_are_those_of_finite_differences(dry):
 
     for i in (3, standoff, tilt, turn, RIG.stop):
         told = slope[:, i]
-        assert differences(i, lambda z: model._followed(z)[0]) == pytest.approx(
+        assert differences(i, lambda z: model._orientation(z)[0]) == pytest.approx(
             told, rel=1e-4, abs=1e-4 * np.abs(told).max() + 1e-5
         )
-        miss = differences(i, lambda z: -model._contact_terms(z, *model._followed(z)).residual) - of_contacts[:, i]
+        miss = differences(i, lambda z: -model._contact_terms(z, *model._orientation(z)).residual) - of_contacts[:, i]
         assert np.median(np.abs(miss)) < 1e-2 * np.median(np.abs(of_contacts[:, i])) + 1e-3
     for i in (tilt, turn, asymmetry, model.gains.start, model.gains.stop - 2):
-        miss = differences(i, lambda z: -model._force_terms(z, *model._followed(z)).residual) - of_forces[:, i]
+        miss = differences(i, lambda z: -model._force_terms(z, *model._orientation(z)).residual) - of_forces[:, i]
         moved = of_forces[:, i] != 0.0  # of a gain, the pad's own
         assert np.median(np.abs(miss[moved])) < 1e-2 * np.median(np.abs(of_forces[moved, i]))
