@@ -34,7 +34,7 @@ def extended_backwards(
     known: Factor,
     explained: Callable[[Fit, Record], bool],
 ) -> Guess | None:
-    """Extend `rest`, the fit of the last nodes of `whole`, to its first node; None where no window is explained.
+    """Extend `rest`, the fit of the last nodes of `whole`, to its first node; None where a window is not explained.
 
     known: knowledge of the constants from the rest of the record.
     explained: whether a fit explains the readings of its record.

@@ -33,7 +33,7 @@ SKIPPED = 40.0  # cost of leaving out a segment, in twice the log-likelihood
 MOST_SKIPPED = 0.2  # of the segments' time
 MOST_PASSED = 3  # sides between that on which it lies and the opposite corner
 HOPELESS = 100.0  # cost above the best, at which a rival is dropped
-NEAR_M, CLEAR_M = 3e-3, 6e-4  # Y − ρ: largest where the corner may end the side, least where it may not
+NEAR_M, CLEAR_M = 3e-3, 6e-4  # Y − ρ: largest where the corner may end the side, least where it may be another corner
 REACH = 0.25  # 1σ of the corners' distance, in mean radii
 # 1σ of the corners' angles; of radii; of normals outside a corner's range
 SPREAD_RAD, RADIUS_SD_M, BEYOND_RAD = 0.35, 1e-3, 0.04
