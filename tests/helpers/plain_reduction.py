@@ -50,7 +50,7 @@ class PlainArithmetic:
         in_nodes = [np.column_stack([J[:, :NODE], np.full(len(J), -1.0)]).ravel() * np.repeat(root, NODE + 1)]
         in_constants = [J[:, NODE:] * root[:, None]]
         residual = [(steps.end - steps.x[1:]).ravel() * root]
-        slack = float(residual[0] @ residual[0])
+        process_cost = float(residual[0] @ residual[0])
         for each in readings:
             in_nodes.append((each.gradient[:, : 2 * NODE] * each.root[:, None]).ravel())
             in_constants.append(each.gradient[:, 2 * NODE :] * each.root[:, None])
@@ -67,7 +67,7 @@ class PlainArithmetic:
         corner[:side_at, :side_at] = border.T @ border
         corner[side_at, :side_at] = corner[:side_at, side_at] = -(border.T @ side)
         corner[side_at, side_at] = side @ side
-        return Assembled(banded, rows, corner, slack)
+        return Assembled(banded, rows, corner, process_cost)
 
     def reduced(self, banded: FloatArray, damping: FloatArray, rows: FloatArray, corner: FloatArray) -> Reduced:
         """See `Arithmetic`."""

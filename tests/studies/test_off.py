@@ -9,7 +9,7 @@ import pytest
 from answered import answer
 
 from palmd.events import PadSample, PalmSample
-from palmd.observer.criticism import LEFT
+from palmd.observer.criticism import CALIBRATION_SD
 from palmd.rig.imperfections import PERFECT, drawn
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
@@ -21,7 +21,7 @@ from tools.studies.scoring import ObserverAnswers
 
 def test_every_constant_can_be_off_by_its_published_name_and_the_rest_stays():
     rest = drawn(RigDescription().known_to(AS_CALIBRATED), 3)
-    drawn_names = [name for name, sd in zip(RIG_NAMES, LEFT, strict=True) if sd > 0.0]
+    drawn_names = [name for name, sd in zip(RIG_NAMES, CALIBRATION_SD, strict=True) if sd > 0.0]
     for number, name in enumerate(drawn_names, 1):
         value = number * 1e-3
         assert with_constants(rest, {name: value}).constants() == pytest.approx(rest.constants() | {name: value})

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from palmd.config.two_palms import PlanSpec
-from palmd.observer import places
-from palmd.observer.cornered_reconstruct import cornered_reconstruction
+from palmd.observer import data_association
 from palmd.observer.data_segment import data_segments
+from palmd.observer.flat_side_search import FlatSideSearch
+from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstruction
 from palmd.observer.search import Search
-from palmd.observer.sided import SidedSearch
 from palmd.score import score_outline
 from tools.studies import thing_logs
 
@@ -33,7 +33,7 @@ def tipped():
     task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND)
     log, truth, _ = thing_logs.simulated(task)
     search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]
-    return search, SidedSearch(search, 0, others), truth
+    return search, FlatSideSearch(search, 0, others), truth
 
 
 @pytest.mark.xfail(
@@ -42,9 +42,9 @@ def tipped():
     " alike by all, too few for an outline",
 )
 def test_most_of_it_is_told_to_a_few_hundredths_of_a_millimetre(tipped, monkeypatch):
-    monkeypatch.setattr(places, "CORNERS", (6, 5))  # others take their time
+    monkeypatch.setattr(data_association, "CORNERS", (6, 5))  # others take their time
     search, sided, truth = tipped
-    told = cornered_reconstruction(search, sided.record, sided.rides, 0.0)
+    told = rounded_polygon_reconstruction(search, sided.record, sided.segments, 0.0)
     assert told is not None
     score = score_outline(told.theta, told.h, told.touched, np.array(truth["h_m"]))
     assert score.max_error < 1.5e-4
@@ -55,8 +55,8 @@ def test_most_of_it_is_told_to_a_few_hundredths_of_a_millimetre(tipped, monkeypa
 
 
 def test_nothing_is_told_of_readings_that_no_one_outline_explains(tipped, monkeypatch):
-    monkeypatch.setattr(places, "CORNERS", (6,))
+    monkeypatch.setattr(data_association, "CORNERS", (6,))
     search, sided, _ = tipped
     record = sided.record
     bent = replace(record, contact_value=record.contact_value + 1e-3 * np.sin(record.contact_t / 5.0))
-    assert cornered_reconstruction(search, bent, sided.rides, 0.0) is None
+    assert rounded_polygon_reconstruction(search, bent, sided.segments, 0.0) is None

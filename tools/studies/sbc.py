@@ -27,7 +27,7 @@ from scipy.interpolate import CubicHermiteSpline
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
 from palmd.observer import prior
-from palmd.observer.criticism import LEFT
+from palmd.observer.criticism import CALIBRATION_SD
 from palmd.observer.first_guess import LN_GYRATION_SD
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
@@ -42,7 +42,7 @@ from tools.studies.scoring import Bools, outline_errors, rms, truth_of
 from tools.studies.simulated import simulated
 from tools.studies.uniformity import CONFIDENCE, Uniformity, at_most, table
 
-DRAWN = np.flatnonzero(LEFT)
+DRAWN = np.flatnonzero(CALIBRATION_SD)
 CONSTANTS = tuple(RIG_NAMES[i] for i in DRAWN)
 """Of the rig, those that are drawn."""
 NORMALS = 8  # of the outline that are asked, of those touched and of the others

@@ -164,7 +164,7 @@ def run(task: SharpTask) -> SharpRow:
         sides=len(answer.sides),
         explained_s=answer.lasts,
         mass_z=(answer.mass - truth["mass_kg"]) / answer.mass_sd,
-        looks_like=answer.shape_class.said or answer.shape_class.why,
+        looks_like=answer.shape_class.text or answer.shape_class.why,
     )
 
 

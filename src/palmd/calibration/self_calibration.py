@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
     """Combine all runs; each constant's prior is widened by how much the runs contradict it, as in a single run."""
-    prior_sd = RigBelief.of(rig).told
+    prior_sd = RigBelief.of(rig).described_sd
     runs = [(*(each.rig_by_prior or (each.rig, each.rig_covariance)), each.rig_prior_sd) for each in answers]
     together = combined(runs, prior_sd)
     return combined(runs, criticised(together.values, together.covariance, prior_sd, prior_sd).sd)

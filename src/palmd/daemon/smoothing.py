@@ -99,7 +99,7 @@ class SmootherProcess(BatchingProcess[Improvement | Unexplained]):
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         """Hand the tick's events over."""
         hint = None if session.hint is None else session.hint.tobytes()
-        self._hand_over(t, events, session.object_count, session.begun, hint)
+        self._hand_over(t, events, session.object_count, session.start_time, hint)
 
 
 def packed(event: Event) -> list[Any]:

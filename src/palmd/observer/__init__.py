@@ -1,4 +1,4 @@
-"""Events in, estimates out: filters, banks of them, and what they have learnt of the object."""
+"""Observers of two palms: events of palms and pads in, estimates of the object out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["OBSERVERS", "Observer", "ObserverName", "Simulated", "Smoothing", "m
 
 
 def __getattr__(name: str) -> Any:
-    """`Simulated` is loaded when it is wanted: a daemon's smoother is in another process."""
+    """Import `Simulated` on first use: the daemon runs its smoother in another process."""
     if name != "Simulated":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from palmd.observer.simulated_smoother import Simulated
@@ -33,8 +33,12 @@ EXTENDED_BANK, SHAPE_BANK, KNOWN_BANK = 24, 32, 24  # multiples of model.compile
 
 
 def flat_only(name: ObserverName) -> str:
-    """Why an observer cannot be had for curved palms; empty where it can."""
-    return "" if name == "shape" else f"the observer {name} knows flat palms only; the observer shape knows curved ones"
+    """Reason why an observer does not support curved palms; empty where it does."""
+    return (
+        ""
+        if name == "shape"
+        else f"the observer {name} supports flat palms only; use the observer shape for curved palms"
+    )
 
 
 def make(
@@ -44,16 +48,16 @@ def make(
     smoothing: Smoothing | None = None,
     outlines: Sequence[Outline] = (),
 ) -> Observer:
-    """The observer called `name` for `rig`; takes seconds when its C has to be compiled first.
+    """Make the observer `name` for `rig`; takes seconds when its C code has to be compiled first.
 
-    `smoothing` says where the smoother of a shape map runs; without it there is none, nor for other observers. With
-    `outlines`, which are for shape maps only, the object is one of these or none, and needs no smoother. Raises
-    ValueError for curved palms where an observer knows flat ones only (`flat_only`).
+    smoothing: where the smoother of a shape map runs; None for no smoother. Other observers have none.
+    outlines: for shape maps only: the object is one of these or none of them, and no smoother is needed.
+    Raises ValueError for curved palms where the observer supports flat ones only (`flat_only`).
     """
     if rig.curved and (reason := flat_only(name)):
         raise ValueError(reason)
     rig = map_as_noise(rig)
-    # each is loaded where it is wanted
+    # local imports: only what the selected observer needs is loaded
     if name == "quasistatic":
         from palmd.observer.quasistatic import QuasistaticObserver
 

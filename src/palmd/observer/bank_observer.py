@@ -292,7 +292,7 @@ class BankObserver:
 
     @property
     def cornered(self) -> bool:
-        """Whether it has lain on a palm and touched the other one with a corner (`Riding`)."""
+        """Whether it has lain on a palm and touched the other one with a corner (`FixedModeTest`)."""
         track = self._session.track
         return track is not None and track.riding.cornered
 

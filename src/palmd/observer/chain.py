@@ -17,7 +17,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.model.compiled import Library
 from palmd.model.smoothing import CONSTANTS, NODE, RIG
-from palmd.observer.factor import SIZE, Factor, Knowledge, of_constants
+from palmd.observer.factor import SIZE, Factor, Knowledge, marginal_of_constants
 from palmd.observer.normal_equations import Guess, ProcessNoise, Residuals
 from palmd.observer.record import Record
 
@@ -88,11 +88,11 @@ class Chain:
 
     def information(self, p: FloatArray) -> Factor:
         """What all of this says of the constants without the prior, expanded at `p`."""
-        return self.known(p).without(_NODE).less(self.prior(p))
+        return self.known(p).marginalised(_NODE).minus(self.prior(p))
 
     def prior(self, p: FloatArray) -> Factor:
         """What was believed of the constants beforehand, expanded at `p`."""
-        prior = replace(of_constants(self._prior, p), scale=self._scale)
+        prior = replace(marginal_of_constants(self._prior, p), scale=self._scale)
         return prior if self._revised is None else prior.plus(self._revised)
 
     def renew(self, p: FloatArray, x: FloatArray) -> int:
@@ -133,7 +133,7 @@ class Chain:
         """What is known of (p, first node) of each segment before it, and of (p, last node) after all."""
         passed = [self._beginning(p)]
         for segment in self._segments:
-            passed.append(_joined(passed[-1], segment, p).without(_NODE))
+            passed.append(_joined(passed[-1], segment, p).marginalised(_NODE))
         return passed
 
     def _beginning(self, p: FloatArray) -> Factor:
@@ -163,7 +163,7 @@ class Chain:
         """Make the oldest segment part of what is known beforehand: its readings are forgotten, not what they told."""
         oldest = self._segments[0]
         p = oldest.summary.about[:CONSTANTS]
-        self._base = _joined(self._beginning(p), oldest, p).without(_NODE)
+        self._base = _joined(self._beginning(p), oldest, p).marginalised(_NODE)
         self._learnt = None
         del self._segments[0]
 

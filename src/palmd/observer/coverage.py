@@ -1,4 +1,4 @@
-"""Which outward normals of the object a palm has been in contact with."""
+"""Coverage: which outward normals of the object have been in contact with a palm."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ Marks = npt.NDArray[np.bool_]
 
 
 class Coverage:
-    """Marks on `NORMAL_BINS` normals, in the gauge of the filter that leads; safe inside the loop."""
+    """Marks on `NORMAL_BINS` normals, in the gauge of the leading filter; safe in the loop."""
 
     def __init__(self, marks: Marks | None = None, leader: int = -1, curvatures: Sequence[float] = FLAT):
-        """`marks` made before, in the gauge of filter `leader`; none by default. `curvatures` of the palms (1/m)."""
+        """`marks`: earlier marks, in the gauge of filter `leader`; none by default. `curvatures` of the palms (1/m)."""
         self._curvatures = curvatures
         self.marks: Marks = np.zeros(NORMAL_BINS, dtype=np.bool_) if marks is None else marks.copy()
         self._leader = leader
         self._marked = int(np.count_nonzero(self.marks))
-        self._last_bins: list[int] = []  # in which both contacts were, none after a change of the leader
-        self._recent: deque[tuple[float, int]] = deque()  # when (s) which bin was marked first
+        self._last_bins: list[int] = []  # of both contacts; empty after a change of the leader
+        self._recent: deque[tuple[float, int]] = deque()  # time (s) at which a bin was first marked
 
     def mark(self, t: float, leader: int, y: Sequence[float] | FloatArray, all_psi: Callable[[], FloatArray]) -> None:
-        """Mark the normals (3.1) touched since the last call; filter `leader` has the values `y` of `NAMED` at `t` (s).
+        """Mark the normals (3.1) passed since the last call.
 
-        `all_psi` gives ψ of every filter (rad), for when another one has taken the lead: what was touched before has
-        other names in its gauge.
+        t: time (s). leader: number of the leading filter; y: its values of `NAMED`.
+        all_psi: returns ψ of every filter (rad). It is called when another filter takes the lead: then the marks are
+        turned to its gauge.
         """
         self._turn_to(leader, all_psi)
         normals = _normals(y, self._curvatures)
@@ -55,12 +56,12 @@ class Coverage:
             self._recent.popleft()
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
-        """The bank has dropped filters: `kept` are the former numbers of those that stay."""
+        """Update the leader's number after filters were dropped; `kept`: former numbers of those that stay."""
         place = np.flatnonzero(kept == self._leader)
         self._leader = int(place[0]) if len(place) else -1
 
     def since(self, t: float, leader: int, all_psi: Callable[[], FloatArray]) -> Marks:
-        """The normals touched first after `t` (s), at most `RECENT_S` ago, in the gauge of filter `leader`."""
+        """The normals first touched after `t` (s), at most `RECENT_S` ago, in the gauge of filter `leader`."""
         self._turn_to(leader, all_psi)
         marks = np.zeros(NORMAL_BINS, dtype=np.bool_)
         marks[[bin_ for when, bin_ in self._recent if when > t]] = True
@@ -68,7 +69,7 @@ class Coverage:
 
     @property
     def fraction(self) -> float:
-        """Share of the normals that are marked."""
+        """Marked share of the normals."""
         return self._marked / NORMAL_BINS
 
     def _turn_to(self, leader: int, all_psi: Callable[[], FloatArray]) -> None:
@@ -94,12 +95,12 @@ def _normals(y: Sequence[float] | FloatArray, curvatures: Sequence[float]) -> tu
 
 
 def contact_bins(y: FloatArray, curvatures: Sequence[float] = FLAT) -> list[int]:
-    """The bins in which both contacts are, from values of `NAMED`."""
+    """The bins of both contacts, from values of `NAMED`."""
     return [math.floor(theta / _WIDTH) % NORMAL_BINS for theta in _normals(y, curvatures)]
 
 
 def marks_of(normals: FloatArray) -> Marks:
-    """The normals passed by `normals` (n, 2), θ1 and θ2 (3.1) in order of time (rad, on any branch)."""
+    """Marks on the normals passed by `normals` (n, 2): θ1 and θ2 (3.1) in order of time (rad, on any branch)."""
     marks = np.zeros(NORMAL_BINS, dtype=np.bool_)
     for bins in np.floor(normals / _WIDTH).astype(np.intp).T:
         lows, highs = np.minimum(bins[:-1], bins[1:]), np.maximum(bins[:-1], bins[1:])
@@ -110,5 +111,5 @@ def marks_of(normals: FloatArray) -> Marks:
 
 
 def turned_marks(marks: Marks, turn: float) -> Marks:
-    """The same marks in a gauge in which ψ is larger by `turn` (rad)."""
+    """The marks in a gauge in which ψ is larger by `turn` (rad)."""
     return np.roll(marks, -round(turn / _WIDTH))

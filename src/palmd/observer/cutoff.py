@@ -1,4 +1,4 @@
-"""A Gaussian belief that is told an inequality, as the outline's v = h + h″ ≥ 0. Pure and safe inside the loop."""
+"""Condition a Gaussian belief on an inequality, such as the outline's v = h + h″ ≥ 0. Pure and safe inside the loop."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from palmd.events import FloatArray
 
 
 def cut_off(x: FloatArray, P: FloatArray, row: FloatArray) -> bool:
-    """Tell the belief (mean x, covariance P, in place) that row·x ≥ 0; False if there is nothing it could be told.
+    """Condition the belief (mean x, covariance P, in place) on row·x ≥ 0; False where row·x has no variance.
 
-    Mean and covariance become those of the normal distribution cut off at 0, exactly; for a mean below 0.
+    Mean and covariance become those of the normal distribution truncated at 0, exactly. For a mean below 0.
     """
     Ph = P @ row
     variance = float(row @ Ph)
@@ -27,7 +27,7 @@ def cut_off(x: FloatArray, P: FloatArray, row: FloatArray) -> bool:
 
 
 def _mills(a: float) -> float:
-    """Mean of the standard normal distribution above `a` ≥ 0."""
+    """Mean of the standard normal distribution truncated to values above `a` ≥ 0."""
     if a > 20.0:
         return a + 1.0 / a - 2.0 / a**3
     return math.exp(-a * a / 2) / (math.sqrt(math.pi / 2) * math.erfc(a / math.sqrt(2.0)))

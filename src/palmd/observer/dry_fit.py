@@ -1,10 +1,10 @@
-"""Least squares of an object that sticks to one palm and slips along the other, on a record of readings. Pure.
+"""Least squares of an object that sticks to one palm and slips along the other, over a record of readings. Pure.
 
-Unknown are the constants: coefficients of h, ln ρ, ln m, μ, those of the rig (`model.smoothing.R`) and, where the stuck
-palm changes, by how much the object turned in that moment; and where the pads' forces have gains that are off, how
-each wanders (`observer.force_gain`), in one-sigmas. Between two changes ψ is what keeps Q1 or Q2
-(`model.rolling`), so it needs no nodes and no process noise; its derivatives follow from the implicit function theorem.
-What bows and lags move is taken to first order, and a bow's part in how the object rolls is left out.
+Unknown are the constants: coefficients of h, ln ρ, ln m, μ, those of the rig (`model.smoothing.R`); the object's turn
+at each change of the stuck palm; and, where the gains of the pads' forces are uncertain, how each gain wanders
+(`observer.force_gain`), in units of its 1σ. Between two changes ψ is the angle that keeps Q1 or Q2 (`model.rolling`)
+constant, so it needs no nodes and no process noise; its derivatives follow from the implicit function theorem. Bows and
+lags are linearised; the effect of a bow on the rolling is neglected.
 """
 
 from __future__ import annotations
@@ -32,22 +32,23 @@ SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
 RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
-KEPT = 16  # filters that begin with a fit: they know the object
-TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
-BLIND_S = 0.015  # before and after a change, in which forces tell of blows
-GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
+KEPT = 16  # filters that start from a fit: they know the object
+TURN_SD = 5e-3  # rad, of a turn at a change: both contacts slip then, and its time is uncertain
+BLIND_S = 0.015  # before and after a change, in which forces are not used: they are impulsive
+GATE = 16.0  # squared normalised residual beyond which a reading's weight decreases
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
-SAME_DECIMALS = 9  # of times (s)
-LITTLE = 0.1  # of the cost: where no step lowers it and none promises more, outliers that come and go are in the way
-MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
+SAME_DECIMALS = 9  # to which times (s) are rounded
+# predicted decrease of the cost below which a fit without a successful step counts as converged: outliers block it
+SMALL_DECREASE = 0.1
+MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: larger accelerations are impulsive, and are clipped
 _STEP = 1e-6
 _STANDOFFS = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
 _TILT, _TURN, ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
 
 
 @dataclass(frozen=True, slots=True)
-class Rolling:
+class StickPhase:
     """From `start` (s) on the object sticks to `palm` (0 or 1)."""
 
     palm: int
@@ -56,10 +57,10 @@ class Rolling:
 
 @dataclass(frozen=True, slots=True)
 class DryFit:
-    """A minimum: constants z as in the module, their normal matrix, ψ at the record's nodes, and how well it explains.
+    """A minimum: constants z (see the module), their normal matrix, ψ at the record's nodes, and how well it fits.
 
-    chi2, force_chi2: per reading, of those that are no outliers; strain: what prior knowledge costs. asked: the largest
-    share of force readings' friction, over normal force, where the object sticks.
+    chi2, force_chi2: per reading, without outliers. prior_cost: cost of the prior.
+    friction_ratio: friction over normal force where the object sticks: 99 % quantile of the force readings.
     """
 
     z: FloatArray
@@ -69,9 +70,9 @@ class DryFit:
     chi2: float
     force_chi2: float
     outliers: float
-    strain: float
+    prior_cost: float
     settled: bool
-    asked: float
+    friction_ratio: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +94,14 @@ class DryModel:
         record: Record,
         path: PalmPath,
         prior: Prior,
-        phases: Sequence[Rolling],
+        phases: Sequence[StickPhase],
         gain_stds: Sequence[float] = (0.0, 0.0),
     ):
-        """`prior` is of the constants of `model.smoothing`; `gain_stds` of each pad's forces, relative, all along."""
+        """`prior`: of the constants of `model.smoothing`; `gain_stds`: relative gain error of each pad's forces."""
         self.record, self.prior, self.phases = record, prior, phases
         self._path, self._gain_stds = path, gain_stds
         contact_t, force_t = record.contact_t, record.force_t
-        # A node's time and a reading's may differ by rounding alone: no rate is told between them.
+        # Times of a node and of a reading may differ by rounding only; a rate between them would be meaningless.
         times = np.round(np.concatenate([record.t, contact_t, force_t]), SAME_DECIMALS)
         self._t, index = np.unique(times, return_inverse=True)
         self._nodes, self._contacts, self._forces = np.split(index, np.cumsum([len(record.t), len(contact_t)]))
@@ -111,73 +112,73 @@ class DryModel:
         cuts[0] = 0
         self._spans = [slice(*each) for each in pairwise(cuts.tolist())]
         self._stuck = np.repeat([phase.palm for phase in phases], np.diff(cuts))
-        apart = np.abs(force_t[:, None] - starts[None, 1:]).min(axis=1, initial=math.inf)
+        time_to_change = np.abs(force_t[:, None] - starts[None, 1:]).min(axis=1, initial=math.inf)
         moving = np.abs(self._reported[self._forces, 3]) > STANDING
-        self._weight = (moving & (apart > BLIND_S)) * record.force_weight
+        self._weight = (moving & (time_to_change > BLIND_S)) * record.force_weight
         self._gains = [
-            (mine, modes_at(force_t[mine], [(float(record.t[0]), float(record.t[-1]))], std))
+            (of_pad, modes_at(force_t[of_pad], [(float(record.t[0]), float(record.t[-1]))], std))
             for palm, std in zip(PALMS, gain_stds, strict=True)
-            if std and (mine := np.flatnonzero(record.force_pad == palm)).size
+            if std and (of_pad := np.flatnonzero(record.force_pad == palm)).size
         ]
         gains = TURNS + len(phases) - 1
         self.size = gains + sum(modes.shape[1] + 1 for _, modes in self._gains)
         self.gains = slice(gains, self.size)
 
-    def with_phases(self, phases: Sequence[Rolling]) -> DryModel:
-        """Of the same record, and another sequence of stuck palms."""
+    def with_phases(self, phases: Sequence[StickPhase]) -> DryModel:
+        """The problem of the same record and another sequence of stuck palms."""
         return DryModel(self.record, self._path, self.prior, phases, self._gain_stds)
 
-    def begun(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
-        """z of an object of this outline, on palms that rub so unequally."""
+    def initial_constants(self, shape_of: FloatArray, mass: float, mu: float, asymmetry: float) -> FloatArray:
+        """Initial z of an object with this outline; `asymmetry`: of the palms' friction."""
         z = np.zeros(self.size)
         z[SHAPE], z[LN_MASS], z[MU], z[ASYMMETRY] = shape_of, math.log(mass), mu, asymmetry
         z[LN_RHO] = self.prior.mean[C.LN_RHO] + math.log(shape_of[0])
         return z
 
     def fit(self, z: FloatArray) -> DryFit:
-        """By Levenberg's and Marquardt's method from z; raises LinAlgError where there is no minimum."""
+        """Levenberg–Marquardt from z; raises LinAlgError where there is no minimum."""
         now, damping, settled = self._terms(z), 1e-3, False
         for _ in range(ITERATIONS):
             matrix, side = self._normal(now)
             while damping < MOST_DAMPING:
                 step = np.linalg.solve(matrix + damping * np.diag(np.diagonal(matrix)), side)
-                then = self._terms(z + step)
-                if then.cost < now.cost + _STEP:
+                trial = self._terms(z + step)
+                if trial.cost < now.cost + _STEP:
                     break
                 damping *= 8.0
             else:
-                settled = float(side @ np.linalg.solve(matrix, side)) < LITTLE
+                settled = float(side @ np.linalg.solve(matrix, side)) < SMALL_DECREASE
                 break
-            settled = now.cost - then.cost < WORTH
-            z, now, damping = z + step, then, max(0.1 * damping, LEAST_DAMPING)
+            settled = now.cost - trial.cost < WORTH
+            z, now, damping = z + step, trial, max(0.1 * damping, LEAST_DAMPING)
             if settled:
                 break
-        return self._found(z, now, settled)
+        return self._result(z, now, settled)
 
     def filter_start(self, fit: DryFit, blind: FilterStart) -> FilterStart:
-        """What filters begin with in the place of what was `blind`: the fit, at twice its one-sigmas."""
-        of_z, to_x = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
+        """Start of the filters from the fit, with twice its 1σ, instead of from `blind`."""
+        z_covariance, jacobian = np.linalg.inv(fit.matrix), np.zeros((len(blind.x), self.size))
         x = np.zeros(len(blind.x))
-        x[stuck_palms.LN_MASS], to_x[stuck_palms.LN_MASS, LN_MASS] = fit.z[LN_MASS], 1.0
-        for mine, its in ((stuck_palms.SHAPE, SHAPE), (stuck_palms.STANDOFF, _STANDOFFS)):
-            x[mine], to_x[mine, its] = fit.z[its], np.eye(its.stop - its.start)
+        x[stuck_palms.LN_MASS], jacobian[stuck_palms.LN_MASS, LN_MASS] = fit.z[LN_MASS], 1.0
+        for target, source in ((stuck_palms.SHAPE, SHAPE), (stuck_palms.STANDOFF, _STANDOFFS)):
+            x[target], jacobian[target, source] = fit.z[source], np.eye(source.stop - source.start)
         for which, sign in ((stuck_palms.MU1, 1.0), (stuck_palms.MU2, -1.0)):
             x[which] = fit.z[MU] * (1.0 + sign * fit.z[ASYMMETRY])
-            to_x[which, [MU, ASYMMETRY]] = 1.0 + sign * fit.z[ASYMMETRY], sign * fit.z[MU]
-        covariance = 4.0 * to_x @ of_z @ to_x.T
-        weighed = stuck_palms.LN_MASS
-        covariance[weighed, weighed] += blind.covariance[weighed, weighed] - MASS_SD**2
+            jacobian[which, [MU, ASYMMETRY]] = 1.0 + sign * fit.z[ASYMMETRY], sign * fit.z[MU]
+        covariance = 4.0 * jacobian @ z_covariance @ jacobian.T
+        masses = stuck_palms.LN_MASS
+        covariance[masses, masses] += blind.covariance[masses, masses] - MASS_SD**2
         return FilterStart(x, covariance, blind.wanders, KEPT, decision_steps=1)
 
-    def begun_from(self, other: DryFit) -> FloatArray:
-        """z of the object and the rig of a fit to other phases."""
+    def initial_constants_from(self, other: DryFit) -> FloatArray:
+        """Initial z with the object and the rig of a fit to other phases."""
         z = np.zeros(self.size)
         z[:TURNS] = other.z[:TURNS]
         return z
 
     def turned_sd(self, fit: DryFit, covariance: FloatArray) -> float:
-        """One-sigma of ψ at the last node (rad)."""
-        last = self._followed(fit.z)[1][self._nodes[-1]]
+        """1σ of ψ at the last node (rad)."""
+        last = self._orientation(fit.z)[1][self._nodes[-1]]
         return math.sqrt(float(last @ covariance @ last))
 
     # -- the terms of the cost ----------------------------------------------------------------------------
@@ -186,7 +187,7 @@ class DryModel:
         return terms.jacobian.T @ terms.jacobian, terms.jacobian.T @ terms.residual
 
     def _terms(self, z: FloatArray) -> _Terms:
-        psi, slope = self._followed(z)
+        psi, slope = self._orientation(z)
         parts = self._contact_terms(z, psi, slope), self._force_terms(z, psi, slope), self._prior_terms(z)
         cost = sum(part.cost for part in parts)
         return _Terms(
@@ -194,85 +195,91 @@ class DryModel:
             cost if math.isfinite(cost) else math.inf, parts[0].chi2, parts[0].outliers,
         )  # fmt: skip
 
-    def _found(self, z: FloatArray, terms: _Terms, settled: bool) -> DryFit:
-        psi, slope = self._followed(z)
-        forces, strain = self._force_terms(z, psi, slope), self._prior_terms(z).cost
+    def _result(self, z: FloatArray, terms: _Terms, settled: bool) -> DryFit:
+        psi, slope = self._orientation(z)
+        forces, prior_cost = self._force_terms(z, psi, slope), self._prior_terms(z).cost
         motion = self._motion(z, psi)
-        pressed, ratio = self._normal_forces(z, psi, motion, self._stuck), self._ratio(z, self._stuck)
-        asked = friction_asked(self._stuck, ratio, _palms(self._reported, z), motion[:2], pressed)
-        asked = np.abs(asked)[self._forces]
-        asked = np.append(asked[self._weight > 0.0], 0.0)
+        pressing_forces, ratio = self._normal_forces(z, psi, motion, self._stuck), self._ratio(z, self._stuck)
+        ratios = friction_asked(self._stuck, ratio, _palms(self._reported, z), motion[:2], pressing_forces)
+        ratios = np.abs(ratios)[self._forces]
+        ratios = np.append(ratios[self._weight > 0.0], 0.0)
         return DryFit(
             z, self._normal(terms)[0], psi[self._nodes], terms.cost, terms.chi2, forces.chi2,
-            max(terms.outliers, forces.outliers), strain, settled, float(np.quantile(asked, 0.99, method="nearest")),
+            max(terms.outliers, forces.outliers), prior_cost, settled,
+            float(np.quantile(ratios, 0.99, method="nearest")),
         )  # fmt: skip
 
-    def _followed(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """ψ at all times, and its derivatives by z."""
+    def _orientation(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """ψ at all times (n), and its derivatives by z (n, size)."""
         shape_of, standoffs = z[SHAPE], z[_STANDOFFS]
         psi, slope = np.empty(len(self._t)), np.zeros((len(self._t), self.size))
-        at, moved = 0.0, np.zeros(self.size)
+        offset, offset_by_z = 0.0, np.zeros(self.size)
         reported, edges = _palms(self._reported, z), _palms(self._edges, z)
         for number, (phase, span) in enumerate(zip(self.phases, self._spans, strict=True)):
             if number:
                 turn = TURNS + number - 1
-                at, moved = at + z[turn], moved.copy()
-                moved[turn] += 1.0
-            first = Lying.at(edges[number : number + 1], np.array([at]), ORDER)
-            kept = _q_by(first, phase.palm, shape_of, standoffs, self.size)[0]
-            value = float(_q(first, phase.palm, shape_of, standoffs)[0])
-            kept += first.kept_slope(phase.palm, shape_of)[0] * moved
+                offset, offset_by_z = offset + z[turn], offset_by_z.copy()
+                offset_by_z[turn] += 1.0
+            contact = Lying.at(edges[number : number + 1], np.array([offset]), ORDER)
+            slope_by_z = _q_slopes(contact, phase.palm, shape_of, standoffs, self.size)[0]
+            value = float(_q(contact, phase.palm, shape_of, standoffs)[0])
+            slope_by_z += contact.kept_slope(phase.palm, shape_of)[0] * offset_by_z
             palms = np.vstack([reported[span], edges[number + 1 : number + 2]])
-            where, lying = _kept(palms, at, value, phase.palm, shape_of, standoffs)
-            by = kept - _q_by(lying, phase.palm, shape_of, standoffs, self.size)
-            by /= lying.kept_slope(phase.palm, shape_of)[:, None]
-            psi[span], slope[span], at, moved = where[:-1], by[:-1], float(where[-1]), by[-1]
+            psi_span, lying = _orientation_keeping(palms, offset, value, phase.palm, shape_of, standoffs)
+            psi_by_z = slope_by_z - _q_slopes(lying, phase.palm, shape_of, standoffs, self.size)
+            psi_by_z /= lying.kept_slope(phase.palm, shape_of)[:, None]
+            psi[span], slope[span], offset, offset_by_z = (
+                psi_span[:-1],
+                psi_by_z[:-1],
+                float(psi_span[-1]),
+                psi_by_z[-1],
+            )
         return psi, slope
 
     def _contact_terms(self, z: FloatArray, psi: FloatArray, slope: FloatArray) -> _Terms:
         record, at = self.record, self._contacts
-        palms, first = _palms(self._reported[at], z), record.contact_pad == 1
+        palms, on_first = _palms(self._reported[at], z), record.contact_pad == 1
         spin = np.gradient(psi, self._t)[at]
         lying = Lying.at(palms, psi[at], ORDER)
-        each = [self._contact(lying, palm, z, spin) for palm in (0, 1)]
-        value, turned = (np.where(first, one, two) for one, two in zip(*(pair[:2] for pair in each), strict=True))
-        jacobian = turned[:, None] * slope[at] + np.where(first[:, None], *(pair[2] for pair in each))
+        pads = [self._contact(lying, palm, z, spin) for palm in (0, 1)]
+        value, by_psi = (np.where(on_first, one, two) for one, two in zip(*(pair[:2] for pair in pads), strict=True))
+        jacobian = by_psi[:, None] * slope[at] + np.where(on_first[:, None], *(pair[2] for pair in pads))
         sd = np.sqrt(record.contact_variance)
         return _gated((record.contact_value - value) / sd, jacobian / sd[:, None], record.contact_weight)
 
     def _contact(
         self, lying: Lying, palm: int, z: FloatArray, spin: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What a pad reads at all contacts' times, its derivative by ψ there, and those by z with ψ as it is.
+        """Readings of a pad at the times of all contacts, their derivatives by ψ, and those by z at constant ψ.
 
-        ψ turns by `spin` (rad/s). Linear in what the rig's constants move.
+        spin: rate of ψ (rad/s). Linear in the effects of the rig's constants.
         """
         shape_of, standoffs, rig = z[SHAPE], z[_STANDOFFS], z[RIG]
-        s, raised = _s(lying, palm, shape_of, standoffs), lying.standing_off(palm)
-        turned, opened = lying.contact_slope(palm, shape_of), lying.contact_opened(palm, shape_of, standoffs)
+        s, standoff_slopes = _s(lying, palm, shape_of, standoffs), lying.standing_off(palm)
+        by_psi, by_opening = lying.contact_slope(palm, shape_of), lying.contact_opened(palm, shape_of, standoffs)
         rates = lying.palms[:, len(JOINTS) : 2 * len(JOINTS)]
-        late = turned * (rates[:, 0] - spin) - opened * rates[:, OPENING]
-        off = [(R.ZERO + palm, np.ones(len(s))), (R.SCALE + palm, s), (R.LAG + palm, late)]
-        off.append((R.FORCE + palm, self.record.contact_force))
-        for bow, leans in ((0, -turned - opened), (1, -opened)):
-            along = _s(lying, bow, shape_of, standoffs) / float(self.record.pad_lengths[bow])
-            slope = 4.0 * (1.0 - 2.0 * along) / float(self.record.pad_lengths[bow])
-            off.append((R.SAGITTA + bow, slope * leans + 4.0 * along**2 * raised[:, bow]))
+        lag_slope = by_psi * (rates[:, 0] - spin) - by_opening * rates[:, OPENING]
+        rig_slopes = [(R.ZERO + palm, np.ones(len(s))), (R.SCALE + palm, s), (R.LAG + palm, lag_slope)]
+        rig_slopes.append((R.FORCE + palm, self.record.contact_force))
+        for bowed, tilt_slope in ((0, -by_psi - by_opening), (1, -by_opening)):
+            position = _s(lying, bowed, shape_of, standoffs) / float(self.record.pad_lengths[bowed])
+            slope = 4.0 * (1.0 - 2.0 * position) / float(self.record.pad_lengths[bowed])
+            rig_slopes.append((R.SAGITTA + bowed, slope * tilt_slope + 4.0 * position**2 * standoff_slopes[:, bowed]))
         rows = np.zeros((len(s), self.size))
-        rows[:, SHAPE], rows[:, _STANDOFFS] = lying.contact(palm), raised
-        rows[:, _TILT], rows[:, _TURN] = -turned, opened
-        for which, by in off:
+        rows[:, SHAPE], rows[:, _STANDOFFS] = lying.contact(palm), standoff_slopes
+        rows[:, _TILT], rows[:, _TURN] = -by_psi, by_opening
+        for which, by in rig_slopes:
             rows[:, RIG.start + which] = by
             s = s + rig[which] * by
-        return s, turned, rows
+        return s, by_psi, rows
 
     def _force_terms(self, z: FloatArray, psi: FloatArray, slope: FloatArray) -> _Terms:
         record, at, mass = self.record, self._forces, math.exp(z[LN_MASS])
         pull_x, pull_y, alpha = (each[at] for each in self._motion(z, psi))
-        palms, stuck, first = _palms(self._reported[at], z), self._stuck[at], record.force_pad == 1
+        palms, stuck, on_first = _palms(self._reported[at], z), self._stuck[at], record.force_pad == 1
         signs = _signs(palms, stuck)
         lying = Lying.at(palms, psi[at], ORDER)
-        felt: list[Any] = [
+        inputs: list[Any] = [
             *(rows @ z[SHAPE] for rows in (*lying.h, *lying.slope)),
             z[MU],
             z[LN_RHO],
@@ -281,45 +288,53 @@ class DryModel:
             z[ASYMMETRY],
         ]
 
-        def told(values: list[Any]) -> FloatArray:
-            *lying_so, mu, ln_rho, tilt, turn, asymmetry = values
-            ratio, spun = mu * (1.0 + asymmetry * np.where(stuck, 1.0, -1.0)) * signs, math.exp(2.0 * ln_rho) * alpha
-            h, slopes = (lying_so[0], lying_so[1]), (lying_so[2], lying_so[3])
-            moved = palms + np.array([tilt, turn, 0.0, 0.0, 0.0, 0.0])
-            forces = normal_forces(stuck, ratio, moved, h, slopes, (pull_x, pull_y), spun)
-            return mass * np.where(first, *forces)
+        def predict(values: list[Any]) -> FloatArray:
+            *contact, mu, ln_rho, tilt, turn, asymmetry = values
+            ratio, spin_term = (
+                mu * (1.0 + asymmetry * np.where(stuck, 1.0, -1.0)) * signs,
+                math.exp(2.0 * ln_rho) * alpha,
+            )
+            h, slopes = (contact[0], contact[1]), (contact[2], contact[3])
+            corrected = palms + np.array([tilt, turn, 0.0, 0.0, 0.0, 0.0])
+            forces = normal_forces(stuck, ratio, corrected, h, slopes, (pull_x, pull_y), spin_term)
+            return mass * np.where(on_first, *forces)
 
-        value = told(felt)
-        modes = self._gain_modes(value)
+        predicted = predict(inputs)
+        modes = self._gain_modes(predicted)
         share = 1.0 + modes @ z[self.gains]
-        gains = [(told([*felt[:i], felt[i] + _STEP, *felt[i + 1 :]]) - value) / _STEP for i in range(len(felt))]
+        slopes_of_inputs = [
+            (predict([*inputs[:i], inputs[i] + _STEP, *inputs[i + 1 :]]) - predicted) / _STEP
+            for i in range(len(inputs))
+        ]
         jacobian = np.zeros((len(at), self.size))
-        turned = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
-        lies = zip(gains, (*lying.h, *lying.slope), (*lying.slope, *map(lying.bend, (0, 1))), strict=False)
-        for i, (gain, rows, then) in enumerate(lies):
-            turned[i % 2] += gain * (then @ z[SHAPE])
-            jacobian[:, SHAPE] += gain[:, None] * rows
-        both = turned[0] + turned[1]
-        jacobian[:, _TILT], jacobian[:, _TURN] = gains[6] + both, gains[7] + turned[1]
-        jacobian -= both[:, None] * slope[at]
-        jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = gains[4], gains[5], value
-        jacobian[:, ASYMMETRY] = gains[8]
+        by_theta = [np.zeros(len(at)), np.zeros(len(at))]  # by θ of each palm
+        shape_rows = zip(
+            slopes_of_inputs, (*lying.h, *lying.slope), (*lying.slope, *map(lying.bend, (0, 1))), strict=False
+        )
+        for i, (slope_of_input, rows, slope_rows) in enumerate(shape_rows):
+            by_theta[i % 2] += slope_of_input * (slope_rows @ z[SHAPE])
+            jacobian[:, SHAPE] += slope_of_input[:, None] * rows
+        by_both = by_theta[0] + by_theta[1]
+        jacobian[:, _TILT], jacobian[:, _TURN] = slopes_of_inputs[6] + by_both, slopes_of_inputs[7] + by_theta[1]
+        jacobian -= by_both[:, None] * slope[at]
+        jacobian[:, MU], jacobian[:, LN_RHO], jacobian[:, LN_MASS] = slopes_of_inputs[4], slopes_of_inputs[5], predicted
+        jacobian[:, ASYMMETRY] = slopes_of_inputs[8]
         jacobian *= share[:, None]
-        jacobian[:, self.gains] = value[:, None] * modes
+        jacobian[:, self.gains] = predicted[:, None] * modes
         sd = np.sqrt(record.force_variance)
-        return _gated((record.force_value - share * value) / sd, jacobian / sd[:, None], self._weight)
+        return _gated((record.force_value - share * predicted) / sd, jacobian / sd[:, None], self._weight)
 
-    def _gain_modes(self, felt: FloatArray) -> FloatArray:
-        """(forces, modes): the share by which each mode of a pad's gain moves the forces, `felt` (N).
+    def _gain_modes(self, force: FloatArray) -> FloatArray:
+        """(forces, modes): relative change of the forces (N) by each mode of a pad's gain.
 
-        What that changes in a play's place is left out of the derivatives.
+        The derivatives neglect that a mode changes the place in the play.
         """
-        columns = np.zeros((len(felt), self.gains.stop - self.gains.start))
-        at = 0
-        for mine, modes in self._gains:
-            of_pad = np.column_stack([modes, BEHIND * place_in_play(np.maximum(felt[mine], LEAST_FORCE_N))])
-            columns[mine, at : at + of_pad.shape[1]] = of_pad
-            at += of_pad.shape[1]
+        columns = np.zeros((len(force), self.gains.stop - self.gains.start))
+        column = 0
+        for of_pad, modes in self._gains:
+            pad_modes = np.column_stack([modes, BEHIND * place_in_play(np.maximum(force[of_pad], LEAST_FORCE_N))])
+            columns[of_pad, column : column + pad_modes.shape[1]] = pad_modes
+            column += pad_modes.shape[1]
         return columns
 
     def _prior_terms(self, z: FloatArray) -> _Terms:
@@ -343,7 +358,7 @@ class DryModel:
     # -- motion -------------------------------------------------------------------------------------------
 
     def _motion(self, z: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """At all times: acceleration of the COM less gravity, along X and Y (m/s²), and α0 (rad/s²)."""
+        """At all times: acceleration of the centre of mass less gravity, along X and Y (m/s²), and α0 (rad/s²)."""
         record, at = self.record, self._nodes
         palms = _palms(self._reported[at], z)
         h = [rows @ z[SHAPE] + off for rows, off in zip(Lying.at(palms, psi[at], ORDER).h, z[_STANDOFFS], strict=True)]
@@ -365,20 +380,20 @@ class DryModel:
         palms = _palms(self._reported, z)
         lying = Lying.at(palms, psi, ORDER)
         h, slope = ((rows[0] @ z[SHAPE], rows[1] @ z[SHAPE]) for rows in (lying.h, lying.slope))
-        spun = math.exp(2.0 * z[LN_RHO]) * motion[2]
-        return normal_forces(stuck, self._ratio(z, stuck), palms, h, slope, motion[:2], spun)
+        spin_term = math.exp(2.0 * z[LN_RHO]) * motion[2]
+        return normal_forces(stuck, self._ratio(z, stuck), palms, h, slope, motion[:2], spin_term)
 
     def _ratio(self, z: FloatArray, stuck: Palms) -> FloatArray:
-        """Of friction to normal force where it slips, against t."""
+        """Ratio of friction to normal force at the slipping contact, along t."""
         ratio: FloatArray = z[MU] * (1.0 + z[ASYMMETRY] * np.where(stuck, 1.0, -1.0)) * _signs(self._reported, stuck)
         return ratio
 
 
 def _palms(reported: FloatArray, z: FloatArray) -> FloatArray:
-    """The palms' motion, their angles off as z says."""
-    moved = reported.copy()
-    moved[:, :2] += z[[_TILT, _TURN]]
-    return moved
+    """The reported motion of the palms, its angles corrected by z."""
+    corrected = reported.copy()
+    corrected[:, :2] += z[[_TILT, _TURN]]
+    return corrected
 
 
 def _signs(palms: FloatArray, stuck: Palms) -> FloatArray:
@@ -391,27 +406,27 @@ def _s(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> 
 
 
 def _q(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray) -> FloatArray:
-    """Q1 or Q2."""
+    """Q1 or Q2 of `model.rolling`."""
     return lying.kept(palm) @ shape_of + lying.standing_off(palm) @ standoffs
 
 
-def _q_by(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray, size: int) -> FloatArray:
-    """Its derivatives by z (n, size), ψ as it is."""
-    by = np.zeros((len(lying.palms), size))
-    by[:, SHAPE], by[:, _STANDOFFS] = lying.kept(palm), lying.standing_off(palm)
-    by[:, _TILT] = -lying.kept_slope(palm, shape_of)
-    by[:, _TURN] = lying.kept_opened(palm, shape_of, standoffs)
-    return by
+def _q_slopes(lying: Lying, palm: int, shape_of: FloatArray, standoffs: FloatArray, size: int) -> FloatArray:
+    """Derivatives of Q1 or Q2 by z (n, size), at constant ψ."""
+    slopes = np.zeros((len(lying.palms), size))
+    slopes[:, SHAPE], slopes[:, _STANDOFFS] = lying.kept(palm), lying.standing_off(palm)
+    slopes[:, _TILT] = -lying.kept_slope(palm, shape_of)
+    slopes[:, _TURN] = lying.kept_opened(palm, shape_of, standoffs)
+    return slopes
 
 
-def phases_of(stuck: Palms, t: FloatArray) -> list[Rolling]:
-    """The phases of a palm (0 or 1) at each of the times `t`."""
+def phases_of(stuck: Palms, t: FloatArray) -> list[StickPhase]:
+    """Phases, from the stuck palm (0 or 1) at each of the times `t`."""
     changes = np.flatnonzero(np.diff(stuck)) + 1
     starts = [float(t[0]), *(0.5 * (t[changes] + t[changes - 1])).tolist()]
-    return [Rolling(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
+    return [StickPhase(int(stuck[at]), start) for at, start in zip([0, *changes.tolist()], starts, strict=True)]
 
 
-def _kept(
+def _orientation_keeping(
     palms: FloatArray, psi: float, value: float, palm: int, shape_of: FloatArray, standoffs: FloatArray
 ) -> tuple[FloatArray, Lying]:
     """ψ at which Q1 or Q2 has this value, by Newton's method from psi (rad)."""
@@ -426,7 +441,7 @@ def _kept(
 
 
 def _gated(residual: FloatArray, jacobian: FloatArray, weight: FloatArray) -> _Terms:
-    """Terms of readings, robust: beyond the gate a reading's cost grows as a logarithm."""
+    """Robust terms of readings: beyond the gate the cost grows logarithmically."""
     nis, counts = residual**2, weight > 0.0
     median = float(np.median(nis[counts])) if counts.any() else 0.0
     gate = GATE * max(1.0, median / 0.455)

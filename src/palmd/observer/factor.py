@@ -1,4 +1,4 @@
-"""What is known of the constants and of one node, as a quadratic cost: a prior, or what marginalisation leaves.
+"""Quadratic costs of the constants and of one node: a prior, or what marginalisation leaves.
 
 y = (p, x): the smoother's constants and a node (ψ, ω0). Pure.
 """
@@ -22,21 +22,21 @@ GAUGE_SD = 1e-7  # rad, of ψ at the first node
 class Terms:
     """A cost at one y and its second-order expansion there: cost − 2 sideᵀδ + δᵀ matrix δ for y + δ.
 
-    `strain` is by how much the cost exceeds its least.
+    excess: by how much the cost exceeds its minimum.
     """
 
     cost: float
-    strain: float
+    excess: float
     matrix: FloatArray
     side: FloatArray
 
 
 class Knowledge(Protocol):
-    """Knowledge of (p, x) from which a record's smoothing begins, x being the record's first node."""
+    """Knowledge of (p, x) before the readings of a record; x is the record's first node."""
 
     @property
     def scale(self) -> FloatArray:
-        """Lengths (CONSTANTS) in which the damping of an iteration measures a step of the constants."""
+        """Scale (CONSTANTS) of a step of the constants in the damping."""
 
     def terms(self, p: FloatArray, x: FloatArray) -> Terms:
         """The cost and its expansion at (p, x)."""
@@ -44,10 +44,10 @@ class Knowledge(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Independent Gaussian belief about the constants and ω0 (rad/s) before anything is felt; ψ is gauge: 0.
+    """Independent Gaussian prior of the constants and of ω0 (rad/s); ψ is gauge: 0.
 
-    In place of ln ρ, B and w, `mean` and `sd` hold for ln(ρ/h0), h0 the mean radius, for μ and for ln u_d.
-    `information`: what other records of the object determine of the constants.
+    In place of ln ρ, B and w, `mean` and `sd` are of ln(ρ/h0), h0 the mean radius, of μ and of ln u_d.
+    information: what other records of the object determine of the constants.
     """
 
     mean: FloatArray
@@ -80,10 +80,10 @@ class Prior:
         miss /= sd
         cost, matrix, side = float(miss @ miss), rows.T @ rows, -(rows.T @ miss)
         if self.information is not None:
-            further = self.information.moved(p[:CONSTANTS])
-            cost += further.cost - self.information.cost
-            matrix[:CONSTANTS, :CONSTANTS] += further.matrix
-            side[:CONSTANTS] += further.side
+            added = self.information.moved(p[:CONSTANTS])
+            cost += added.cost - self.information.cost
+            matrix[:CONSTANTS, :CONSTANTS] += added.matrix
+            side[:CONSTANTS] += added.side
         return Terms(cost, cost, matrix, side)
 
 
@@ -103,77 +103,79 @@ class Factor:
     def terms(self, p: FloatArray, x: FloatArray) -> Terms:
         """See `Knowledge`."""
         here = self.moved(np.concatenate([p, x]))
-        return Terms(here.cost, here.strain(), here.matrix, here.side)
+        return Terms(here.cost, here.excess(), here.matrix, here.side)
 
     def moved(self, about: FloatArray) -> Factor:
         """The same cost, expanded about another point."""
-        by = about - self.about
-        pull = self.matrix @ by
-        cost = self.cost - 2.0 * float(self.side @ by) + float(by @ pull)
+        step = about - self.about
+        pull = self.matrix @ step
+        cost = self.cost - 2.0 * float(self.side @ step) + float(step @ pull)
         return Factor(about, cost, self.matrix, self.side - pull, self.scale)
 
     def plus(self, other: Factor) -> Factor:
-        """Both costs together."""
+        """The sum of both costs."""
         other = other.moved(self.about)
         matrix, side = self.matrix + other.matrix, self.side + other.side
         return Factor(self.about, self.cost + other.cost, matrix, side, self.scale)
 
-    def less(self, other: Factor) -> Factor:
-        """This cost without `other`, which is part of it."""
+    def minus(self, other: Factor) -> Factor:
+        """The cost without `other`, which is a part of it."""
         other = other.moved(self.about)
         matrix, side = self.matrix - other.matrix, self.side - other.side
         return Factor(self.about, self.cost - other.cost, matrix, side, self.scale)
 
-    def strain(self) -> float:
-        """By how much the cost at `about` exceeds its least."""
+    def excess(self) -> float:
+        """By how much the cost at `about` exceeds its minimum."""
         return float(self.side @ self.solved(self.side))
 
     def solved(self, sides: FloatArray) -> FloatArray:
-        """matrix⁻¹ sides; raises LinAlgError where the cost leaves a direction open."""
+        """matrix⁻¹ sides; raises LinAlgError where the cost does not determine y."""
         return cholesky_solved(self.matrix, sides)
 
     def log_determinant(self) -> float:
-        """Of the matrix; raises LinAlgError as `solved`."""
+        """Log-determinant of the matrix; raises LinAlgError as `solved`."""
         with np.errstate(invalid="ignore"):
             scale = 1.0 / np.sqrt(np.diagonal(self.matrix))
         root = np.linalg.cholesky(self.matrix * np.outer(scale, scale))
         return 2.0 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum())
 
-    def without(self, dropped: slice) -> Factor:
-        """The least cost over the entries `dropped` of y, as a cost of the others: their marginalisation."""
-        gone = np.zeros(len(self.about), dtype=np.bool_)
-        gone[dropped] = True
-        across = self.matrix[np.ix_(gone, ~gone)]
-        solved = cholesky_solved(self.matrix[np.ix_(gone, gone)], np.column_stack([across, self.side[gone]]))
-        matrix = self.matrix[np.ix_(~gone, ~gone)] - across.T @ solved[:, :-1]
+    def marginalised(self, dropped: slice) -> Factor:
+        """The cost with the entries `dropped` of y marginalised."""
+        is_dropped = np.zeros(len(self.about), dtype=np.bool_)
+        is_dropped[dropped] = True
+        across = self.matrix[np.ix_(is_dropped, ~is_dropped)]
+        solved = cholesky_solved(
+            self.matrix[np.ix_(is_dropped, is_dropped)], np.column_stack([across, self.side[is_dropped]])
+        )
+        matrix = self.matrix[np.ix_(~is_dropped, ~is_dropped)] - across.T @ solved[:, :-1]
         return Factor(
-            self.about[~gone],
-            self.cost - float(self.side[gone] @ solved[:, -1]),
+            self.about[~is_dropped],
+            self.cost - float(self.side[is_dropped] @ solved[:, -1]),
             (matrix + matrix.T) / 2,
-            self.side[~gone] - across.T @ solved[:, -1],
+            self.side[~is_dropped] - across.T @ solved[:, -1],
             self.scale,
         )
 
 
-def of_constants(known: Knowledge, p: FloatArray) -> Factor:
+def marginal_of_constants(known: Knowledge, p: FloatArray) -> Factor:
     """The marginal of the constants, expanded at `p`; raises LinAlgError where the node is not observed."""
     node = np.zeros(NODE)
     at = known.terms(p, node)
     whole = Factor(np.concatenate([p, node]), at.cost, at.matrix, at.side, known.scale)
-    return whole.without(slice(CONSTANTS, SIZE))
+    return whole.marginalised(slice(CONSTANTS, SIZE))
 
 
-def given(covariance: FloatArray, known: slice, asked: slice) -> FloatArray:
-    """The part `asked` of a covariance, were the part `known` known: its Schur complement."""
-    across = covariance[known, asked]
+def conditional_covariance(covariance: FloatArray, known: slice, wanted: slice) -> FloatArray:
+    """Covariance of the part `wanted` when the part `known` is known exactly: the Schur complement."""
+    across = covariance[known, wanted]
     scale = np.sqrt(np.diagonal(covariance)[known])[:, None]
     solved = np.linalg.solve(covariance[known, known] / (scale * scale.T), across / scale)
-    own: FloatArray = covariance[asked, asked]
+    own: FloatArray = covariance[wanted, wanted]
     return own - (across / scale).T @ solved
 
 
 def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """μ and its one-sigma, from constants and their covariance (which may go on beyond them)."""
+    """μ and its 1σ, from the constants and their covariance (which may have more entries)."""
     dither = p[C.SATURATION] ** -0.5
     gradient = np.array([dither, -0.5 * p[C.DRAG] * dither**3])
     at = [C.DRAG, C.SATURATION]
@@ -181,9 +183,9 @@ def friction_of(p: FloatArray, covariance: FloatArray) -> tuple[float, float]:
 
 
 def cholesky_solved(matrix: FloatArray, sides: FloatArray) -> FloatArray:
-    """matrix⁻¹ sides, by Cholesky's factorisation of the matrix scaled to a unit diagonal.
+    """matrix⁻¹ sides by Cholesky factorisation of the matrix scaled to a unit diagonal.
 
-    Entries differ by twenty powers of ten. Raises LinAlgError where there is none.
+    Entries differ by twenty orders of magnitude. Raises LinAlgError where the matrix is not positive definite.
     """
     with np.errstate(invalid="ignore"):
         scale = 1.0 / np.sqrt(np.diagonal(matrix))

@@ -1,4 +1,4 @@
-"""Where the smoother may start: what a bank of filters, started blind, makes of a record's first seconds."""
+"""First guesses for the smoother: the likeliest of a bank of filters, started blind on a record's first seconds."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from palmd.system.description import RigDescription
 from palmd.system.vibration import Vibration
 
 BANK = 64
-SPACING_S = 0.01  # of the remembered trajectories
+SPACING_S = 0.01  # of the stored trajectories
 MASS_KG, LN_MASS_SD = 0.15, 1.5
-# Wider than the live observer's belief: a ring (ratio 1) and a body with a heavy core must stay possible.
+# Wider than the live observer's prior: a ring (ratio 1) and a body with a heavy core must stay possible.
 LN_GYRATION_SD = 0.12
 
 
 @dataclass(frozen=True, slots=True)
 class FirstGuess:
-    """One filter of the bank at the end of its time: how likely, its trajectory (n, 2) at `t`, and its constants."""
+    """One filter at the end of the bank's time: its log likelihood, its trajectory (n, 2) at `t`, and its constants."""
 
     score: float
     t: FloatArray
@@ -37,7 +37,7 @@ class FirstGuess:
     constants: FloatArray
 
     def guess(self, t: FloatArray) -> Guess:
-        """The same on other nodes, held constant outside its own time."""
+        """The guess on other nodes; outside its own time the trajectory is constant."""
         columns = [np.interp(t, self.t, self.trajectory[:, i]) for i in range(2)]
         return Guess(np.stack(columns, axis=1), self.constants)
 
@@ -51,9 +51,9 @@ def blind_starts(
     count: int = BANK,
     asymmetry: float = 0.0,
 ) -> list[FirstGuess]:
-    """The `count` likeliest of a bank that has read `events` until `seconds` after `begin` (s), in order; maybe none.
+    """The `count` likeliest filters, best first, of a bank that has read `events` until `seconds` after `begin` (s).
 
-    `asymmetry` of the palms' friction, (μ1 − μ2)/(μ1 + μ2), is taken for granted.
+    asymmetry: assumed asymmetry of the palms' friction, (μ1 − μ2)/(μ1 + μ2). Empty where no object was found.
     """
     filters = ShapeFilters(rig, BANK)
     filters.rig_error.values[R.FRICTION] = asymmetry
@@ -72,16 +72,17 @@ def blind_starts(
         return []
     at, score = np.array(times), filters.bank.score
     order = [int(i) for i in np.argsort(-score, kind="stable")[:count]]
-    same = [state for state in states if len(state) == len(states[-1])]  # filters keep their places until one goes
+    # filters keep their numbers until one is dropped
+    same = [state for state in states if len(state) == len(states[-1])]
     trajectories = np.array([state[:, [Z.PSI, Z.OMEGA0]] for state in same])
     at = at[-len(same) :]
     return [FirstGuess(float(score[i]), at, trajectories[:, i], constants_of(states[-1][i], asymmetry)) for i in order]
 
 
 def prior_of(radius: float, rig_sd: FloatArray, vibration: Vibration) -> Prior:
-    """The blind belief about the smoother's constants; `rig_sd` is that of the rig's.
+    """Blind prior of the smoother's constants.
 
-    `radius` is that of the circle of the first readings (m): about how large the object is.
+    radius: of the circle of the first readings (m): about how large the object is. rig_sd: 1σ of the rig's constants.
     """
     mean, sd = np.zeros(CONSTANTS), np.zeros(CONSTANTS)
     mean[C.LN_RHO], sd[C.LN_RHO] = math.log(prior.GYRATION), LN_GYRATION_SD
@@ -96,7 +97,7 @@ def prior_of(radius: float, rig_sd: FloatArray, vibration: Vibration) -> Prior:
 
 
 def constants_of(x: FloatArray, asymmetry: float = 0.0) -> FloatArray:
-    """The smoother's constants of a state of `model.shape_map`, of whatever order, which knows nothing of the mass."""
+    """The smoother's constants of a state of `model.shape_map`, of any order; the mass is a default."""
     p = np.zeros(CONSTANTS)
     p[[C.LN_RHO, C.DAMPING]] = x[[Z.LN_RHO, Z.DAMPING]]
     dither = math.exp(x[Z.LN_DITHER])

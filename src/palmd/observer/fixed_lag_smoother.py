@@ -18,11 +18,11 @@ from palmd.observer.chain import SEGMENT_S, Chain
 from palmd.observer.coverage import marks_of
 from palmd.observer.criticism import RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.matching import Felt, matched
+from palmd.observer.matching import ObjectInformation, matched
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import contact_normals
 from palmd.observer.pad_map import with_shared_errors
-from palmd.observer.search import LED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
+from palmd.observer.search import GRADUATED_ITERATIONS, LIVE_BUDGET, SPACING_S, Minima, Search, explained
 from palmd.observer.smoother import Budget, Posterior
 
 PATIENCE = 6
@@ -94,7 +94,7 @@ class FixedLagSmoother:
         self._belief = found.search.belief
         self._most_forces = found.search.segment.most_forces
         finding = found.finding
-        record = found.search.smoother(finding.record).pressed(finding.fits[0].guess)
+        record = found.search.smoother(finding.record).with_predicted_forces(finding.fits[0].guess)
         found = _weighed(replace(found, finding=replace(finding, record=record)))
         self._closed = self.touched = marks_of(np.zeros((0, 2)))
         self.lost = False
@@ -137,7 +137,7 @@ class FixedLagSmoother:
         self._go_on(answer)
         return answer
 
-    def join(self, archive: Sequence[Felt], turn: float | None = None) -> Felt | None:
+    def join(self, archive: Sequence[ObjectInformation], turn: float | None = None) -> ObjectInformation | None:
         """Join the first of what was felt before that is of the same object beyond doubt; which that was.
 
         turn (rad): by which its ψ is known to be larger here, of the same object; else the evidence decides. What was
@@ -150,9 +150,9 @@ class FixedLagSmoother:
             except np.linalg.LinAlgError:
                 continue
             if found is not None:
-                self._chain.learn(found.felt.information)
-                self._closed = self._closed | found.felt.touched
-                self.touched = self.touched | found.felt.touched
+                self._chain.learn(found.aligned.information)
+                self._closed = self._closed | found.aligned.touched
+                self.touched = self.touched | found.aligned.touched
                 return known
         return None
 
@@ -169,9 +169,9 @@ class FixedLagSmoother:
             guess = search.smoother(search.record).completed(guess)
         self.psi = float(guess.x[-1, 0])
 
-    def felt(self) -> Felt:
+    def felt(self) -> ObjectInformation:
         """What the chain tells of the object."""
-        return Felt(self._chain.information(self._open.guess.p), self._closed)
+        return ObjectInformation(self._chain.information(self._open.guess.p), self._closed)
 
     def _revised(self, answer: Answer) -> Guess | None:
         """From where to go on when the readings tell that the rig is not what it is taken for; None when they don't."""
@@ -186,7 +186,7 @@ class FixedLagSmoother:
     def _smoothed(self, segment: DataSegment, guess: Guess, budget: Budget) -> Answer | None:
         """What explains the readings; None where nothing does."""
         search = self._search(segment, guess, budget)
-        finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], pressed=True, strict=False)
+        finding = search.resumed([Guess(guess.x[: len(search.record.t)], guess.p)], predict_forces=True, strict=False)
         # palms at rest are no reason for doubt here
         if finding is None or not finding.fits[0].settled or not search.explained(finding.fits[0], finding.record):
             return None
@@ -209,7 +209,7 @@ class FixedLagSmoother:
             self._close(answer, first, first + each)
             first += each
         start = float(record.t[first])
-        rested = answer.search.rested(start)
+        rested = answer.search.rest_duration(start)
         self._open = _Open(start, Guess(guess.x[first:], guess.p), start - rested if rested else math.inf)
         self.touched = self._closed | marks_of(contact_normals(record, guess.x[:, 0], guess.p[C.SHAPE :])[first:])
 
@@ -229,7 +229,7 @@ def _weighed(answer: Answer) -> Answer:
     decides whether the readings are explained must not include this: nearly every fit would pass.
     """
     search, best = answer.search, answer.finding.fits[0]
-    record = search.smoother(answer.finding.record).judged(best.guess)
+    record = search.smoother(answer.finding.record).with_discrepancy(best.guess)
     record = with_shared_errors(record, search.rig)
-    fit = search.smoother(record).fit(best.guess, best.noise, LED_ITERATIONS)
+    fit = search.smoother(record).fit(best.guess, best.noise, GRADUATED_ITERATIONS)
     return Answer(search, Minima(record, (fit,), answer.finding.work))

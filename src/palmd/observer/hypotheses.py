@@ -1,4 +1,4 @@
-"""Which object it is: what is believed of it beforehand, besides that it is one never felt, and what is decided."""
+"""Hypotheses about which object is on the palms: a known one, or one never touched before."""
 
 from __future__ import annotations
 
@@ -17,47 +17,47 @@ from palmd.observer.track import Track
 
 
 class Verdict(Enum):
-    """What the readings so far say of the hypotheses."""
+    """What the readings so far decide."""
 
     OPEN = auto()  # no estimate is valid yet
     DECIDED = auto()
-    REJECTED = auto()  # it is another object than was believed, and to be begun as one
+    REJECTED = auto()  # it is another object than assumed; tracking restarts with that
 
 
 class Hypotheses(Protocol):
-    """All calls are safe inside the loop; `begin` takes some milliseconds."""
+    """Hypotheses of an observer. All calls are safe inside the loop; `begin` takes some milliseconds."""
 
     pruning: Pruning
     one_gauge: bool
-    """Whether all filters have the same: else each has its own, and ψ of one means nothing beside another's."""
+    """Whether all filters share one gauge of ψ; else ψ of two filters cannot be compared."""
 
     @property
     def banks(self) -> Sequence[Filters]:
-        """All that are ever used, the one for objects never felt before first."""
+        """All banks that are ever used; the one for unknown objects is first."""
 
     def reset(self) -> None:
-        """As if no object had ever been felt."""
+        """Forget all objects."""
 
     def choose(self) -> Filters:
-        """The bank that the next object is to be begun with."""
+        """The bank with which to start tracking the next object."""
 
     def begin(self, track: Track, t: float) -> bool:
-        """Let filters of a track at `t` (s), all of them blind, begin otherwise; whether it counts as a new object."""
+        """Replace blind filters of a track at `t` (s) by those for known objects; whether the object counts as new."""
 
     def constants(self, track: Track) -> Belief:
-        """What was believed of each filter's constants at the start."""
+        """Prior of each filter's constants at the start."""
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
-        """The bank has been pruned: the former numbers of the filters that stay."""
+        """Update after the bank was pruned; `kept`: former numbers of the filters that stay."""
 
     def decide(self, track: Track, t: float, settled: bool) -> Verdict:
-        """What is decided at `t` (s), where the estimate is `settled` or not."""
+        """The decision at `t` (s); `settled`: whether the estimate passes the tests."""
 
     def keep(self, track: Track, t: float) -> None:
-        """The estimate at `t` (s) is valid: remember what is to be remembered."""
+        """Remember what is to be remembered of the valid estimate at `t` (s)."""
 
     def lost(self, track: Track) -> None:
-        """The readings contradict all that was believed of the object."""
+        """Handle that the readings contradict all that is believed of the object."""
 
     def identify(self, t: float, object_count: int) -> ObjectEstimate | None:
-        """Which of several stored objects the one on the palms is at `t` (s); None where none are stored."""
+        """Which of the stored objects is on the palms at `t` (s); None where none are stored."""

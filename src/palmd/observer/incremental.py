@@ -22,7 +22,7 @@ from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
 from palmd.observer.fixed_lag_smoother import TAIL_S, Answer, FixedLagSmoother
 from palmd.observer.initialiser import LEAST_S, RENEWED_S, TELLING_S, Initialiser
-from palmd.observer.matching import Felt
+from palmd.observer.matching import ObjectInformation
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
 from palmd.observer.outline import contact_normals, made_convex
@@ -62,8 +62,8 @@ class IncrementalSmoother:
         self._session = NO_SESSION
         self._hint: FloatArray | None = None
         self._events: list[Event] = []
-        self._archive: list[Felt] = []  # of objects that were taken away, the latest first
-        self._taken_away: Felt | None = None  # the last object, unless it was rejected or never confirmed
+        self._archive: list[ObjectInformation] = []  # of objects that were taken away, the latest first
+        self._taken_away: ObjectInformation | None = None  # the last object, unless it was rejected or never confirmed
         self._left: tuple[float, float] | None = None  # when (s) it was last felt, and its ψ (rad) then
         self._frame = 1
         self._unexplained = False  # by the last answer
@@ -75,20 +75,20 @@ class IncrementalSmoother:
     @property
     def elapsed_s(self) -> float:
         """How long ago the present object was begun, by the latest event; 0 while there is none."""
-        return max(self._events[-1].t_sample - self._session.begun, 0.0) if self._events else 0.0
+        return max(self._events[-1].t_sample - self._session.start_time, 0.0) if self._events else 0.0
 
     def add(self, session: Session, events: Sequence[Event]) -> None:
         """Take the latest events, and since when they are of what is now on the palms."""
         self._events += events
         self._hint = None if session.hint is None else constants_of(session.hint)
-        if session.begun != self._session.begun:
-            felt = data_segments([event for event in self._events if event.t_sample < session.begun])
+        if session.start_time != self._session.start_time:
+            felt = data_segments([event for event in self._events if event.t_sample < session.start_time])
             try:
                 self._end(felt)
             except NUMERICAL_FAILURES:  # what was felt of it is lost
                 self._seek()
-            self._drop_before(session.begun)
-        if math.isinf(session.begun) and self._events:
+            self._drop_before(session.start_time)
+        if math.isinf(session.start_time) and self._events:
             self._drop_before(self._events[-1].t_sample)
         self._session = session
 
@@ -114,7 +114,7 @@ class IncrementalSmoother:
     def _answer(self) -> Improvement | None:
         self._unexplained = False
         found = data_segments(self._events)
-        if not found or math.isinf(self._session.begun):
+        if not found or math.isinf(self._session.start_time):
             return None
         segment = found[-1]
         if self._fixed_lag is not None and segment.start > self._fixed_lag.needs_from + LEAD_S:

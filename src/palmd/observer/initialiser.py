@@ -21,10 +21,10 @@ from palmd.observer.search import (
     Minima,
     Search,
     agree,
-    doubt,
-    far_fetched,
-    still,
-    unfit,
+    is_implausible,
+    misfit_reason,
+    nothing_moves,
+    rejection_reason,
 )
 from palmd.observer.smoother import Budget
 from palmd.system.description import RigDescription
@@ -127,7 +127,7 @@ class Initialiser:
             return None
         rig = with_scatter(self._rig, segment.pads)
         search = Search(segment, rig, PATIENCE, belief=self._belief, budget=budget)
-        if still(search.record) or (self._doubtful and search.rested(segment.end) > STILL_KEPT_S):
+        if nothing_moves(search.record) or (self._doubtful and search.rest_duration(segment.end) > STILL_KEPT_S):
             self.needs_from = segment.end - STILL_KEPT_S
             return None
         finding: Minima | None = None
@@ -143,17 +143,17 @@ class Initialiser:
             self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
             self.hypothesis = None
         if finding is None and hint is not None and not self._exact:
-            finding = search.placed(hint)
+            finding = search.from_constants(hint)
         if finding is None or (self._to_challenge(search, finding) and segment.end == now):
             search, finding = self._sought_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
-            finding = search.doubted(finding)
+            finding = search.with_friction_discrepancy(finding)
         answer = None if finding is None else self._criticised(Answer(search, finding))
         before, self._start, self._guesses = self._guesses, segment.start, ()
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
-        doubts = UNFOUND if answer is None else doubt(answer.finding.fits[0], answer.finding)
-        self.unexplained = answer is None or far_fetched(answer.finding.fits[0], answer.finding.record)
+        doubts = UNFOUND if answer is None else rejection_reason(answer.finding.fits[0], answer.finding)
+        self.unexplained = answer is None or is_implausible(answer.finding.fits[0], answer.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
         if doubts in {"", AMBIGUOUS} and not self.unexplained:
             self.hypothesis = answer
@@ -178,13 +178,17 @@ class Initialiser:
             return search.resumed(self._guesses)
         half = Budget(min(budget.left, LIVE_BUDGET / 2))
         budget.left -= half.left
-        finding = search.spending(half).resumed(self._guesses)
+        finding = search.with_budget(half).resumed(self._guesses)
         budget.left += half.left
         return finding
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
         """Whether a hypothesis that explains all readings is due for a challenge by a blind search."""
-        due = search.segment.lasts >= self._challenge_s or not self.sure or bool(unfit(finding.fits[0], finding.record))
+        due = (
+            search.segment.lasts >= self._challenge_s
+            or not self.sure
+            or bool(misfit_reason(finding.fits[0], finding.record))
+        )
         return due and search.covers(finding)
 
     def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
@@ -209,13 +213,13 @@ class Initialiser:
         self._seed += 1
         attempt = attempt._replace(seconds=min(attempt.seconds, seconds))
         if finding is None and attempt.free:
-            search = search.believing(self._belief.suspended())
+            search = search.with_belief(self._belief.suspended())
         budget = Budget(LIVE_BUDGET / 2)
-        blind = search.spending(budget).blind(attempt, self._seed)
+        blind = search.with_budget(budget).blind(attempt, self._seed)
         if blind is None and budget.left <= 0.0 and finding is not None:
             return search, finding  # a search that was cut short is no evidence
         if blind is None and finding is None and hint is not None and self._exact:
-            blind = search.placed(hint)  # dear, and what it is held against elsewhere are rides here
+            blind = search.from_constants(hint)  # dear, and what it is held against elsewhere are rides here
         merged = search.merged(finding, blind)
         again = self.sure and agree(finding, blind)
         self._survived = self._challenges_survived(finding, blind, merged, seconds)
@@ -275,12 +279,12 @@ class Initialiser:
         """What is found once the rig is taken for what the readings tell."""
         for _ in range(MOST_REVISIONS):
             search, finding = answer.search, answer.finding
-            if doubt(finding.fits[0], finding):
+            if rejection_reason(finding.fits[0], finding):
                 break
             self._belief = answer.belief
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
-            anew = search.believing(self._belief)
+            anew = search.with_belief(self._belief)
             found = anew.resumed([self._belief.within(fit.guess) for fit in finding.fits])
             if found is None:
                 self._belief = search.belief

@@ -1,4 +1,4 @@
-"""What is compiled for observing two palms. Nothing of it is loaded before it is made."""
+"""The compiled parts that observers of two palms need. Nothing is loaded before it is needed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from palmd.config.two_palms import Config
 
 Part = tuple[str, Callable[[], str]]
-"""What it is, and what makes it or finds it made, and says how it runs."""
+"""Name of a part, and the function that compiles or finds it and returns its backend."""
 
 
 def needed(config: Config | None) -> list[Part]:
-    """What the processes of a run with this configuration load; without one, what any with flat palms do."""
+    """Parts that a run with this configuration loads; without a configuration those of any run with flat palms."""
     if config is None:
         return [*(_observer(name) for name in get_args(ObserverName) if name != "shape"), *of_palms(curved=False)]
     if config.observer.primary == "shape":
@@ -31,7 +31,7 @@ def _observer(name: ObserverName) -> Part:
 
 
 def of_palms(curved: bool) -> list[Part]:
-    """What observing, smoothing and exploring on two palms take."""
+    """Parts for observing, smoothing and exploring on two palms."""
     from palmd.model import rollout, sensitivity, shape_map, smoothing
 
     which = "curved palms, " if curved else ""
@@ -45,5 +45,5 @@ def of_palms(curved: bool) -> list[Part]:
         (f"{which}smoother", lambda: smoothing.library(curved).backend),
         (f"{which}explorer", lambda: rollout.library(curved).backend),
     ]
-    # a smoother of any palms reduces its equations by the C that comes with flat ones
+    # a smoother of curved palms, too, solves its equations with the C code in the library of flat ones
     return [*parts, ("smoother's equations", lambda: smoothing.library().backend)] if curved else parts

@@ -1,10 +1,9 @@
-"""Value and rate of a noisy signal that is read at irregular times: local cubic regression.
+"""Value and rate of a noisy, irregularly sampled signal by local cubic regression.
 
-About each time a cubic is fitted by weighted least squares to the readings within `HALF_WIDTH_S`, weights falling to
-zero at the ends (tricube), so that neither the spacing of the readings nor their coming and going makes it jump. In
-the middle of 100 Hz readings with noise σ the value has a one-sigma of about 0.25 σ and the rate of 5 σ per second;
-what it cannot follow is motion faster than 2 Hz or so. At the ends of the record the fit is one-sided and several
-times noisier.
+About each time a cubic is fitted by weighted least squares to the readings within `HALF_WIDTH_S`. The weights fall to
+zero at both ends (tricube), so that the result does not jump as readings enter and leave. In the middle of 100 Hz
+readings with noise σ, the 1σ of the value is about 0.25 σ and that of the rate 5 σ per second; motion faster than about
+2 Hz is not followed. At the ends of the record the fit is one-sided and several times noisier.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _POWERS = np.arange(4)
 
 @dataclass(frozen=True, slots=True)
 class LocalFit:
-    """Value and rate (per s) of each column at one time, and the weighted RMS of what the cubic leaves over."""
+    """Value and rate (per s) of each column at one time, and the weighted RMS of the residuals."""
 
     value: FloatArray
     rate: FloatArray
@@ -31,7 +30,7 @@ class LocalFit:
 
 
 def local_cubic(times: FloatArray, values: FloatArray, t: float) -> LocalFit | None:
-    """The fit at `t` (s) to each column of `values` (n, k), None with too few readings about `t`.
+    """The fit at `t` (s) to each column of `values` (n, k); None with too few readings about `t`.
 
     Takes some 30 µs; safe inside the loop.
     """
@@ -52,16 +51,16 @@ def local_cubic(times: FloatArray, values: FloatArray, t: float) -> LocalFit | N
 
 
 class RecentReadings:
-    """The readings of the last seconds in the order of their own times, of one or more columns."""
+    """The readings of the last seconds, of one or more columns, in order of time."""
 
     def __init__(self, kept_s: float):
-        """Readings older than `kept_s` (s) than the newest are forgotten."""
+        """Readings that are older than the newest by `kept_s` (s) are dropped."""
         self._kept_s = kept_s
         self._times: list[float] = []
         self._values: list[Sequence[float]] = []
 
     def add(self, t: float, *values: float) -> None:
-        """Take one reading; a late one finds its place, one at a time already read is dropped."""
+        """Insert one reading in order of time; a reading at the same time as an earlier one is dropped."""
         at = len(self._times)
         while at and self._times[at - 1] > t:
             at -= 1
@@ -73,12 +72,12 @@ class RecentReadings:
             del self._times[0], self._values[0]
 
     def at(self, t: float) -> LocalFit | None:
-        """`local_cubic` of what is kept."""
+        """`local_cubic` of the kept readings."""
         if not self._times:
             return None
         return local_cubic(np.array(self._times), np.array(self._values), t)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all readings."""
         self._times.clear()
         self._values.clear()

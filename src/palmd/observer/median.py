@@ -1,4 +1,4 @@
-"""The median as NumPy's to the last bit, without its masked arrays, which take 15 ms to import. Safe in the loop."""
+"""Median identical to NumPy's to the last bit, without its masked arrays (15 ms to import). Safe in the loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from palmd.events import FloatArray
 
 
 def median(values: FloatArray) -> float:
-    """Of at least one value (N,); NaN where one of them is."""
+    """Median of at least one value (N,); NaN where a value is NaN."""
     if np.isnan(values).any():
         return math.nan
     half = len(values) // 2

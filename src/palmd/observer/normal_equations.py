@@ -1,8 +1,8 @@
-"""The normal equations of a record at one trajectory and one set of constants: every reading and every step linearised.
+"""Normal equations of a record at one trajectory and one set of constants: all readings and steps, linearised.
 
 Unknown are the nodes x_k = (ψ, ω0) on a fixed time grid and the constants p of `model.smoothing` (or of a model with
-more of them). The cost is a sum of squares: readings about their prediction, each step's end about the next node
-(process noise). The normal matrix is block-tridiagonal in the nodes with a dense border for p. What is known besides
+more of them). The cost is a sum of squares: residuals of the readings, and defects of each step's end from the next
+node (process noise). The normal matrix is block-tridiagonal in the nodes with a dense border for p. Prior knowledge
 (`observer.factor`) is added to it.
 """
 
@@ -22,22 +22,22 @@ from palmd.observer.record import Record
 from palmd.observer.reduction import IntArray, ReadingRows, Reduced, StepRows, Weighed, arithmetic
 
 NODE_SCALE = np.array([0.05, 0.5])
-"""Lengths in which a step of the nodes is measured by the damping: rad and rad/s."""
+"""Scale of a step of the nodes in the damping: rad and rad/s."""
 
-NOTHING = np.zeros(NODE)
+NO_DAMPING = np.zeros(NODE)
 WILD_SPIN = 200.0  # rad/s
-BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s), within one step
+BLOW_SD = np.array([2e-3, 1.5])  # of ψ (rad) and of ω0 (rad/s) in one step, at an impact
 
 
 MOST_DISCREPANCY = 1e4
-"""(rad/s)²/s (derivation: 7 rad/s in a step of 5 ms, more than any body turns by): nothing is known of the motion."""
+"""(rad/s)²/s (derivation: 7 rad/s in a step of 5 ms, more than any object turns by): the motion is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """Densities of what the model leaves out: of ψ (rad²/s) and of ω0 ((rad/s)²/s).
+    """Spectral densities of the model's error: of ψ (rad²/s) and of ω0 ((rad/s)²/s).
 
-    `gate`: squared normalised defect of a step beyond which a contact may have jumped, and the motion by `BLOW_SD`.
+    gate: squared normalised defect of a step beyond which a contact may have jumped, and the motion by `BLOW_SD`.
     """
 
     psi: float
@@ -45,47 +45,51 @@ class ProcessNoise:
     gate: float = math.inf
 
     def noisier(self, times: float) -> ProcessNoise:
-        """So many times as dense, without a gate."""
+        """The densities times `times`, without a gate."""
         return ProcessNoise(times * self.psi, times * self.omega0)
 
 
 LOOSENED = (1e3, 10.0)
-"""Factors on the process noise of the first iterations where a fit is far from its minimum or friction is stiff."""
+"""Factors on the process noise of the first iterations, for fits far from their minimum or with stiff friction."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A point to linearise at: nodes (K + 1, 2) and constants (CONSTANTS)."""
+    """A linearisation point: nodes (K + 1, 2) and constants (CONSTANTS)."""
 
     x: FloatArray
     p: FloatArray
 
     def on(self, own: FloatArray, wanted: FloatArray) -> Guess:
-        """The same on nodes at other times: `own` are the present ones."""
-        at = np.clip(np.searchsorted(own, wanted, side="right") - 1, 0, len(own) - 2)
-        dt = own[at + 1] - own[at]
-        u, (psi, omega0), (then, omega0_then) = (wanted - own[at]) / dt, self.x[at].T, self.x[at + 1].T
-        rise, bend = then - psi, dt * (omega0 + omega0_then)  # cubic Hermite
+        """The guess on nodes at the times `wanted`; `own`: times of the present nodes."""
+        interval = np.clip(np.searchsorted(own, wanted, side="right") - 1, 0, len(own) - 2)
+        dt = own[interval + 1] - own[interval]
+        u, (psi, omega0), (psi_then, omega0_then) = (
+            (wanted - own[interval]) / dt,
+            self.x[interval].T,
+            self.x[interval + 1].T,
+        )
+        rise, bend = psi_then - psi, dt * (omega0 + omega0_then)  # cubic Hermite
         square, cube = 3 * rise - bend - dt * omega0, bend - 2 * rise
-        moved = psi + u * (dt * omega0 + u * (square + u * cube))
-        return Guess(np.stack([moved, omega0 + u * (2 * square + 3 * u * cube) / dt], axis=1), self.p)
+        interpolated = psi + u * (dt * omega0 + u * (square + u * cube))
+        return Guess(np.stack([interpolated, omega0 + u * (2 * square + 3 * u * cube) / dt], axis=1), self.p)
 
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """At one point: the matrix and the right-hand side as in `observer.reduction`, and what the cost is made of.
+    """At one point: matrix and right-hand side as in `observer.reduction`, and the parts of the cost.
 
-    `slack` is what the steps' noise, `strain` what prior knowledge contributes; `outliers` is the share of contact
-    readings beyond the gate, `astray` the longest run of them. χ² is per contact and per force reading, robust.
+    process_cost: of the process noise. prior_cost: of prior knowledge, above its minimum. outliers: share of contact
+    readings beyond the gate. outlier_run: the longest run of them. χ² is per contact and per force reading, robust.
     """
 
     cost: float
     chi2: float
     force_chi2: float
-    slack: float
-    strain: float
+    process_cost: float
+    prior_cost: float
     outliers: float
-    astray: int
+    outlier_run: int
     banded: FloatArray
     rows: FloatArray
     whole_corner: FloatArray
@@ -93,72 +97,72 @@ class NormalEquations:
 
     @property
     def border(self) -> FloatArray:
-        """Nodes across constants (2(K + 1), constants)."""
+        """Nodes by constants (2(K + 1), constants)."""
         return self.rows[:, : self.constants]
 
     @property
     def corner(self) -> FloatArray:
-        """Constants across constants."""
+        """Constants by constants."""
         return self.whole_corner[: self.constants, : self.constants]
 
     @property
     def node_side(self) -> FloatArray:
-        """The right-hand side in the nodes."""
+        """Right-hand side of the nodes."""
         return self.rows[:, self.constants]
 
     @property
     def constant_side(self) -> FloatArray:
-        """The right-hand side in the constants."""
+        """Right-hand side of the constants."""
         return self.whole_corner[self.constants, : self.constants]
 
-    def promise(self, step: Guess) -> float:
-        """By how much a full Newton step would lower the cost if the problem were linear."""
+    def predicted_decrease(self, step: Guess) -> float:
+        """Decrease of the cost by a full Newton step if the problem were linear."""
         return float(self.node_side @ step.x.ravel() + self.constant_side @ step.p)
 
-    def knowing(self, known: Terms) -> NormalEquations:
-        """With what is known of the constants and the first node; this one's arrays are taken over."""
+    def plus_knowledge(self, known: Terms) -> NormalEquations:
+        """With prior knowledge of the constants and the first node added; the arrays are modified in place."""
         side = self.constants
-        of_node = known.matrix[side:, side:]
+        node_block = known.matrix[side:, side:]
         for k in range(NODE):
-            self.banded[k, : NODE - k] += of_node.diagonal(-k)
+            self.banded[k, : NODE - k] += node_block.diagonal(-k)
         self.rows[:NODE, :side] += known.matrix[side:, :side]
         self.rows[:NODE, side] += known.side[side:]
         self.whole_corner[:side, :side] += known.matrix[:side, :side]
         self.whole_corner[side, :side] += known.side[:side]
         self.whole_corner[:side, side] += known.side[:side]
-        return replace(self, cost=self.cost + known.cost, strain=known.strain)
+        return replace(self, cost=self.cost + known.cost, prior_cost=known.excess)
 
-    def knowing_instead(self, known: Terms, before: Terms) -> NormalEquations:
-        """With other knowledge than `before`, which is in them; the cost is left as it is."""
-        own = replace(self, banded=self.banded.copy(), rows=self.rows.copy(), whole_corner=self.whole_corner.copy())
-        return own.knowing(Terms(0.0, known.strain, known.matrix - before.matrix, known.side - before.side))
+    def with_knowledge_replaced(self, known: Terms, before: Terms) -> NormalEquations:
+        """With prior knowledge `before` replaced by `known`, in a copy; the cost is not updated."""
+        copied = replace(self, banded=self.banded.copy(), rows=self.rows.copy(), whole_corner=self.whole_corner.copy())
+        return copied.plus_knowledge(Terms(0.0, known.excess, known.matrix - before.matrix, known.side - before.side))
 
     def solved(self, damping: float, scale: FloatArray) -> Guess:
-        """The damped Newton step of everything; raises LinAlgError where there is none.
+        """The damped Newton step of nodes and constants; raises LinAlgError where there is none.
 
-        A step is measured by `NODE_SCALE`, that of the constants by `scale`.
+        The damping measures a step of the nodes by `NODE_SCALE`, that of the constants by `scale`.
         """
         reduced = arithmetic().reduced(self.banded, damping / NODE_SCALE**2, self.rows, self.whole_corner)
         return self._stepped(reduced, np.diag(damping / scale**2))
 
     def _stepped(self, reduced: Reduced, damping: FloatArray | float = 0.0) -> Guess:
-        """The step of everything, the nodes being `reduced`."""
+        """The step of nodes and constants, from the `reduced` nodes."""
         side = self.constants
         p = cholesky_solved(reduced.left[:side, :side] + damping, reduced.left[side, :side])
-        by = np.zeros(self.rows.shape[1])
-        by[:side], by[side] = -p, 1.0
-        return Guess(arithmetic().back(reduced, by).reshape(-1, NODE), p)
+        coefficients = np.zeros(self.rows.shape[1])
+        coefficients[:side], coefficients[side] = -p, 1.0
+        return Guess(arithmetic().back(reduced, coefficients).reshape(-1, NODE), p)
 
     def nodes_solved(self) -> FloatArray:
-        """The Newton step of the nodes (K + 1, 2) alone; raises LinAlgError where there is none."""
+        """The Newton step of the nodes (K + 1, 2) at fixed constants; raises LinAlgError where there is none."""
         return _nodes_solved(self.banded, self.node_side)
 
     def posterior(self) -> tuple[FloatArray, float, Guess]:
-        """Covariance of (constants, last node), the matrix's log-determinant, and the Newton step of everything.
+        """Covariance of (constants, last node), the matrix's log-determinant, and the Newton step.
 
-        Raises LinAlgError at no minimum.
+        Raises LinAlgError where the point is not a minimum.
         """
-        reduced = arithmetic().reduced(self.banded, NOTHING, self.rows, self.whole_corner)
+        reduced = arithmetic().reduced(self.banded, NO_DAMPING, self.rows, self.whole_corner)
         side = self.constants
         schur = reduced.left[:side, :side]
         constants = np.linalg.inv(schur)
@@ -170,9 +174,9 @@ class NormalEquations:
         return (covariance + covariance.T) / 2, log_det, self._stepped(reduced)
 
     def summary(self, guess: Guess, scale: FloatArray) -> Factor:
-        """The cost as one of (p, first node, last node): the nodes in between are marginalised.
+        """The cost as a factor of (p, first node, last node); the nodes in between are marginalised.
 
-        For two steps at least. Raises LinAlgError where the readings leave a node in between open.
+        For at least two steps. Raises LinAlgError where the readings do not determine a node in between.
         """
         (n, width), side = self.rows.shape, self.constants
         inner = slice(NODE, n - NODE)
@@ -187,16 +191,16 @@ class NormalEquations:
             corner[own, own] = _block(self.banded, node)
             corner[own, :width] = self.rows[node : node + NODE]
             corner[:width, own] = self.rows[node : node + NODE].T
-        left = arithmetic().reduced(self.banded[:, inner], NOTHING, rows, corner).left
-        told = np.concatenate([np.arange(side), np.arange(first.start, last.stop)])
+        left = arithmetic().reduced(self.banded[:, inner], NO_DAMPING, rows, corner).left
+        kept = np.concatenate([np.arange(side), np.arange(first.start, last.stop)])
         cost = self.cost + float(left[side, side] - corner[side, side])
-        matrix = left[np.ix_(told, told)]
+        matrix = left[np.ix_(kept, kept)]
         return Factor(
-            np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[side, told], scale
+            np.concatenate([guess.p, guess.x[0], guess.x[-1]]), cost, (matrix + matrix.T) / 2, left[side, kept], scale
         )
 
     def inner_step(self) -> FloatArray:
-        """The Newton step of the nodes (K + 1, 2) while p and both ends stand still."""
+        """The Newton step of the nodes (K + 1, 2) with p and both ends fixed."""
         inner = slice(NODE, len(self.rows) - NODE)
         step = np.zeros((len(self.rows) // NODE, NODE))
         step[1:-1] = _nodes_solved(self.banded[:, inner], self.node_side[inner])
@@ -228,14 +232,14 @@ class Residuals:
         self._library = library
 
     def completed(self, guess: Guess) -> Guess:
-        """The guess as it is, or carried on by the model where it has fewer nodes than the record."""
-        known, wanted = len(guess.x), len(self.record.t)
-        if known == wanted:
+        """The guess, continued by the model where it has fewer nodes than the record."""
+        given, wanted = len(guess.x), len(self.record.t)
+        if given == wanted:
             return guess
         x = np.empty((wanted, NODE))
-        x[:known] = guess.x
+        x[:given] = guess.x
         self._take(guess)
-        for k in range(known - 1, wanted - 1):
+        for k in range(given - 1, wanted - 1):
             self._now[:], self._u[:] = x[k], self._step_inputs[k]
             self._one_step()
             x[k + 1] = self._then if abs(self._then[1]) < WILD_SPIN else x[k]
@@ -246,102 +250,107 @@ class Residuals:
         self._take(guess)
         return self._forces.predicted(guess.x)
 
-    def pressing(self, guess: Guess) -> FloatArray:
-        """Predicted force (N) on each contact that is read, whether its pad tells forces or not."""
+    def contact_forces(self, guess: Guess) -> FloatArray:
+        """Predicted force (N) at each contact reading, whether its pad measures forces or not."""
         record = self.record
-        inputs = record.pressing_inputs(_padded(len(record.contact_step)))
+        inputs = record.contact_force_inputs(_padded(len(record.contact_step)))
         self._take(guess)
         return _Readings(self._library, "force_batch", record.contact_step, inputs, self._p).predicted(guess.x)
 
     def discrepancy(self, guess: Guess, hopping_only: bool) -> FloatArray:
-        """What the law of friction leaves open of ω0 in each step ((rad/s)²/s), or contacts that hop alone do."""
-        steps, found = len(self.record.dt), np.zeros((len(self._a) + 1, 2))
+        """Uncertainty of ω0 that the friction law leaves in each step ((rad/s)²/s).
+
+        hopping_only: only in steps in which contacts hop.
+        """
+        steps, densities = len(self.record.dt), np.zeros((len(self._a) + 1, 2))
         self._take(guess)
         self._a[:steps] = guess.x[:-1]
-        self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [found[:-1]])()
-        found[steps:] = 0.0
-        left_open = found[: steps + 1, int(hopping_only)]
-        return np.minimum(np.nan_to_num(left_open, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
+        self._library.bind("discrepancy_batch", [self._a, self._p, self._step_inputs], [densities[:-1]])()
+        densities[steps:] = 0.0
+        density = densities[: steps + 1, int(hopping_only)]
+        return np.minimum(np.nan_to_num(density, nan=MOST_DISCREPANCY), MOST_DISCREPANCY)
 
     def contacts(self, guess: Guess) -> FloatArray:
-        """Each contact reading less its prediction, in sigmas of its noise."""
+        """Residual of each contact reading, normalised by the σ of its noise."""
         record = self.record
-        return (record.contact_value - self.places(guess)) / np.sqrt(record.contact_variance)
+        return (record.contact_value - self.predicted_contacts(guess)) / np.sqrt(record.contact_variance)
 
     def _take(self, guess: Guess) -> None:
         self._p[:] = guess.p[: len(self._p)]
 
-    def places(self, guess: Guess) -> FloatArray:
+    def predicted_contacts(self, guess: Guess) -> FloatArray:
         """Predicted contact readings (m), the pads' maps included."""
         self._take(guess)
         return self._contacts.predicted(guess.x) + self.record.contact_map @ guess.p[len(self._p) :]
 
     def linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
-        """The normal equations at `guess`; where anything overflows the cost is infinite and the rest is void."""
+        """The normal equations at `guess`; after an overflow the cost is infinite and the rest is invalid."""
         with np.errstate(over="ignore", invalid="ignore"):
-            now = self._linearised(guess, noise)
-            sums = now.cost + now.banded.sum() + now.rows.sum() + now.whole_corner.sum()
-        return now if math.isfinite(sums) else replace(now, cost=math.inf)
+            equations = self._linearised(guess, noise)
+            total = equations.cost + equations.banded.sum() + equations.rows.sum() + equations.whole_corner.sum()
+        return equations if math.isfinite(total) else replace(equations, cost=math.inf)
 
     def _linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
-        record, x, does = self.record, guess.x, arithmetic()
+        record, x, routines = self.record, guess.x, arithmetic()
         steps = len(record.dt)
         self._take(guess)
         self._a[:steps] = x[:-1]
         self._steps()
-        contacts = does.weighed(
-            self.places(guess), record.contact_value, record.contact_variance, record.contact_weight
+        contacts = routines.weighed(
+            self.predicted_contacts(guess), record.contact_value, record.contact_variance, record.contact_weight
         )
-        forces = does.weighed(self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight)
-        density = np.stack([np.full(steps, noise.psi), noise.omega0 + record.left_open[:-1]], axis=1)
-        quiet = 1.0 / np.sqrt(record.dt[:, None] * density)
-        quiet[record.torn] = 0.0
-        root, blows = _quiet_or_blow(self._end[:steps] - x[1:], quiet, noise)
-        root[record.torn] = 0.0
+        forces = routines.weighed(
+            self._forces.predicted(x), record.force_value, record.force_variance, record.force_weight
+        )
+        density = np.stack([np.full(steps, noise.psi), noise.omega0 + record.discrepancy[:-1]], axis=1)
+        without_impacts = 1.0 / np.sqrt(record.dt[:, None] * density)
+        without_impacts[record.gap_steps] = 0.0
+        root, impact_cost = _step_weights(self._end[:steps] - x[1:], without_impacts, noise)
+        root[record.gap_steps] = 0.0
         readings = [self._contacts.rows(contacts), self._forces.rows(forces)]
         if self._wide_jacobian is not self._step_jacobian:
             self._wide_jacobian[:, : self._step_jacobian.shape[1]] = self._step_jacobian
         steps_rows = StepRows(x, self._end[:steps], self._wide_jacobian[:steps], root)
-        made = does.assembled(steps_rows, readings)
-        slack = made.slack + blows
+        assembled = routines.assembled(steps_rows, readings)
+        process_cost = assembled.process_cost + impact_cost
         return NormalEquations(
-            contacts.cost + forces.cost + slack, contacts.chi2, forces.chi2, slack, 0.0,
-            contacts.outliers, contacts.astray, made.banded, made.rows, made.corner, self.constants,
+            contacts.cost + forces.cost + process_cost, contacts.chi2, forces.chi2, process_cost, 0.0,
+            contacts.outliers, contacts.outlier_run, assembled.banded, assembled.rows, assembled.corner, self.constants,
         )  # fmt: skip
 
 
-def _quiet_or_blow(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:
-    """One over the one-sigma of each step's ends (K, 2), and what the cost has besides their squares.
+def _step_weights(defect: FloatArray, root: FloatArray, noise: ProcessNoise) -> tuple[FloatArray, float]:
+    """1/σ of each step's end (K, 2), and the cost of impacts beyond the weighted squares.
 
-    Beyond the gate the cost goes on as a logarithm, and as the square of a blow's own size.
+    Beyond the gate the cost grows logarithmically, plus the square by `BLOW_SD`.
     """
     if noise.gate == math.inf:
         return root, 0.0
     nis = (defect * root) ** 2
-    # far from the answer all defects are large: only what stands out from the others is a blow
+    # far from the minimum all defects are large: only a defect that stands out is an impact
     gate = noise.gate * max(1.0, median(nis.ravel()) / 0.455)
     beyond = nis > gate
-    pull = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
+    weight = np.where(beyond, gate / np.maximum(nis, gate), 1.0)
     cost = np.where(beyond, gate * np.log(np.maximum(nis, gate) / gate), 0.0)
-    return np.sqrt(pull * root**2 + BLOW_SD**-2.0), float(cost.sum())
+    return np.sqrt(weight * root**2 + BLOW_SD**-2.0), float(cost.sum())
 
 
 def _nodes_solved(banded: FloatArray, side: FloatArray) -> FloatArray:
-    does, rows, by = arithmetic(), np.zeros((len(side), LANES)), np.zeros(LANES)
-    rows[:, 0], by[0] = side, 1.0
-    reduced = does.reduced(banded, NOTHING, rows, np.zeros((LANES, LANES)))
-    return does.back(reduced, by).reshape(-1, NODE)
+    routines, rows, coefficients = arithmetic(), np.zeros((len(side), LANES)), np.zeros(LANES)
+    rows[:, 0], coefficients[0] = side, 1.0
+    reduced = routines.reduced(banded, NO_DAMPING, rows, np.zeros((LANES, LANES)))
+    return routines.back(reduced, coefficients).reshape(-1, NODE)
 
 
 def _block(banded: FloatArray, at: int) -> FloatArray:
-    """The node's own block of the normal matrix, from its banded form."""
+    """Diagonal block of the normal matrix for a node, from its banded form."""
     lower = np.array([[banded[max(i - j, 0), at + j] for j in range(NODE)] for i in range(NODE)])
     block: FloatArray = np.tril(lower) + np.tril(lower, -1).T
     return block
 
 
 def _below(banded: FloatArray, at: int) -> FloatArray:
-    """The block below the node's own: rows of the next node, columns of this one."""
+    """Block below a node's diagonal block: rows of the next node, columns of this one."""
     return np.array([[banded[NODE + i - j, at + j] for j in range(NODE)] for i in range(NODE)])
 
 
@@ -351,7 +360,7 @@ class _Readings:
     def __init__(
         self, library: Library, kernel: str, step: IntArray, inputs: FloatArray, p: FloatArray, further: int = 0
     ):
-        """further: constants that the kernel does not know of, which follow its own."""
+        """further: number of constants after those of the kernel."""
         rows = len(inputs)
         self.step = step
         self._a, self._b = np.zeros((rows, NODE)), np.zeros((rows, NODE))
@@ -366,7 +375,7 @@ class _Readings:
         return self._value[:n].copy()
 
     def rows(self, weighed: Weighed) -> ReadingRows:
-        """As last `predicted`, linearised."""
+        """Linearised rows of the last call of `predicted`."""
         if self.wide is not self._gradient:
             self.wide[:, : self._gradient.shape[1]] = self._gradient
         return ReadingRows(self.step, self.wide[: len(self.step)], weighed.residual, weighed.root)

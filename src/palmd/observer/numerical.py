@@ -1,8 +1,8 @@
-"""What is raised where readings lead beyond the range of numbers. Pure."""
+"""Exceptions raised where readings lead beyond the range of floating-point numbers. Pure."""
 
 from __future__ import annotations
 
 import numpy as np
 
 NUMERICAL_FAILURES = (np.linalg.LinAlgError, ArithmeticError)
-"""A factorisation that fails, an overflow, a division by zero: the hypothesis at hand is dropped, the others go on."""
+"""A failed factorisation, overflow or division by zero: the hypothesis at hand is dropped, the others go on."""

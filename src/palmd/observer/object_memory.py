@@ -19,8 +19,8 @@ from palmd.model import shape, shape_map
 from palmd.model.arcs import contacts_on_arcs
 from palmd.model.touch import LEAST_CURVATURE_MARGIN
 from palmd.observer.coverage import Marks
+from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.observer.mass import MassEstimator
-from palmd.observer.riding import Riding
 from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, normal_directions
@@ -54,7 +54,7 @@ class KnownObject:
     touched: Marks
     mass: MassEstimator
     spread: FloatArray | None = None
-    riding: Riding | None = None
+    riding: FixedModeTest | None = None
 
     @property
     def smoothed(self) -> bool:

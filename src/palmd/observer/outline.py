@@ -1,4 +1,4 @@
-"""From Fourier coefficients and their covariance to an outline with its error band. Pure."""
+"""Outlines with error bands from Fourier coefficients and their covariance. Pure."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, normal_directions
 
 DIRECTIONS = 360
-HOLLOW_M = 1e-6  # of v, up to which an outline passes for convex
+HOLLOW_M = 1e-6  # least v = h + h″ (negative) with which an outline still counts as convex
 MOST_CUTS = 200
 
 
 @dataclass(frozen=True, slots=True)
 class OutlineEstimate:
-    """Support function h and its one-sigma (m) on normals theta (rad); `touched`: a palm has been there."""
+    """Support function h and its 1σ (m) on normals theta (rad); `touched`: by a palm."""
 
     theta: FloatArray
     h: FloatArray
@@ -43,22 +43,22 @@ def normal_angles(palms: FloatArray, psi: FloatArray) -> FloatArray:
 
 
 def wrapped(angles: FloatArray) -> FloatArray:
-    """The same angles (rad) within half a turn of 0."""
+    """The angles (rad), wrapped to within half a turn of 0."""
     within: FloatArray = angles - math.tau * np.round(angles / math.tau)
     return within
 
 
 def contact_normals(record: Record, psi: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """The same at a record's nodes (n, 2), for an outline: on curved palms it tells where their tangents touch."""
+    """θ1, θ2 at a record's nodes (n, 2); on curved palms they depend on the outline."""
     joints = record.palms[:, : len(JOINTS)].T
     normals = touched_normals(coefficients, joints[0], joints[1], psi, record.rig[CURVATURE_INPUTS].tolist())
     return np.stack(normals, axis=1)
 
 
 def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequence[FloatArray]) -> OutlineEstimate:
-    """The outline on `directions`, touched where the `normals` went; the band is gauge-free.
+    """The outline on `directions`, touched where the `normals` went, with its gauge-free band.
 
-    Of each uninterrupted time (n, 2), in order of time.
+    normals: of each uninterrupted time (n, 2), in order of time.
     """
     theta = directions()
     touched = np.logical_or.reduce([touched_by(each) for each in normals])
@@ -67,9 +67,9 @@ def outline_of(coefficients: FloatArray, covariance: FloatArray, normals: Sequen
 
 
 def made_convex(x: FloatArray, P: FloatArray, at: slice) -> bool:
-    """Tell a belief (mean x, covariance P, in place) whose part `at` is an outline that v = h + h″ ≥ 0 all around.
+    """Condition a belief (mean x, covariance P, in place) on v = h + h″ ≥ 0 everywhere; part `at` of it is an outline.
 
-    Returns whether it has come to obey, to `HOLLOW_M`.
+    Returns whether the outline is convex then, to `HOLLOW_M`.
     """
     order = (len(x[at]) - 1) // 2
     rows = np.zeros((DIRECTIONS, len(x)))
@@ -86,16 +86,16 @@ def made_convex(x: FloatArray, P: FloatArray, at: slice) -> bool:
 def gauge_free_sd(
     theta: FloatArray, touched: FloatArray, coefficients: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """One-sigma of h (m) on normals `theta`, orientation left open: `touched` are the normals (rad) that fix it.
+    """1σ of h (m) on normals `theta`, with the orientation free; `touched`: normals (rad) that fix it.
 
-    Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so the error of
-    ψ(0) is no part of it: h(θ) − h′(θ)·ε, ε the rotation by least squares over touched normals.
+    Orientation is gauge: the band is that of h after the rotation that fits the touched part best, so that it does not
+    include the error of ψ(0): h(θ) − h′(θ)·ε, with ε the least-squares rotation over the touched normals.
     """
     return sd_of(shape.gauge_free_basis(theta, touched, coefficients), covariance)
 
 
 def sd_of(rows: FloatArray, covariance: FloatArray) -> FloatArray:
-    """One-sigma of rows · x (n,), of rows (n, k) and the covariance of x (k, k)."""
+    """1σ of rows · x (n,), from rows (n, k) and the covariance of x (k, k)."""
     variance: FloatArray = ((rows @ covariance) * rows).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 
@@ -105,10 +105,10 @@ def _order(coefficients: FloatArray) -> int:
 
 
 def touched_by(normals: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which directions the normals passed, each standing for the degree about it."""
+    """Which directions the normals passed; each direction stands for the degree about it."""
     touched = np.zeros(DIRECTIONS, dtype=np.bool_)
-    at = np.round(normals * (DIRECTIONS / math.tau)).astype(np.intp)
-    for column in at.T:
+    nearest = np.round(normals * (DIRECTIONS / math.tau)).astype(np.intp)
+    for column in nearest.T:
         for low, high in {*zip(*np.sort([column[:-1], column[1:]], axis=0).tolist(), strict=True)}:
             touched[np.arange(low, high + 1) % DIRECTIONS] = True
         touched[column % DIRECTIONS] = True
@@ -116,7 +116,7 @@ def touched_by(normals: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def touched_within(record: Record, psi: FloatArray) -> npt.NDArray[np.bool_]:
-    """The same of a record's nodes, part by part, but for the ends of each, next to which there are no readings."""
-    parts = np.split(normal_angles(record.palms, psi), record.torn + 1)
+    """Directions touched in a record's parts, without the ends of each part, next to which there are no readings."""
+    parts = np.split(normal_angles(record.palms, psi), record.gap_steps + 1)
     touched: npt.NDArray[np.bool_] = np.logical_or.reduce([touched_by(part[1:-1]) for part in parts])
     return touched

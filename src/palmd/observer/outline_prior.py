@@ -1,7 +1,7 @@
-"""What a stored outline says as a belief about a shape map, and where on the palms it may lie.
+"""Stored outlines as beliefs about a shape map, and likely poses on the palms.
 
-The file's h becomes Fourier coefficients, its one-sigma their covariance. What the file does not tell (friction,
-vibration, damping, spin) is believed as of any object. The frame is the file's own: ψ is absolute.
+The file's h becomes Fourier coefficients, its 1σ their covariance. What the file does not contain (friction, vibration,
+damping, spin) has the prior of any object. The frame is that of the file: ψ is absolute.
 """
 
 from __future__ import annotations
@@ -30,19 +30,17 @@ from palmd.system.vibration import INDEPENDENT
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
-# An object that slides and one that sticks move too differently for one filter: each pose starts with either.
-FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and one-sigma
+# A sliding and a sticking object move too differently for one filter: each pose is started with both.
+FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and 1σ
 MOST_STARTS = DIRECTIONS // (APART + 1) * len(FRICTIONS)  # of one outline
-DEVIATION = (
-    0.1  # how far another object deviates at least, of what is believed of any: more, and small ones go unnoticed
-)
+DEVIATION = 0.1  # of another object, at least, in prior 1σ of any object: with more, small ones go unnoticed
 DEVIATION_OF_RADIUS = 3e-3  # relative
 _OUTLINE = slice(shape_map.Z.SHAPE, None)
 
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Filters to begin with: which object each has, mean states (count, 21), covariances (count, 21, 21), ψ (rad)."""
+    """Initial filters: number of each one's object, mean states (count, 21), covariances (count, 21, 21), ψ (rad)."""
 
     which: npt.NDArray[np.intp]
     x: FloatArray
@@ -59,18 +57,18 @@ class OutlinePrior:
     P: FloatArray
     information: FloatArray  # of the coefficients alone (count, 15, 15): the inverse of their part of P
 
-    def strayed(self, which: npt.NDArray[np.intp], x: FloatArray) -> npt.NDArray[np.bool_]:
-        """Whether the outline of each state `x` (size, 21) is beyond what is believed of object `which` (size)."""
+    def contradicts(self, which: npt.NDArray[np.intp], x: FloatArray) -> npt.NDArray[np.bool_]:
+        """Whether the outline of each state `x` (size, 21) contradicts the belief about object `which` (size)."""
         change = x[:, _OUTLINE] - self.x[which, _OUTLINE]
         distance = np.einsum("fi,fij,fj->f", change, self.information[which], change)
-        strayed: npt.NDArray[np.bool_] = distance > SAME_CHI2
-        return strayed
+        contradicts: npt.NDArray[np.bool_] = distance > SAME_CHI2
+        return contradicts
 
     def starts(self, contacts: Sequence[float], palms: PalmMotion, rig: RigDescription, count: int) -> Starts:
-        """The likeliest poses, with either friction, at most `count` filters in all.
+        """The likeliest poses, each with both kinds of friction; at most `count` filters in all.
 
-        contacts: the first readings (m) on the palms of `rig`. Poses of one object are apart from each other.
-        Takes some milliseconds for twenty objects: once, when one has been put down.
+        contacts: the first readings (m) on the palms of `rig`. Poses of one object are distinct. Takes some
+        milliseconds for twenty objects, once after an object has been put down.
         """
         which, psi = self._poses(contacts, palms, rig, count // len(FRICTIONS))
         mu, mu_sd = np.repeat(FRICTIONS, len(which), axis=0).T
@@ -123,10 +121,10 @@ def _belief(outline: Outline) -> tuple[FloatArray, FloatArray]:
 
 
 def outline_covariance(outline: Outline) -> FloatArray:
-    """Covariance (15, 15) in m² of the coefficients of h, from its one-sigma on 360 normals.
+    """Covariance (15, 15) in m² of the coefficients of h, from its 1σ on 360 normals.
 
-    The error is taken for h_sd(θ)·z(θ), z smooth of unit variance: white in the coefficients that the map has. What
-    the map leaves out of h, beyond harmonic `HARMONICS`, counts as error of h too.
+    The error is modelled as h_sd(θ)·z(θ), z smooth of unit variance: white in the coefficients that the map has. The
+    part of h beyond harmonic `HARMONICS` counts as an error of h, too.
     """
     rows = shape.basis(np.arange(len(outline.h), dtype=np.float64) * (2 * math.pi / len(outline.h)))
     left_out = outline.h - rows @ shape.coefficients_of(outline.h)
@@ -137,7 +135,7 @@ def outline_covariance(outline: Outline) -> FloatArray:
 
 
 def deviation_variance(mean_radius: float) -> FloatArray:
-    """By which each state of another object of the same sort may differ (21), SI; `mean_radius` in m."""
+    """Variance by which each state of another object of the same sort may differ (21), SI; `mean_radius` in m."""
     variance = np.zeros(shape_map.N)
     variance[_OUTLINE] = (DEVIATION * shape.prior_sd(mean_radius)) ** 2
     variance[shape_map.Z.SHAPE] = (DEVIATION_OF_RADIUS * mean_radius) ** 2

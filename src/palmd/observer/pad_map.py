@@ -1,8 +1,8 @@
-"""A pad's smooth error of place as a few more constants of a record: eigenfunctions of its prior over what was touched.
+"""A pad's smooth position error as additional constants of a record: eigenfunctions of its prior over the touched span.
 
-The error m(s) is a Gaussian process of covariance a² exp(−Δ²/2l²) without its constant and linear part over the whole
-pad, which are its zero and scale. Its strongest eigenfunctions over the touched span are constants of prior one-sigma
-1; what they leave of it is white noise, as much larger as readings share the same error. Pure.
+The error m(s) is a Gaussian process of covariance a² exp(−Δ²/2l²), without its constant and linear part over the whole
+pad, which are the pad's zero and scale. Its strongest eigenfunctions over the touched span are constants of prior 1σ 1;
+the remainder is treated as white noise, multiplied by the number of readings that share the same error. Pure.
 """
 
 from __future__ import annotations
@@ -19,85 +19,86 @@ from palmd.observer.record import Record
 from palmd.system.description import PadSensor, RigDescription
 from palmd.system.mechanism import PALMS
 
-LEFT = 0.1  # of the readings' variance, that what the functions leave may come to (convention)
+MOST_REMAINDER = 0.1  # largest remainder, relative to the readings' variance (convention)
 MOST_FUNCTIONS = 24
-"""Of each pad (derivation: 55 mm are 18 correlation lengths of 3 mm, with about one function each)."""
+"""Per pad (derivation: 55 mm are 18 correlation lengths of 3 mm, with about one function each)."""
 FINEST_M = 1e-4
-"""Least correlation length (m): below a reading's own noise an error of place is white noise, and is taken for it."""
-STEPS = 12  # of the grid in a correlation length (derivation: linear interpolation is then off by 1/1000 of the error)
+"""Least correlation length (m): below a reading's own noise a position error is white noise and is treated as such."""
+# of the grid per correlation length (derivation: linear interpolation then errs by 1/1000 of the position error)
+STEPS = 12
 BEYOND = 8
-"""Of these steps that the functions reach beyond the touched span, where a fit may move contacts (convention)."""
+"""Grid steps by which the functions extend beyond the touched span, where a fit may move contacts (convention)."""
 
 SHARED_READINGS = 150.0
-"""Readings that share a smooth error of place, where there is no map of it (study of linearised posteriors and of fits,
+"""Readings that share a smooth position error, where there is no map of it (study of linearised posteriors and of fits,
 10 s at 100 readings/s: covariances are honest with errors of 0.07 and 0.14 mm RMS)."""
 
 
 def has_map(rig: RigDescription) -> bool:
-    """Whether any pad has a smooth error of place."""
+    """Whether any pad has a smooth position error."""
     return any(pad.map_sd > 0.0 for pad in rig.pads)
 
 
 def with_map(
-    record: Record, places: FloatArray, prior: Prior, guess: Guess, rig: RigDescription
+    record: Record, contacts: FloatArray, prior: Prior, guess: Guess, rig: RigDescription
 ) -> tuple[Record, Prior, Guess]:
-    """The problem of a record with the pads' maps among its constants, after all others.
+    """The problem of a record with the pads' maps appended to its constants.
 
-    rig: that the record was laid out by, maps being noise or nothing. places: of the contacts as a fit predicts them
-    (m). At their readings instead a map would follow the noise: at the ends of what was touched a reading is farthest
-    out because its noise points there.
+    rig: by which the record was laid out; its maps are noise or zero. contacts: as a fit predicts them (m). With the
+    readings instead, a map would follow the noise: at the ends of the touched span a reading is farthest out because of
+    its noise.
     """
-    variance, of_pads = record.contact_variance.copy(), list[FloatArray]()
+    variance, columns_of_pads = record.contact_variance.copy(), list[FloatArray]()
     for number, pad in zip(PALMS, rig.pads, strict=True):
-        mine = record.contact_pad == number
-        if pad.map_sd == 0.0 or not mine.any():
+        of_pad = record.contact_pad == number
+        if pad.map_sd == 0.0 or not of_pad.any():
             continue
-        variance[mine] -= pad.map_noise**2
+        variance[of_pad] -= pad.map_noise**2
         if pad.map_length < FINEST_M:
-            variance[mine] += pad.map_sd**2
+            variance[of_pad] += pad.map_sd**2
             continue
-        basis, left = _functions(pad, places[mine], float(variance[mine].min()))
-        variance[mine] += left
-        of_pads.append(np.zeros((len(mine), basis.shape[1])))
-        of_pads[-1][mine] = basis
-    columns = np.concatenate([np.zeros((len(places), 0)), *of_pads], axis=1)
-    further = columns.shape[1]
-    mean, sd = np.concatenate([prior.mean, np.zeros(further)]), np.concatenate([prior.sd, np.ones(further)])
-    mapped = replace(record, contact_map=columns, contact_variance=variance)
-    return mapped, replace(prior, mean=mean, sd=sd), Guess(guess.x, np.concatenate([guess.p, np.zeros(further)]))
+        basis, remainder = _functions(pad, contacts[of_pad], float(variance[of_pad].min()))
+        variance[of_pad] += remainder
+        columns_of_pads.append(np.zeros((len(of_pad), basis.shape[1])))
+        columns_of_pads[-1][of_pad] = basis
+    columns = np.concatenate([np.zeros((len(contacts), 0)), *columns_of_pads], axis=1)
+    added = columns.shape[1]
+    mean, sd = np.concatenate([prior.mean, np.zeros(added)]), np.concatenate([prior.sd, np.ones(added)])
+    mapped_record = replace(record, contact_map=columns, contact_variance=variance)
+    return mapped_record, replace(prior, mean=mean, sd=sd), Guess(guess.x, np.concatenate([guess.p, np.zeros(added)]))
 
 
 def with_shared_errors(record: Record, rig: RigDescription) -> Record:
-    """The record, its readings as uncertain as what many of them share; for covariances without a map.
+    """The record with the readings' variance increased by shared errors; for covariances without a map.
 
-    rig: that the record was laid out by, maps being noise (`map_as_noise`). So noisy a record is explained by nearly
-    every fit, so that it tells no good one from a bad one.
+    rig: by which the record was laid out; its maps are noise (`map_as_noise`). Almost every fit explains a record with
+    so much noise, so it cannot be used to test a fit.
     """
     variances = np.array([(SHARED_READINGS - 1.0) * pad.map_noise**2 for pad in rig.pads])
     shared = variances[record.contact_pad.astype(np.intp) - 1]
     return replace(record, contact_variance=record.contact_variance + shared)
 
 
-def _functions(pad: PadSensor, places: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
-    """The eigenfunctions (m) at these places, and what they leave there, as noise of each reading (m²)."""
-    low, high = min(float(places.min()), 0.0), max(float(places.max()), pad.length)
+def _functions(pad: PadSensor, contacts: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
+    """The eigenfunctions (m) at these contacts, and the remainder there, as noise of each reading (m²)."""
+    low, high = min(float(contacts.min()), 0.0), max(float(contacts.max()), pad.length)
     step = pad.map_length / STEPS
-    beyond = BEYOND * step
-    grid = np.arange(low - beyond, high + beyond + step, step)
+    margin = BEYOND * step
+    grid = np.arange(low - margin, high + margin + step, step)
     covariance = pad.map_sd**2 * np.exp(-0.5 * np.subtract.outer(grid, grid) ** 2 / pad.map_length**2)
     linear, _ = np.linalg.qr(np.stack([np.ones_like(grid), grid], axis=1))
     covariance -= linear @ (linear.T @ covariance)
     covariance -= (covariance @ linear) @ linear.T
-    touched = (grid > places.min() - beyond) & (grid < places.max() + beyond)
+    touched = (grid > contacts.min() - margin) & (grid < contacts.max() + margin)
     covariance, grid = covariance[np.ix_(touched, touched)], grid[touched]
-    alike = _alike(places, pad.map_length)
-    functions, left = np.zeros((len(grid), 0)), np.diagonal(covariance).copy()
+    shared_by = _shared_by(contacts, pad.map_length)
+    functions, remainder = np.zeros((len(grid), 0)), np.diagonal(covariance).copy()
     for each in _strongest_first(covariance):
-        functions, left = np.column_stack([functions, each]), left - each**2
-        noise = alike * np.interp(places, grid, np.maximum(left, 0.0))
-        if functions.shape[1] == MOST_FUNCTIONS or noise.mean() < LEFT * variance:
+        functions, remainder = np.column_stack([functions, each]), remainder - each**2
+        noise = shared_by * np.interp(contacts, grid, np.maximum(remainder, 0.0))
+        if functions.shape[1] == MOST_FUNCTIONS or noise.mean() < MOST_REMAINDER * variance:
             break
-    return np.stack([np.interp(places, grid, each) for each in functions.T], axis=1), noise
+    return np.stack([np.interp(contacts, grid, each) for each in functions.T], axis=1), noise
 
 
 def _strongest_first(covariance: FloatArray) -> Iterator[FloatArray]:
@@ -106,8 +107,8 @@ def _strongest_first(covariance: FloatArray) -> Iterator[FloatArray]:
         yield vector * np.sqrt(max(value, 0.0))
 
 
-def _alike(places: FloatArray, length: float) -> FloatArray:
-    """How many readings have about the same error as each: those within half a correlation `length`."""
-    ordered = np.sort(places)
-    first, last = (np.searchsorted(ordered, places + side * length / 2) for side in (-1, 1))
+def _shared_by(contacts: FloatArray, length: float) -> FloatArray:
+    """How many readings have about the same error as each one: those within half a correlation `length`."""
+    ordered = np.sort(contacts)
+    first, last = (np.searchsorted(ordered, contacts + side * length / 2) for side in (-1, 1))
     return np.asarray(np.maximum(last - first, 1), dtype=np.float64)

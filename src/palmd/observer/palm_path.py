@@ -1,4 +1,4 @@
-"""The palms' motion over a whole record, smoothed: what was it at any time, knowing also what came later. Pure."""
+"""The palms' motion over a whole record, smoothed: at any time, from earlier and later reports. Pure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from palmd.observer.palms import (
 )
 from palmd.system.mechanism import JOINTS
 
-UNTOLD_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
+UNPLANNED_JERK = 20.0  # rad/s³/√Hz, without a planned motion: follows a planned stop; more would only pass more noise
 _DRIFT = np.diag([0.0, 1e-8, 1e-8])
 _FIRST: FloatArray = np.array([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
 
@@ -37,7 +37,7 @@ class PalmPath:
     def at(self, times: FloatArray) -> FloatArray:
         """Angles, rates and accelerations of all joints at each of `times` (s): (len(times), 3·joints).
 
-        Between reports the quintic that fits both neighbours; outside of them at constant acceleration.
+        Between reports the quintic through both neighbours; outside of them at constant acceleration.
         """
         after = np.clip(np.searchsorted(self.t, times, side="right"), 1, max(len(self.t) - 1, 1))
         first = np.minimum(after - 1, len(self.t) - 1)
@@ -51,60 +51,60 @@ class PalmPath:
         return np.concatenate([phi, omega + beyond * alpha, alpha], axis=1)
 
     def resting(self, times: FloatArray, rate: float, since: float = math.inf) -> FloatArray:
-        """For how long (s) both palms have turned slower than `rate` (rad/s) at each of `times` (s).
+        """For how long (s) both palms have been slower than `rate` (rad/s), at each of `times` (s).
 
-        Where they have from the path's beginning on, since `since` if that is earlier.
+        If they have been from the path's beginning, the rest starts at `since`, if that is earlier.
         """
         slow = np.asarray((np.abs(self.state[:, 1]) < rate).all(axis=1))
-        began = np.where(slow, -np.inf, self.t)
-        began = np.maximum.accumulate(began)
-        began[np.isinf(began)] = min(since, float(self.t[0]))
+        start = np.where(slow, -np.inf, self.t)
+        start = np.maximum.accumulate(start)
+        start[np.isinf(start)] = min(since, float(self.t[0]))
         at = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 1)
-        lasted: FloatArray = np.where(slow[at], times - began[at], 0.0)
-        return np.maximum(lasted, 0.0)
+        duration: FloatArray = np.where(slow[at], times - start[at], 0.0)
+        return np.maximum(duration, 0.0)
 
 
 def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath:
     """Forward Kalman filter and backward Rauch–Tung–Striebel pass over reports in time order, both palms at once.
 
-    `angle_noise` is the one-sigma of a measured angle (rad). The model is driven by white jerk; the plan's rates and
-    accelerations are readings where they are told. Raises ValueError when there is no report.
+    angle_noise: 1σ of a measured angle (rad). The model is driven by white jerk; the plan's rates and accelerations are
+    used as readings where they are reported. Raises ValueError when there is no report.
     """
     if not samples:
-        raise ValueError("no report of the palms")
+        raise ValueError("no report of the palms' angles")
     t = np.array([sample.t_sample for sample in samples])
-    untold = (math.nan,) * len(JOINTS)
-    told = np.array([(each.angles, each.rates or untold, each.accelerations or untold) for each in samples])
-    dt, jerk = np.diff(t), np.where(np.isnan(told[1:, 2, 0]), UNTOLD_JERK, TOLD_JERK)
+    missing = (math.nan,) * len(JOINTS)
+    reported = np.array([(each.angles, each.rates or missing, each.accelerations or missing) for each in samples])
+    dt, jerk = np.diff(t), np.where(np.isnan(reported[1:, 2, 0]), UNPLANNED_JERK, TOLD_JERK)
     drift = np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
     sd = np.array([angle_noise, PLAN_RATE_SD, PLAN_ACCELERATION_SD])
-    return PalmPath(t, _smoothing()(dt, np.ascontiguousarray(drift), told, sd))
+    return PalmPath(t, _smoothing()(dt, np.ascontiguousarray(drift), reported, sd))
 
 
 Smoothing = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
-"""The states (n, 3, joints) of reports a time apart (n − 1), the covariance that each step adds (n − 1, 3, 3), what is
-told (n, 3, joints), NaN where it is not, and one-sigmas (3)."""
+"""Returns the states (n, 3, joints). Arguments: the time between reports (n − 1), the covariance that each step adds (n
+− 1, 3, 3), the reported values (n, 3, joints), NaN where a value is not reported, and 1σ of each (3)."""
 
 
 @cache
 def _smoothing() -> Smoothing:
-    """What `model/palm_path.c` does. Raises RuntimeError where its sizes are not the mechanism's."""
+    """The smoother in `model/palm_path.c`. Raises RuntimeError where its sizes are not those of the mechanism."""
     library = smoothing.library().opened()
     if list((ctypes.c_long * 2).in_dll(library, "palm_path_sizes")) != [3, len(JOINTS)]:
         raise RuntimeError("model/palm_path.c has other sizes than system/mechanism.py")
     call = library.smooth_path
     call.argtypes, call.restype = (ctypes.c_long, *(ctypes.c_void_p,) * 8), None
 
-    def smoothed(dt: FloatArray, drift: FloatArray, told: FloatArray, sd: FloatArray) -> FloatArray:
-        x, predicted, gains = np.empty_like(told), np.empty_like(told), np.empty((len(told), 3, 3))
-        call(len(told), *(each.ctypes.data for each in (dt, drift, told, sd, _FIRST, x, predicted, gains)))
+    def smoothed(dt: FloatArray, drift: FloatArray, reported: FloatArray, sd: FloatArray) -> FloatArray:
+        x, predicted, gains = np.empty_like(reported), np.empty_like(reported), np.empty((len(reported), 3, 3))
+        call(len(reported), *(each.ctypes.data for each in (dt, drift, reported, sd, _FIRST, x, predicted, gains)))
         return x
 
     return smoothed
 
 
 def _quintic(a: FloatArray, b: FloatArray, step: FloatArray, t: FloatArray) -> FloatArray:
-    """φ, ω, α at `t` into steps from a to b, each (n, 3, joints) of φ, ω, α: the quintic through both ends."""
+    """φ, ω, α at times `t` into steps from a to b, each (n, 3, joints) of φ, ω, α: the quintic through both ends."""
     h, u = step[:, None], (t / step)[:, None]
     # in the normalised time u, with ends' derivatives scaled by the step
     p0, rate0, a0 = a[:, 0], a[:, 1] * h, a[:, 2] * h**2

@@ -1,7 +1,7 @@
-"""Forms that people have names for, as support functions: circle, ellipse, rectangle, regular polygons. Pure.
+"""Simple shapes as support functions: circle, ellipse, rectangle, regular polygons. Pure.
 
-Each is h(θ) = f(θ; lengths, turn) + x cos θ + y sin θ: the centre of mass need not be the form's own centre, which is
-at (−x, −y) from it. Corners are arcs of a radius. All but the ellipse are linear in their lengths.
+Each is h(θ) = f(θ; lengths, turn) + x cos θ + y sin θ: the centre of mass may differ from the shape's own centre, which
+is at (−x, −y) from it. Corners are arcs of a radius. All but the ellipse are linear in their lengths.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _SIZE_SD_M, _CORNER_SD_M = 10e-3, 3e-3
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """One form.
+    """One shape.
 
-    linear: rows (n, m) whose product with the lengths (m) is h on n normals (rad) for a turn (rad), to first order in
-    what an ellipse's axes differ by. sd: one-sigma of each length before anything is felt. sizes: what a person would
-    measure, by name, as (length, factor). period_rad: turned by it the form looks the same; 0: by anything. cornered:
-    the last length is the corners' radius.
+    linear: rows (n, m) whose product with the lengths (m) is h on n normals (rad) for a turn (rad); for an ellipse to
+    first order in the difference of its axes. sd: prior 1σ of each length. sizes: dimensions as a person would measure
+    them, (name, index of the length, factor). period_rad: the turn after which the shape looks the same; 0: any turn.
+    has_corners: the last length is the corners' radius.
     """
 
     name: str
@@ -33,10 +33,10 @@ class Primitive:
     sd: tuple[float, ...]
     sizes: tuple[tuple[str, int, float], ...]
     period_rad: float
-    cornered: bool = False
+    has_corners: bool = False
 
     def support(self, theta: FloatArray, lengths: Lengths, turn: float) -> FloatArray:
-        """h (m) on normals `theta` (rad) about the form's own centre."""
+        """h (m) on normals `theta` (rad) about the shape's own centre."""
         if self.name == ELLIPSE:
             h: FloatArray = np.hypot(lengths[0] * np.cos(theta - turn), lengths[1] * np.sin(theta - turn))
             return h
@@ -44,8 +44,10 @@ class Primitive:
         return straight
 
     def nearest(self, lengths: Lengths) -> FloatArray:
-        """Lengths that make the form, not far from these: longest first, no corner wider than its side."""
-        return np.minimum.accumulate(np.maximum(np.asarray(lengths, dtype=np.float64), 0.0 if self.cornered else 1e-3))
+        """The closest valid lengths: in descending order, no corner wider than its side."""
+        return np.minimum.accumulate(
+            np.maximum(np.asarray(lengths, dtype=np.float64), 0.0 if self.has_corners else 1e-3)
+        )
 
 
 def _round(theta: FloatArray, _turn: float) -> FloatArray:
@@ -65,14 +67,14 @@ def _regular(sides: int, name: str) -> Primitive:
     half = math.pi / sides
 
     def linear(theta: FloatArray, turn: float) -> FloatArray:
-        """`turn` is the normal of a side."""
+        """`turn`: normal of a side."""
         reach = np.cos(np.remainder(theta - turn, 2.0 * half) - half) / math.cos(half)
         return np.stack([reach, 1.0 - reach], axis=1)
 
-    # where no side lies opposite a side, one measures the circle within
+    # with an odd number of sides, the inscribed circle is measured
     size = "across flats" if sides % 2 == 0 else "inscribed circle"
     sizes = ((size, 0, 2.0), ("corner radius", 1, 1.0))
-    return Primitive(name, linear, (_SIZE_SD_M, _CORNER_SD_M), sizes, 2.0 * half, cornered=True)
+    return Primitive(name, linear, (_SIZE_SD_M, _CORNER_SD_M), sizes, 2.0 * half, has_corners=True)
 
 
 ELLIPSE = "ellipse"
@@ -83,7 +85,7 @@ PRIMITIVES: tuple[Primitive, ...] = (
     ),
     Primitive(
         "rectangle", _oblong, (_SIZE_SD_M, _SIZE_SD_M, _CORNER_SD_M),
-        (("long side", 0, 2.0), ("short side", 1, 2.0), ("corner radius", 2, 1.0)), math.pi, cornered=True,
+        (("long side", 0, 2.0), ("short side", 1, 2.0), ("corner radius", 2, 1.0)), math.pi, has_corners=True,
     ),
     _regular(3, "regular triangle"),
     _regular(4, "square"),
@@ -91,4 +93,4 @@ PRIMITIVES: tuple[Primitive, ...] = (
     _regular(6, "regular hexagon"),
     _regular(8, "regular octagon"),
 )  # fmt: skip
-"""Every form that has a name here."""
+"""All shapes that are classified."""

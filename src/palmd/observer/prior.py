@@ -1,4 +1,4 @@
-"""What is believed of an object before it has been felt: a smooth lump of unknown size, lying on two palms."""
+"""Prior of an object before it is touched: a smooth body of unknown size, lying on two palms."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from palmd.model.friction import SLOPE
 from palmd.system.arcs import FLAT, circle_radius
 from palmd.system.vibration import INDEPENDENT, LN_SPEED_SD, SPEED_M_S, Vibration
 
-# Of the belief's variance, how much goes into where the filters start, the rest being each filter's own.
+# Share of the prior's 1σ that scatters the filters' starts, and share that each filter keeps.
 SCATTER = 0.7
 OWN = 0.7
 
-RADIUS_SD = 0.10  # of the mean radius seen in the first two readings
+RADIUS_SD = 0.10  # relative, of the mean radius from the first two readings
 SPIN_AT_REST_SD, SPIN_MOVING_SD = 0.25, 1.5  # rad/s
 # A uniform convex body has ρ = 0.70…0.72 mean radii, a ring 1: most objects are near the first.
 GYRATION, GYRATION_SD = 0.707, 0.04
 FRICTION, FRICTION_SD = 0.10, 0.10
-DITHER, LN_DITHER_SD = SPEED_M_S * SLOPE, LN_SPEED_SD  # m/s: u_d = πV/2 of a shaker of which nothing is known
+DITHER, LN_DITHER_SD = SPEED_M_S * SLOPE, LN_SPEED_SD  # m/s: u_d = πV/2 of an undescribed shaker
 DAMPING, DAMPING_SD = 2e-4, 3e-4  # m²/s
 
 
 @dataclass(frozen=True, slots=True)
 class BlindStart:
-    """Samples of the prior, one row a filter, and the one-sigma that each filter keeps about its own sample."""
+    """Samples of the prior, one row a filter, and the 1σ that each filter keeps about its own sample."""
 
     mean_radius: float
-    shape_sd: FloatArray  # of the whole belief, per coefficient
+    shape_sd: FloatArray  # of the whole prior, per coefficient
     coefficients: FloatArray
     omega0: FloatArray
     rho: FloatArray
@@ -48,7 +48,7 @@ class BlindStart:
 
 
 def ln_dither_of(vibration: Vibration) -> tuple[float, float]:
-    """ln u_d (m/s), u_d = πV/2, and its one-sigma."""
+    """ln u_d (m/s), u_d = πV/2, and its 1σ."""
     ln_speed, sd = vibration.ln_speed
     return ln_speed + math.log(SLOPE), sd
 
@@ -63,10 +63,10 @@ def blind_start(
     curvatures: Sequence[float] = FLAT,
     vibration: Vibration = INDEPENDENT,
 ) -> BlindStart:
-    """Draw `size` starts, outlines of `order` harmonics, about the circle that would give the readings `contacts` (m).
+    """Draw `size` starts about the circle that would give the readings `contacts` (m); outlines have `order` harmonics.
 
-    `at_rest` says that the object has just been put down; otherwise it may be turning. Orientation is gauge: 0 at the
-    start. `curvatures` (1/m) and `vibration` of the palms.
+    at_rest: the object has just been put down; else it may be turning. Orientation is gauge: 0 at the start. curvatures
+    (1/m), vibration: of the palms.
     """
     ln_dither, ln_dither_sd = ln_dither_of(vibration)
     mean_radius = circle_radius(palms.angles, contacts, curvatures)
@@ -94,7 +94,7 @@ def blind_start(
 
 
 def shape_map_sd(start: BlindStart) -> FloatArray:
-    """One-sigma of each state of `model.shape_map` before anything is felt of a moving object; ψ is gauge: 0."""
+    """1σ of each state of `model.shape_map` for a moving object before the first reading; ψ is gauge: 0."""
     Z = shape_map.Z
     sd = np.zeros(shape_map.N)
     sd[Z.OMEGA0], sd[Z.LN_RHO] = SPIN_MOVING_SD, math.hypot(GYRATION_SD, RADIUS_SD)

@@ -142,4 +142,4 @@ class Recogniser:
 
     def _other(self, bank: Bank) -> npt.NDArray[np.bool_]:
         """Which filters are of none of the outlines: twins, and those whose outline has strayed from what is stored."""
-        return self._twin | self._stored.strayed(self._which, bank.x)
+        return self._twin | self._stored.contradicts(self._which, bank.x)

@@ -1,4 +1,4 @@
-"""What a whole record tells, as every way of reconstructing gives it."""
+"""Result of reconstructing a whole record, the same for every method."""
 
 from __future__ import annotations
 
@@ -9,28 +9,30 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.observer.record import lasting
-from palmd.observer.shape_classification import UNTOLD, ShapeClass
+from palmd.observer.record import total_duration
+from palmd.observer.shape_classification import UNCLASSIFIED, ShapeClass
 from palmd.observer.visits import Counts
 
-PAUSE_S = 0.05  # between nodes, from which on nothing is told of the motion there
+PAUSE_S = 0.05  # between nodes, from which on the motion in between is unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Reconstruction:
-    """What a record tells; SI units, NaN or None where there is no value.
+    """Estimates from a record; SI units, NaN or None where there is no value.
 
-    theta, h, h_sd, touched, visits: 360 normals (rad), support function and its one-sigma (m), whether a palm touched
-    there, and how many separate times.
-    rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; none where empty.
-    contradicted: by how many sigmas each of them is not what it was taken for, 0 where nothing speaks against that.
-    rig_prior_sd: the one-sigmas that they are taken for beforehand, opened where that is contradicted. rig_by_prior:
-    values and covariance by these alone, where doubt about them is in `rig_covariance` besides.
-    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. `chi2` is per contact reading. `reason` says
-    why not, when not `converged`. turned_sd: one-sigma of psi[-1] − psi[0] (rad), where the record is of one segment.
-    sides: flat sides of the outline that were felt, one a row: outward normal (rad), length and its one-sigma (m).
-    likeness: which simple form the outline is of, if any. evidence: log marginal likelihood of the readings under this
-    description of the rig, up to a constant of them; NaN where nobody has worked it out.
+    theta, h, h_sd, touched, visits: 360 normals (rad), support function and its 1σ (m), whether a palm touched there,
+    and on how many separate occasions.
+    rig, rig_covariance: the rig's constants, as in `model.smoothing.R`, and their covariance; empty where there is
+    none.
+    contradicted: by how many σ each of them deviates from the description, 0 where nothing contradicts that.
+    rig_prior_sd: their prior 1σ, opened where contradicted. rig_by_prior: values and covariance with this prior only,
+    where `rig_covariance` also includes considered deviations.
+    t, psi, omega0, radii (one row a palm): the trajectory at the nodes. chi2: per contact reading. reason: why it is
+    not `converged`. turned_sd: 1σ of psi[-1] − psi[0] (rad), where the record is of one segment.
+    sides: flat sides of the outline that were touched, one a row: outward normal (rad), length and its 1σ (m).
+    shape_class: which simple shape the outline is, if any.
+    evidence: log marginal likelihood of the readings under this description of the rig, up to a constant; NaN where not
+    computed.
     """
 
     converged: bool
@@ -58,22 +60,22 @@ class Reconstruction:
     seconds: float
     turned_sd: float = math.nan
     sides: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    shape_class: ShapeClass = UNTOLD
+    shape_class: ShapeClass = UNCLASSIFIED
     rig_by_prior: tuple[FloatArray, FloatArray] | None = None
     evidence: float = math.nan
 
     @property
     def spans(self) -> list[tuple[float, float]]:
-        """From when to when (s) the motion is told without a pause."""
+        """Time spans (s) in which the motion is known without a pause."""
         pauses = np.flatnonzero(np.diff(self.t) > PAUSE_S)
         return list(zip(self.t[[0, *pauses + 1]].tolist(), self.t[[*pauses, -1]].tolist(), strict=True))
 
     @property
     def lasts(self) -> float:
-        """For how long it is told (s), without the pauses."""
-        return lasting(self.spans)
+        """Total duration (s) of the spans."""
+        return total_duration(self.spans)
 
     @property
     def rig_sd(self) -> FloatArray:
-        """One-sigma of the rig's constants."""
+        """1σ of the rig's constants."""
         return np.sqrt(np.diagonal(self.rig_covariance))

@@ -1,4 +1,4 @@
-"""A segment of readings laid out as arrays on a grid of nodes, ready for the smoother. Pure."""
+"""A segment of readings, laid out as arrays on a grid of nodes for the smoother. Pure."""
 
 from __future__ import annotations
 
@@ -22,22 +22,25 @@ from palmd.system.mechanism import PALMS
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 NO_FORCES = (0.0,) * len(PALMS)
-"""What pads have told at most of which nothing is known (N)."""
+"""Largest force (N) measured by each pad so far, when nothing is known."""
 
-WITHIN_S = 1e-9  # of a span's ends, where nodes are in it
-LEAST_FORCE_N = 0.05  # below it a pressure tells little more than that something touches
+WITHIN_S = 1e-9  # tolerance of a span's ends for nodes
+LEAST_FORCE_N = 0.05  # below it a force indicates little more than touch
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Nodes at times `t` (K + 1), the palms there, and each reading with the step it falls into.
+    """Nodes at times `t` (K + 1), the palms there, and each reading with the step in which it falls.
 
-    `palms` (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time; `*_offset` is the time into the step,
-    `*_weight` what each counts, 1 but at rest. `contact_force` is at first what the readings tell (`_pressing`), 0 on
-    pads that tell no force; `contact_told`: where the pad tells a force, which it does not beyond its scale. `torn`:
-    steps over which nothing is said of the motion (`within`). left_open (K + 1): what the model leaves open of ω0
-    besides the process noise ((rad/s)²/s) in the step that begins there, at first nothing. contact_map: how much (m)
-    each constant of the pads' maps (`observer.pad_map`), which follow those of the kernels, adds to each contact.
+    palms (K + 1, 6): φ1, φ2, ω1, ω2, α1, α2. Readings are in order of time.
+    *_offset: time into the step. *_weight: of each reading, 1 except at rest.
+    contact_force: initially from the readings (`_contact_forces`), 0 on pads without force.
+    contact_has_force: whether the pad measured a force, which it does not beyond its scale.
+    gap_steps: steps between parts, over which the motion is unknown (`within`).
+    discrepancy (K + 1): uncertainty of ω0 by the model besides the process noise ((rad/s)²/s) in the step that begins
+    there, initially 0.
+    contact_map: effect (m) of each constant of the pads' maps (`observer.pad_map`), which follow those of the kernels,
+    on each contact.
     """
 
     t: FloatArray
@@ -49,7 +52,7 @@ class Record:
     contact_pad: FloatArray
     contact_palms: FloatArray
     contact_force: FloatArray
-    contact_told: BoolArray
+    contact_has_force: BoolArray
     contact_value: FloatArray
     contact_variance: FloatArray
     contact_weight: FloatArray
@@ -60,14 +63,14 @@ class Record:
     force_value: FloatArray
     force_variance: FloatArray
     force_weight: FloatArray
-    torn: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    left_open: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gap_steps: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    discrepancy: FloatArray = field(default_factory=lambda: np.zeros(0))
     contact_map: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        """Nothing is left open, and pads have no map, unless it is said."""
-        if not len(self.left_open):
-            object.__setattr__(self, "left_open", np.zeros(len(self.t)))
+        """By default the model has no discrepancy, and pads have no map."""
+        if not len(self.discrepancy):
+            object.__setattr__(self, "discrepancy", np.zeros(len(self.t)))
         if not len(self.contact_map):
             object.__setattr__(self, "contact_map", np.zeros((len(self.contact_step), 0)))
 
@@ -78,17 +81,17 @@ class Record:
 
     @property
     def contact_t(self) -> FloatArray:
-        """When each contact was read (s)."""
+        """Time of each contact reading (s)."""
         return self.t[self.contact_step] + self.contact_offset
 
     @property
     def force_t(self) -> FloatArray:
-        """When each force was read (s)."""
+        """Time of each force reading (s)."""
         return self.t[self.force_step] + self.force_offset
 
     @property
     def readings(self) -> int:
-        """How many there are, of contacts and of forces."""
+        """Number of readings of contacts and forces."""
         return len(self.contact_value) + len(self.force_value)
 
     def until(self, t: float) -> Record:
@@ -106,36 +109,36 @@ class Record:
         return Record(
             self.t[first : last + 1], self.palms[first : last + 1], self.rig, self.pad_lengths,
             self.contact_step[c] - first, self.contact_offset[c], self.contact_pad[c], self.contact_palms[c],
-            self.contact_force[c], self.contact_told[c],
+            self.contact_force[c], self.contact_has_force[c],
             self.contact_value[c], self.contact_variance[c], self.contact_weight[c],
             self.force_step[f] - first, self.force_offset[f], self.force_pad[f], self.force_palms[f],
             self.force_value[f], self.force_variance[f], self.force_weight[f],
-            self.torn[(self.torn >= first) & (self.torn < last)] - first, self.left_open[first : last + 1],
-            self.contact_map[c],
+            self.gap_steps[(self.gap_steps >= first) & (self.gap_steps < last)] - first,
+            self.discrepancy[first : last + 1], self.contact_map[c],
         )  # fmt: skip
 
     @property
     def spans(self) -> list[tuple[float, float]]:
-        """From when to when (s) each of its parts lasts that are not torn apart."""
-        last = [*self.torn, len(self.dt)]
-        return [(float(self.t[i]), float(self.t[j])) for i, j in zip([0, *self.torn + 1], last, strict=True)]
+        """Time span (s) of each part between gaps."""
+        last = [*self.gap_steps, len(self.dt)]
+        return [(float(self.t[i]), float(self.t[j])) for i, j in zip([0, *self.gap_steps + 1], last, strict=True)]
 
     def within(self, spans: Sequence[tuple[float, float]]) -> Record:
-        """Its parts in `spans` (s, in order), as one record that says nothing of the motion in between."""
+        """The parts in `spans` (s, in order), as one record with gaps in between."""
         at = [np.searchsorted(self.t, (start - WITHIN_S, end + WITHIN_S)) for start, end in spans]
-        return joined([self.between(int(first), int(last) - 1) for first, last in at])
+        return concatenated_records([self.between(int(first), int(last) - 1) for first, last in at])
 
-    def pressed_by(self, force: FloatArray) -> Record:
-        """The same, contacts pressed by `force` (N, of each); scaled as the pads tell that, and not where none does."""
+    def with_contact_forces(self, force: FloatArray) -> Record:
+        """The record with contact forces `force` (N), scaled to the measured ones; unchanged where none is measured."""
         scales = [
-            median(self.contact_force[mine] / force[mine])
+            median(self.contact_force[of_pad] / force[of_pad])
             for pad in PALMS
-            if (mine := (self.contact_pad == pad) & self.contact_told & (force > LEAST_FORCE_N)).any()
+            if (of_pad := (self.contact_pad == pad) & self.contact_has_force & (force > LEAST_FORCE_N)).any()
         ]
         if not scales:
             return self
-        pressed = np.mean(scales) * np.maximum(force, 0.0)
-        return replace(self, contact_force=np.where(self.contact_force > 0.0, pressed, 0.0))
+        contact_force = np.mean(scales) * np.maximum(force, 0.0)
+        return replace(self, contact_force=np.where(self.contact_force > 0.0, contact_force, 0.0))
 
     def step_inputs(self, rows: int) -> FloatArray:
         """Last input of the kernel `step` for each step, padded to `rows`."""
@@ -146,7 +149,7 @@ class Record:
         inputs[:n, 1:7] = self.palms[:-1]
         inputs[:n, 7:9] = np.diff(self.palms[:, 4:], axis=0) / dt[:, None]
         inputs[:n, 9:-2], inputs[:n, -2:] = self.rig, self.pad_lengths
-        inputs[self.torn] = inputs[n:] = inputs[0]  # any that can be reckoned with
+        inputs[self.gap_steps] = inputs[n:] = inputs[0]  # any valid input
         return inputs
 
     def contact_inputs(self, rows: int) -> FloatArray:
@@ -163,8 +166,8 @@ class Record:
         """Last input of the kernel `force` for each force reading, padded to `rows`."""
         return self._force_inputs(rows, self.force_step, self.force_offset, self.force_pad, self.force_palms)
 
-    def pressing_inputs(self, rows: int) -> FloatArray:
-        """As `force_inputs`, for the force on each contact that is read."""
+    def contact_force_inputs(self, rows: int) -> FloatArray:
+        """As `force_inputs`, for the force at each contact reading."""
         return self._force_inputs(rows, self.contact_step, self.contact_offset, self.contact_pad, self.contact_palms)
 
     def _force_inputs(
@@ -177,26 +180,26 @@ class Record:
         return inputs
 
 
-def lasting(spans: Sequence[tuple[float, float]]) -> float:
-    """How long (s) they are together."""
+def total_duration(spans: Sequence[tuple[float, float]]) -> float:
+    """Total duration (s) of the spans."""
     return sum(end - start for start, end in spans)
 
 
-def joined(parts: Sequence[Record]) -> Record:
-    """Parts of one record, or records of one rig, in order of time, as one that says nothing of the motion between."""
+def concatenated_records(parts: Sequence[Record]) -> Record:
+    """Parts of one record, or records of one rig, in order of time, as one record with gaps in between."""
     first = np.cumsum([0, *(len(part.t) for part in parts)])
 
-    def put(name: str) -> FloatArray:
+    def concatenated(name: str) -> FloatArray:
         return np.concatenate([getattr(part, name) for part in parts])
 
     def steps(name: str) -> IntArray:
         return np.concatenate([getattr(part, name) + begin for part, begin in zip(parts, first[:-1], strict=True)])
 
     arrays = [each.name for each in fields(Record) if each.name not in ("rig", "pad_lengths")]
-    by_step = ("contact_step", "force_step", "torn")
-    whole = {name: steps(name) if name in by_step else put(name) for name in arrays}
-    torn = np.sort(np.concatenate([whole["torn"], first[1:-1] - 1]))
-    return replace(parts[0], **whole | {"torn": torn})
+    by_step = ("contact_step", "force_step", "gap_steps")
+    whole = {name: steps(name) if name in by_step else concatenated(name) for name in arrays}
+    gap_steps = np.sort(np.concatenate([whole["gap_steps"], first[1:-1] - 1]))
+    return replace(parts[0], **whole | {"gap_steps": gap_steps})
 
 
 def lay_out(
@@ -209,13 +212,13 @@ def lay_out(
     resting_since: float = math.inf,
     most_forces: Sequence[float] = NO_FORCES,
 ) -> Record:
-    """Nodes each `spacing` from `start` to `end`, and the readings in between, which must be in order of time.
+    """Nodes every `spacing` (s) from `start` to `end`, and the readings in between, which must be in order of time.
 
-    `resting_since`: from when on the palms have rested at the path's beginning (s), where that was earlier.
-    `most_forces`: what each pad has told at most before (N), which it is pressed by where it tells none.
+    resting_since: start (s) of the palms' rest at the path's beginning, if they rested then. most_forces: largest force
+    (N) that each pad has measured before; it stands for forces beyond the pad's scale.
 
-    Forces of pads whose gain is uncertain are left out: two thousand readings that share one error would outweigh all
-    that the contacts tell.
+    Forces of pads with an uncertain gain are left out: two thousand readings that share one error would outweigh all
+    contacts.
     """
     steps = max(1, math.floor((end - start) / spacing + 1e-9))
     t: FloatArray = start + spacing * np.arange(steps + 1, dtype=np.float64)
@@ -234,7 +237,7 @@ def lay_out(
         if sensor.stamp_sd > 0.0:
             variance[mine] += (sensor.stamp_sd * rates(times[mine], value[mine])) ** 2 - sensor.blur**2
     weight: FloatArray = np.asarray(1.0 / repetitions(path.resting(times, RESTING_RAD_S, resting_since)))
-    pressed = (
+    has_force = (
         np.isfinite(force)
         & (force > LEAST_FORCE_N)
         & (np.array([sensor.force_gain_std for sensor in rig.pads])[which] == 0.0)
@@ -243,22 +246,22 @@ def lay_out(
     force_variance = rig.force_variances(level, pad)
     return Record(
         t, path.at(t), rig_inputs(rig), np.array([sensor.length for sensor in rig.pads]),
-        step, offset, pad, palms, _pressing(level, pad, most_forces), level > 0.0, value, variance, weight,
-        step[pressed], offset[pressed], pad[pressed], palms[pressed], force[pressed], force_variance[pressed],
-        weight[pressed],
+        step, offset, pad, palms, _contact_forces(level, pad, most_forces), level > 0.0, value, variance, weight,
+        step[has_force], offset[has_force], pad[has_force], palms[has_force], force[has_force],
+        force_variance[has_force], weight[has_force],
     )  # fmt: skip
 
 
-def _pressing(level: FloatArray, pad: FloatArray, most: Sequence[float]) -> FloatArray:
-    """What presses each contact (N): neighbours in time tell it better than the reading itself.
+def _contact_forces(level: FloatArray, pad: FloatArray, largest: Sequence[float]) -> FloatArray:
+    """Force on each contact (N), from neighbours in time rather than the reading itself.
 
-    That one's noise would pull to 0 what is told of a contact's dependence on it. So would a force of 0 where a pad
-    tells none because it is pressed beyond its scale: that is at least the most that it tells.
+    A reading's own noise would bias the contacts' dependence on force towards 0. So would a force of 0 where a pad
+    measures none because the force exceeds its scale: there, the largest measured force is used.
     """
     pressing = np.nan_to_num(level)
-    for number, before in zip(PALMS, most, strict=True):
-        untold = (pad == number) & ~np.isfinite(level)
-        pressing[untold] = pressing[pad == number].max(initial=before)
+    for number, earlier in zip(PALMS, largest, strict=True):
+        missing = (pad == number) & ~np.isfinite(level)
+        pressing[missing] = pressing[pad == number].max(initial=earlier)
     return pressing
 
 

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from palmd.model.smoothing import C
-from palmd.observer.beginning import with_any_node
+from palmd.observer.backward_extension import with_free_node
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.factor import of_constants
+from palmd.observer.factor import marginal_of_constants
 from palmd.observer.fixed_lag_smoother import PATIENCE, Answer, FixedLagSmoother
-from palmd.observer.matching import Felt, of_any_small_turn
+from palmd.observer.matching import ObjectInformation, with_turn_marginalised
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import PLACED_S, Search, explained
@@ -27,7 +27,7 @@ HOPPED_RAD = (0.0, -0.1, 0.1)  # initial offsets from the last orientation (choi
 
 
 def reidentified(
-    known: Felt, segment: DataSegment, rig: RigDescription, budget: Budget, psi: float | None = None
+    known: ObjectInformation, segment: DataSegment, rig: RigDescription, budget: Budget, psi: float | None = None
 ) -> FixedLagSmoother | None:
     """A follower of the `known` object through all of `segment`; None where it is not confirmed.
 
@@ -39,11 +39,11 @@ def reidentified(
     search = Search(segment, with_scatter(rig, segment.pads), PATIENCE, budget=budget)
     for fit in _orientations(known, search, psi)[:MOST_ORIENTATIONS]:
         turn = -float(fit.guess.x[0, 0])
-        information = of_any_small_turn(known.turned(turn).information)[0]
+        information = with_turn_marginalised(known.turned(turn).information)[0]
         p = fit.guess.p.copy()
         p[C.SHAPE :] = information.about[C.SHAPE :]
         prior = replace(search.prior, information=information)
-        finding = search.knowing(prior).resumed([Guess(fit.guess.x + np.array([turn, 0.0]), p)])
+        finding = search.with_knowledge(prior).resumed([Guess(fit.guess.x + np.array([turn, 0.0]), p)])
         if finding is None or not search.covers(finding):
             continue
         if finding.fits[0].settled and explained(finding.fits[0], finding.record):
@@ -52,11 +52,11 @@ def reidentified(
     return None
 
 
-def _orientations(known: Felt, search: Search, psi: float | None) -> list[Fit]:
+def _orientations(known: ObjectInformation, search: Search, psi: float | None) -> list[Fit]:
     """Fits of the first readings from the likeliest orientations, without those that are rejected; least cost first."""
     record, p = search.record.until(float(search.record.t[0]) + PLACED_S), known.information.about
-    prior = with_any_node(known.information.plus(of_constants(search.prior, p)))
-    smoother = search.knowing(prior).smoother(record)
+    prior = with_free_node(known.information.plus(marginal_of_constants(search.prior, p)))
+    smoother = search.with_knowledge(prior).smoother(record)
     likely = search.orientations(p[C.SHAPE :]) if psi is None else psi + np.array(HOPPED_RAD)
     starts = (Guess(np.tile([each, 0.0], (len(record.t), 1)), p) for each in likely)
     fits = (smoother.fit(start, search.noise) for start in starts)

@@ -1,4 +1,4 @@
-"""What the rig's constants are off by, as a smoother has told it: applied to readings before a filter takes them."""
+"""Errors of the rig's constants, as estimated by a smoother; readings are corrected before a filter takes them."""
 
 from __future__ import annotations
 
@@ -18,61 +18,61 @@ from palmd.system.mechanism import PALMS
 
 @dataclass(slots=True)
 class RigError:
-    """Estimates in the order of `model.smoothing.R`; zeros leave everything as it is. Safe inside the loop."""
+    """Estimates in the order of `model.smoothing.R`; zeros change nothing. Safe inside the loop."""
 
     pad_lengths: tuple[float, ...]
     curvatures: tuple[float, ...] = FLAT
     values: FloatArray = field(default_factory=lambda: np.zeros(RIG_CONSTANTS))
-    s: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # of each pad's last contact, corrected (m)
-    most: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # that each pad has told (N)
+    s: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # each pad's last contact, corrected (m)
+    most: FloatArray = field(default_factory=lambda: np.zeros(len(PALMS)))  # largest force measured by each pad (N)
 
     def angles(self) -> tuple[float, float]:
-        """By how much φ1 and φ2 of the surfaces that are touched exceed those that are reported (rad)."""
+        """Differences (rad) of φ1 and φ2 of the touched surfaces from those reported."""
         one, two = self.bows(self.values)
         return float(self.values[R.TILT] + one), float(self.values[R.TURN] + two)
 
     def bows(self, values: FloatArray) -> FloatArray:
-        """By how much bowed surfaces make φ1 and φ2 larger at the last contacts (rad), of constants (RIG, …)."""
+        """Increase of φ1 and φ2 by bowed surfaces at the last contacts (rad), for constants (RIG, …)."""
         one, two = (
             4.0 * values[R.SAGITTA + i] / length * (1.0 - 2.0 * self._u(i)) for i, length in enumerate(self.pad_lengths)
         )
         return np.array([one, -one - two])
 
     def heights(self, values: FloatArray) -> FloatArray:
-        """How far both surfaces lie above the hinge line at the last contacts (m), of constants (RIG, …)."""
+        """Height of both surfaces over the hinge line at the last contacts (m), for constants (RIG, …)."""
         return np.array([values[R.STANDOFF + k] + 4.0 * values[R.SAGITTA + k] * self._u(k) ** 2 for k in range(2)])
 
     def lifts(self, palm: int, opening: float, radius: float) -> FloatArray:
-        """By how much a contact on `palm` (0, 1) is farther from the hinge for each metre that a surface is higher.
+        """Shift of a contact on `palm` (0, 1) away from the hinge, per metre by which each surface is higher.
 
-        opening: φ2 as in `angles`. radius (m): of the object, about; a curved palm's contact goes by 1/(1 − κ·radius)
-        farther than a flat one's.
+        opening: φ2 as in `angles`. radius (m): approximate, of the object; on a curved palm a contact is shifted 1/(1 −
+        κ·radius) times as far as on a flat one.
         """
-        slack = 1.0
+        margin = 1.0
         if any(self.curvatures):
             opening -= sum(each * at for each, at in zip(self.curvatures, self.s, strict=True))
-            slack = max(1.0 - self.curvatures[palm] * radius, LEAST_CURVATURE_MARGIN)
-        by = np.full(len(PALMS), 1.0 / math.sin(opening) / slack)
-        by[palm] = math.cos(opening) / math.sin(opening) / slack
-        return by
+            margin = max(1.0 - self.curvatures[palm] * radius, LEAST_CURVATURE_MARGIN)
+        shift = np.full(len(PALMS), 1.0 / math.sin(opening) / margin)
+        shift[palm] = math.cos(opening) / math.sin(opening) / margin
+        return shift
 
     def on_time(self, sample: PadSample) -> PadSample:
-        """The reading at the time of what it tells."""
+        """The reading, with its time corrected for the pad's lag."""
         lag = float(self.values[R.LAG + sample.pad - 1])
         return PadSample(sample.t_sample - lag, sample.pad, sample.s, sample.force) if lag else sample
 
     def pressing(self, sample: PadSample) -> float:
-        """The force (N) that it was read under; pressed beyond its scale a pad tells none, but did tell the most."""
+        """Force (N) on the pad at the reading; beyond the pad's scale, its largest force so far."""
         if sample.force is not None:
             self.most[sample.pad - 1] = max(self.most[sample.pad - 1], sample.force)
             return sample.force
         return float(self.most[sample.pad - 1])
 
     def corrected(self, sample: PadSample, opening: float, radius: float) -> float:
-        """The distance (m) that the pad would tell, had it no error and lay on the hinge line; others as in `lifts`."""
+        """The distance (m) that a pad without errors on the hinge line would read; other arguments as in `lifts`."""
         i, v = sample.pad - 1, self.values
-        pushed = v[R.FORCE + i] * self.pressing(sample)
-        self.s[i] = s = float((sample.s - v[R.ZERO + i] - pushed) / (1.0 + v[R.SCALE + i]))
+        compliance = v[R.FORCE + i] * self.pressing(sample)
+        self.s[i] = s = float((sample.s - v[R.ZERO + i] - compliance) / (1.0 + v[R.SCALE + i]))
         return float(s - self.lifts(i, opening, radius) @ self.heights(v))
 
     def _u(self, pad: int) -> float:
@@ -80,9 +80,9 @@ class RigError:
 
 
 def circle_spread(rig: RigDescription, contacts: Sequence[float], opening: float) -> float:
-    """One-sigma (m) that the rig's constants leave of a circle's radius r = s · tan(φ2/2), s the mean of both contacts.
+    """1σ (m) that the rig's constants leave of a circle's radius r = s · tan(φ2/2), s the mean of both contacts.
 
-    For before a smoother has told how they and the outline hang together.
+    Used before a smoother has estimated their correlation with the outline.
     """
     (one, two), (first, second) = rig.pads, contacts
     tangent = float(np.tan(opening / 2))

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from palmd.observer.bank import Belief
 from palmd.observer.contacts import GONE_S, Contacts
 from palmd.observer.coverage import Coverage
+from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.observer.fusion import Fusion, Pruning
 from palmd.observer.hypotheses import Hypotheses, Verdict
 from palmd.observer.mass import MassEstimator
 from palmd.observer.observability import Observability
 from palmd.observer.prior import blind_start, shape_map_sd
-from palmd.observer.riding import Riding
 from palmd.observer.rig_error import circle_spread
 from palmd.observer.track import Track
 from palmd.observer.validity import LOST_NIS
@@ -87,7 +87,7 @@ class ObjectSession:
             mass=MassEstimator(rig.pads),
             likely_mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
-            riding=Riding(rig),
+            riding=FixedModeTest(rig),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
         self._observability.begin(t, shape_map_sd(start))

@@ -1,4 +1,4 @@
-"""What a record tells of an outline with flat sides and corners: fit, bands and doubts, as `reconstruct` gives them."""
+"""Reconstruct an outline with flat sides and corners: fit, bands and tests."""
 
 from __future__ import annotations
 
@@ -14,103 +14,108 @@ from palmd.model import sharp
 from palmd.model.shape import coefficients_of
 from palmd.model.sharp import LENGTHS, NORMALS, SIDES, WIDTH
 from palmd.model.smoothing import ORDER, RIG, C
-from palmd.observer.cornered_reconstruct import cornered_reconstruction
-from palmd.observer.factor import friction_of, given
+from palmd.observer.factor import conditional_covariance, friction_of
+from palmd.observer.flat_side_fits import LEAST_S, Candidate
+from palmd.observer.flat_side_search import FlatSideSearch, in_order
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import directions, normal_angles, sd_of, touched_within
 from palmd.observer.reconstruction import Reconstruction
-from palmd.observer.record import joined
-from palmd.observer.search import Search, explained, still
+from palmd.observer.record import concatenated_records
+from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstruction
+from palmd.observer.search import Search, explained, nothing_moves
 from palmd.observer.shape_classification import root_of, shape_class
-from palmd.observer.sided import SidedSearch, in_order
-from palmd.observer.sided_fits import LEAST_S, Candidate
 from palmd.observer.validity import SHARP_M
 from palmd.observer.visits import visits_of
 
-LEAST_SIDE_M = 1e-3  # a shorter side is none
-MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings, while contacts jump
-MOST_STRAIN_TOLD = 40.0  # of the cost, by the prior: outlines that are right have 5 to 30
+LEAST_SIDE_M = 1e-3  # shorter sides do not count
+MOST_CHI2, MOST_OUTLIERS = 1.15, 0.05  # of the readings; outliers occur while contacts jump
+MOST_PRIOR_COST = 40.0  # prior cost; right outlines have 5 to 30
+# RMS difference of another outline; twice the log-likelihood by which a rival may be worse and still count
 DIFFERENT_M, DOUBT = 1e-4, 25.0
-MOST_SLACK = 0.02  # of the cost, for each contact reading: more, and blows explain what the outline does not
-MOST_STRETCHES = 2  # of a segment that are looked at, longest first
-# What simulated outlines are off by besides: neither contacts that jump nor the width of a side is noise.
+MOST_PROCESS_COST = 0.02  # process cost per contact reading; with more, impacts explain what the outline does not
+MOST_STRETCHES = 2  # explained parts of a segment that are used, longest first
+# Model error of h and overconfidence, from simulations: jumping contacts and the width of a side are not noise.
 MODEL_SD_M, OVERCONFIDENCE = 6e-6, 1.5
-# Of what nodes twice as far apart tell otherwise: about a quarter of the error is left (docs/theory/sides.md).
-LEFT = 1 / 3
+# Of the difference to nodes twice as far apart: about a quarter of the error remains (docs/theory/sides.md).
+NODE_ERROR_LEFT = 1 / 3
 
 
 def sharp_reconstruction(
     search: Search,
     seed: int,
-    begun: float,
+    started: float,
     say: Callable[[str], None] | None = None,
     others: Sequence[Search] = (),
 ) -> Reconstruction | None:
-    """The outline with flat sides that explains the longest part of the segment of `search` that one explains.
+    """The outline with flat sides that explains the longest explained part of the segment of `search`.
 
-    Where the object rides as well in the segments of `others`, of these too. None where none does beyond doubt. `say`
-    is told how far the search has come.
+    With contact-mode segments of the same object in the segments of `others`. None where no result is certain.
+    started: when the reconstruction was started (`time.perf_counter`). say: called with the progress.
     """
-    if still(search.record) or search.segment.lasts < LEAST_S:
+    if nothing_moves(search.record) or search.segment.lasts < LEAST_S:
         return None
-    sided = SidedSearch(search, seed, others)
+    sided = FlatSideSearch(search, seed, others)
     segment = search.segment
 
-    def followed(so_far: Candidate) -> None:
-        until = so_far.record.t[-1] - segment.start
+    def report(candidate: Candidate) -> None:
+        until = candidate.record.t[-1] - segment.start
         if say is not None:
             say(f"looking for flat sides: {until:.1f} of {segment.lasts:.1f} s")
 
-    told = cornered_reconstruction(search, sided.record, sided.rides, begun)
-    if told is not None:
-        return told
+    result = rounded_polygon_reconstruction(search, sided.record, sided.segments, started)
+    if result is not None:
+        return result
 
-    def longest() -> Iterator[tuple[Candidate, ...]]:
-        yield from sided.ridden()
-        for stretch in sided.stretches(followed)[:MOST_STRETCHES]:
+    def candidates() -> Iterator[tuple[Candidate, ...]]:
+        yield from sided.segment_fits()
+        for stretch in sided.stretches(report)[:MOST_STRETCHES]:
             yield stretch
             yield from sided.halved(stretch)
 
-    for found in longest():
-        other: Candidate | None = found[0]  # on nodes farther apart than those of what comes first
+    for found in candidates():
+        other: Candidate | None = found[0]  # the previous fit, on nodes farther apart
         for best in sided.refined(found[0]):
-            if not _doubtful(best, found):
-                told = _told(best, other, sided, search, begun)
-                if told is not None:
-                    return told
-            other = best if best.explains else None  # and may not be told: the next has nodes farther apart
+            if not _is_doubtful(best, found):
+                result = _result(best, other, sided, search, started)
+                if result is not None:
+                    return result
+            other = best if best.explains else None  # the next fit has nodes farther apart
     return None
 
 
-def explained_smoothly(search: Search, told: Reconstruction, others: Sequence[Search] = ()) -> bool:
-    """Whether a smooth outline explains what `told` does as well, begun from that motion and outline.
+def explained_smoothly(search: Search, result: Reconstruction, others: Sequence[Search] = ()) -> bool:
+    """Whether a smooth outline explains the same readings as `result`, started from that motion and outline.
 
-    On a rig as it is taken for, or on any. told: of the segments of `search` and `others`.
+    With the rig as described, or with its constants opened. result: of the segments of `search` and `others`.
     """
-    assert told.h is not None  # of what is claimed
-    record = joined([each.record for each in in_order(search, others)]).within(told.spans)
-    psi, omega0 = (np.interp(record.t, told.t, each) for each in (told.psi, told.omega0))
+    assert result.h is not None  # an accepted result has an outline
+    record = concatenated_records([each.record for each in in_order(search, others)]).within(result.spans)
+    psi, omega0 = (np.interp(record.t, result.t, each) for each in (result.psi, result.omega0))
     p = search.prior.mean.copy()
     dither = math.exp(p[C.SATURATION])
-    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(told.rho), told.mu / dither, dither**-2.0
-    if math.isfinite(told.mass):
-        p[C.LN_MASS] = math.log(told.mass)
-    p[RIG], p[C.SHAPE :] = told.rig, coefficients_of(told.h, ORDER)
+    p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(result.rho), result.mu / dither, dither**-2.0
+    if math.isfinite(result.mass):
+        p[C.LN_MASS] = math.log(result.mass)
+    p[RIG], p[C.SHAPE :] = result.rig, coefficients_of(result.h, ORDER)
     guess = Guess(np.stack([psi - psi[0], omega0], axis=1), p)
     for belief in (search.belief, search.belief.suspended()):
-        found = search.believing(belief).minima(record, [guess])
+        found = search.with_belief(belief).minima(record, [guess])
         if explained(found.fits[0], found.record):
             return True
     return False
 
 
-def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
+def _is_doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
+    """Whether the fit fails a test or has a rival."""
     fit = best.fit
-    likely = fit.strain < MOST_STRAIN_TOLD and fit.outliers < MOST_OUTLIERS
+    likely = fit.prior_cost < MOST_PRIOR_COST and fit.outliers < MOST_OUTLIERS
     explained = fit.chi2 < MOST_CHI2 and fit.force_chi2 < MOST_CHI2
     if not (best.explains and fit.settled and likely and explained):
         return True
-    if fit.slack > MOST_SLACK * len(best.record.contact_value) or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any():
+    if (
+        fit.process_cost > MOST_PROCESS_COST * len(best.record.contact_value)
+        or not (fit.guess.p[LENGTHS:WIDTH] > LEAST_SIDE_M).any()
+    ):
         return True
     theta = directions()
     h = sharp.support(theta, found[0].fit.guess.p)
@@ -122,10 +127,10 @@ def _doubtful(best: Candidate, found: tuple[Candidate, ...]) -> bool:
     )
 
 
-def _told(
-    best: Candidate, other: Candidate | None, sided: SidedSearch, search: Search, begun: float
+def _result(
+    best: Candidate, other: Candidate | None, sided: FlatSideSearch, search: Search, started: float
 ) -> Reconstruction | None:
-    """None where `best` is no minimum, or tells too little; by how much `other` nodes tell otherwise is in the band."""
+    """The result; None where `best` is no minimum or too uncertain. Its band includes the change from `other`."""
     try:
         covariance = OVERCONFIDENCE**2 * sided.fits.posterior(best).covariance
     except np.linalg.LinAlgError:
@@ -137,23 +142,24 @@ def _told(
     h = sharp.support(theta, p)
     rows, shape = sharp.outline_rows(theta, p), slice(C.SHAPE, len(p))
     free = _gauge_free(theta, touched, p, rows)
-    left = np.zeros(len(theta))
+    node_difference = np.zeros(len(theta))
     if other is not None:
-        left = _gauge_free(theta, touched, p, (h - sharp.support(theta, other.fit.guess.p))[:, None])[:, 0]
-        left *= LEFT if len(record.t) > len(other.record.t) else 1.0
-    model_sd = np.hypot(MODEL_SD_M, left)
-    h_sd, told_sd = (
-        np.hypot(sd_of(free, each), model_sd) for each in (covariance[shape, shape], given(covariance, RIG, shape))
+        node_difference = _gauge_free(theta, touched, p, (h - sharp.support(theta, other.fit.guess.p))[:, None])[:, 0]
+        node_difference *= NODE_ERROR_LEFT if len(record.t) > len(other.record.t) else 1.0
+    model_sd = np.hypot(MODEL_SD_M, node_difference)
+    h_sd, conditional_sd = (
+        np.hypot(sd_of(free, each), model_sd)
+        for each in (covariance[shape, shape], conditional_covariance(covariance, RIG, shape))
     )
-    if float(np.sqrt(np.mean(told_sd[touched] ** 2))) > SHARP_M:
+    if float(np.sqrt(np.mean(conditional_sd[touched] ** 2))) > SHARP_M:
         return None
     mu, mu_sd = friction_of(p, covariance)
     sd = np.sqrt(np.diagonal(covariance))
     rho = math.exp(p[C.LN_RHO])
-    weighed = len(record.force_value) > 0
-    mass = math.exp(p[C.LN_MASS]) if weighed else math.nan
+    has_forces = len(record.force_value) > 0
+    mass = math.exp(p[C.LN_MASS]) if has_forces else math.nan
     radii = [sharp.support(each, p) for each in normals.T]
-    visits = np.sum([visits_of(part) for part in np.split(normals, record.torn + 1)], axis=0)
+    visits = np.sum([visits_of(part) for part in np.split(normals, record.gap_steps + 1)], axis=0)
     return Reconstruction(
         converged=True, chi2=fit.chi2,
         theta=theta, h=h, h_sd=h_sd, touched=touched, visits=visits,
@@ -161,24 +167,25 @@ def _told(
         mass=mass, mass_sd=mass * float(sd[C.LN_MASS]), rig=p[RIG], rig_covariance=covariance[RIG, RIG],
         contradicted=search.belief.contradicted, rig_prior_sd=search.belief.sd,
         t=record.t, psi=x[:, 0], omega0=x[:, 1], radii=np.stack(radii),
-        reason="", seconds=time.perf_counter() - begun, turned_sd=math.nan if len(record.torn) else float(sd[len(p)]),
+        reason="", seconds=time.perf_counter() - started,
+        turned_sd=math.nan if len(record.gap_steps) else float(sd[len(p)]),
         sides=sides_of(p, covariance),
         shape_class=shape_class(theta, h, root_of(rows, covariance[shape, shape]), touched),
     )  # fmt: skip
 
 
 def _gauge_free(theta: FloatArray, touched: npt.NDArray[np.bool_], p: FloatArray, rows: FloatArray) -> FloatArray:
-    """What `rows` (n, k) change of h on `theta`, after the rotation that fits the `touched` normals best."""
+    """Change of h on `theta` by `rows` (n, k), after the rotation that fits the `touched` normals best."""
     step = 1e-4
     slope = (sharp.support(theta + step, p) - sharp.support(theta - step, p)) / (2 * step)
-    there = slope[touched]
-    turn = there @ rows[touched] / max(float(there @ there), 1e-30)
-    free: FloatArray = rows - np.outer(slope, turn)
-    return free
+    slope_touched = slope[touched]
+    turn = slope_touched @ rows[touched] / max(float(slope_touched @ slope_touched), 1e-30)
+    gauge_free: FloatArray = rows - np.outer(slope, turn)
+    return gauge_free
 
 
 def sides_of(p: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Normal (rad), length and its one-sigma (m) of each flat side, one a row."""
+    """Normal (rad), length and its 1σ (m) of each flat side, one a row."""
     sd = np.sqrt(np.diagonal(covariance))
     rows = [
         (math.remainder(p[NORMALS + j], math.tau), p[LENGTHS + j], sd[LENGTHS + j])

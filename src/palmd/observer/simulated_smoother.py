@@ -1,4 +1,4 @@
-"""The smoother as it would run beside the loop, for replays: what is ready when depends on the log's time alone."""
+"""The smoother beside the loop, simulated for replays: when an answer is ready depends on the log's time only."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from palmd.system.description import RigDescription
 
 
 class Simulated:
-    """A `Smoothing` that is deterministic; see the module."""
+    """A deterministic `Smoothing`; see the module."""
 
     def __init__(self, rig: RigDescription, seed: int = 0, latency_s: float = 0.2):
-        """Each run of the smoother is taken to last `latency_s` of the log's time."""
+        """`latency_s`: assumed duration of each run of the smoother, in the log's time."""
         self._smoother = IncrementalSmoother(rig, seed)
         self._latency = latency_s
         self._next = -math.inf
         self._ready: tuple[float, Improvement | Unexplained | None] | None = None
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
-        """Take the tick's events, and start when it is time."""
+        """Add the tick's events, and start a run when it is due."""
         self._smoother.add(session, events)
         if t >= self._next and self._ready is None:
-            self._next = t + period(t - session.begun)
+            self._next = t + period(t - session.start_time)
             self._ready = (t + self._latency, self._smoother.said())
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
-        """What was started at least the latency ago."""
+        """The answer of the run started at least `latency_s` ago."""
         if self._ready is None or t < self._ready[0]:
             return None
-        improvement = self._ready[1]
+        answer = self._ready[1]
         self._ready = None
-        return improvement
+        return answer

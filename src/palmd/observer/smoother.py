@@ -1,7 +1,7 @@
-"""Levenberg–Marquardt over a whole record at once: trajectory and constants that explain all readings best.
+"""Levenberg–Marquardt over a whole record: the trajectory and constants that explain all readings best.
 
 The normal equations (`observer.normal_equations`) are factored exactly in their block-tridiagonal, bordered form, so an
-iteration costs a few milliseconds for ten seconds of readings. Not for use inside the loop.
+iteration takes a few milliseconds for ten seconds of readings. Not for use inside the loop.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ from palmd.observer.normal_equations import WILD_SPIN, Guess, NormalEquations, P
 from palmd.observer.record import Record
 
 MAX_ITERATIONS = 60
-NEGLIGIBLE = 0.03  # fall of the cost (twice a log-likelihood) that is not worth another iteration
-LITTLE, MUCH = 0.3, 9.0  # of the same, that a step may promise and yet be rejected
+NEGLIGIBLE = 0.03  # decrease of the cost (twice a log-likelihood) that is not worth another iteration
+# predicted decrease of a rejected step: below it the fit may have converged; above it the rejection is counted
+SMALL_PREDICTED, LARGE_PREDICTED = 0.3, 9.0
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e8
 CORRECTIONS, GOOD_ENOUGH = 2, 0.9  # of the nodes alone, unless the cost falls by a tenth at once
-LEAST_FALL = 1e-3  # of the cost, by which a correction must lower it
+LEAST_DECREASE = 1e-3  # relative decrease of the cost required of a correction
 
 
 @dataclass(slots=True)
 class Budget:
-    """Iterations times nodes that fits may still use between them; bounds the processor time of a live answer."""
+    """Iterations times nodes that fits may still use together; limits the processor time of a live answer."""
 
     left: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A minimum that was found: its cost, what that is made of (`NormalEquations`), and how the iteration ended.
+    """A minimum: its cost, the parts of it (`NormalEquations`), and how the iteration ended.
 
-    `linearised` is at the minimum.
+    linearised: at the minimum.
     """
 
     guess: Guess
@@ -47,10 +48,10 @@ class Fit:
     cost: float
     chi2: float
     force_chi2: float
-    slack: float
-    strain: float
+    process_cost: float
+    prior_cost: float
     outliers: float
-    astray: int
+    outlier_run: int
     iterations: int
     settled: bool
     linearised: Linearised | None = field(default=None, repr=False, compare=False)
@@ -58,7 +59,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """Normal equations, and what they are of."""
+    """Normal equations and the problem and point that they belong to."""
 
     record: Record
     known: Knowledge
@@ -67,7 +68,7 @@ class Linearised:
     equations: NormalEquations
 
     def is_of(self, record: Record, known: Knowledge, guess: Guess, noise: ProcessNoise) -> bool:
-        """Whether they are of these very objects."""
+        """Whether they belong to these very objects."""
         return self.record is record and self.known is known and self.guess is guess and self.noise == noise
 
 
@@ -75,24 +76,24 @@ class Linearised:
 class Posterior:
     """Covariance of (constants, last node), and the record's log marginal likelihood.
 
-    The latter is Laplace's approximation up to a constant of the record: it compares process noises and rivals.
-    beyond: one Newton step beyond the fit, which ends where that is not worth it, and `promise`, by how much the cost
-    falls there. To a constant that is all but certain beforehand a step is worth nothing, and yet is all that readings
-    say of it.
+    evidence: Laplace's approximation, up to a constant of the record; it compares process noises and rivals.
+    beyond: the fit plus one Newton step, since the fit ends where a step is not worth it; predicted_decrease: of the
+    cost by this step. For a constant with a very narrow prior a step is worth nothing, but contains all that the
+    readings determine of it.
     """
 
     covariance: FloatArray
     evidence: float
     beyond: Guess
-    promise: float
+    predicted_decrease: float
 
     @property
     def constants(self) -> FloatArray:
-        """Those that the record tells."""
+        """The constants that the record determines."""
         return self.beyond.p
 
     def distance2(self, p: FloatArray) -> float:
-        """Squared Mahalanobis distance of constants `p` from these; those that were certain beforehand do not count."""
+        """Squared Mahalanobis distance of constants `p` from these; exactly known constants do not count."""
         covariance = self.covariance[: len(p), : len(p)]
         open_ = np.diagonal(covariance) > 0.0
         away = (p - self.constants)[open_]
@@ -103,16 +104,16 @@ class Smoother:
     """The least-squares problem of one record; `fit` may be called with many guesses and process noises."""
 
     def __init__(self, library: Library, record: Record, known: Knowledge, budget: Budget | None = None):
-        """Binds the kernels to arrays of the record's size; `known` is about the constants and the first node.
+        """Bind the kernels to arrays of the record's size; `known`: knowledge of the constants and the first node.
 
-        Fits end unsettled when the `budget` is spent; by default it is unlimited.
+        Fits end without convergence when the `budget` is spent; by default it is unlimited.
         """
         self._residuals = Residuals(library, record)
         self._known = known
         self._budget = budget or Budget()
 
-    def knowing(self, known: Knowledge) -> Self:
-        """The same problem with something else known beforehand; kernels and arrays are shared."""
+    def with_knowledge(self, known: Knowledge) -> Self:
+        """The same problem with other prior knowledge; kernels and arrays are shared."""
         other = copy(self)
         other._known = known
         return other
@@ -125,16 +126,17 @@ class Smoother:
         rejections: int = MAX_ITERATIONS,
         worth: float = NEGLIGIBLE,
     ) -> Fit:
-        """Iterate from `start` until nothing moves any more; the result may be a local minimum.
+        """Iterate from `start` to convergence; the result may be a local minimum.
 
-        A step that looks bad is given a second chance: with the constants of the step, the nodes alone are solved
-        for again. Friction makes the trajectory a strongly curved function of the constants, and without this the
-        iteration creeps along a narrow bent valley. After so many `iterations`, or `rejections` in a row of steps that
-        promise much, it comes back without having settled. No fall of the cost by less than `worth` is worth another.
+        After a step that does not decrease the cost enough, the nodes alone are solved for again with the constants of
+        the step. Friction makes the trajectory a strongly curved function of the constants, and without this correction
+        the iteration creeps along a narrow, curved valley. Ends without convergence after so many `iterations`, or
+        `rejections` in a row of steps with a large predicted decrease. worth: least decrease of the cost for another
+        iteration.
         """
         guess = self.completed(start)
-        now = self.linearised(guess, noise)
-        if not math.isfinite(now.cost):
+        equations = self.linearised(guess, noise)
+        if not math.isfinite(equations.cost):
             return Fit(guess, noise, math.inf, math.inf, math.inf, math.inf, math.inf, 1.0, 0, 0, False)
         damping, count, rejected, settled = FIRST_DAMPING, 0, 0, False
         budget, nodes = self._budget, len(guess.x)
@@ -143,88 +145,89 @@ class Smoother:
         ):
             count += 1
             budget.left -= nodes
-            step = _solved(now, damping, self._known.scale)
+            step = _solved(equations, damping, self._known.scale)
             if step is None:
                 damping *= 6.0
                 continue
-            promise = now.promise(step)
-            if damping <= FIRST_DAMPING and promise < worth:
+            predicted = equations.predicted_decrease(step)
+            if damping <= FIRST_DAMPING and predicted < worth:
                 settled = True
                 break
-            trial, then = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, now.cost)
-            if then is not None:
-                fall = now.cost - then.cost
-                if fall > 0.0:
-                    settled = fall < worth
-                    guess, now, rejected = trial, then, 0
+            trial, trial_equations = self._corrected(Guess(guess.x + step.x, guess.p + step.p), noise, equations.cost)
+            if trial_equations is not None:
+                decrease = equations.cost - trial_equations.cost
+                if decrease > 0.0:
+                    settled = decrease < worth
+                    guess, equations, rejected = trial, trial_equations, 0
                     damping = max(damping / 5.0, LEAST_DAMPING)
                     continue
-                near = damping <= FIRST_DAMPING and promise < LITTLE
-                settled = near and _most_on_the_way(promise, fall) < worth
-            rejected += promise > MUCH
+                nearly_converged = damping <= FIRST_DAMPING and predicted < SMALL_PREDICTED
+                settled = nearly_converged and _largest_decrease(predicted, decrease) < worth
+            rejected += predicted > LARGE_PREDICTED
             damping *= 6.0
         return Fit(
-            guess, noise, now.cost, now.chi2, now.force_chi2, now.slack, now.strain, now.outliers, now.astray,
-            count, settled, Linearised(self._residuals.record, self._known, guess, noise, now),
+            guess, noise, equations.cost, equations.chi2, equations.force_chi2, equations.process_cost,
+            equations.prior_cost, equations.outliers, equations.outlier_run,
+            count, settled, Linearised(self._residuals.record, self._known, guess, noise, equations),
         )  # fmt: skip
 
     def completed(self, guess: Guess) -> Guess:
-        """The guess as it is, or carried on by the model where it has fewer nodes than the record."""
+        """The guess, continued by the model where it has fewer nodes than the record."""
         return self._residuals.completed(guess)
 
     def forces(self, guess: Guess) -> FloatArray:
         """Predicted force (N) of each force reading."""
         return self._residuals.forces(guess)
 
-    def pressed(self, guess: Guess) -> Record:
-        """The record, its contacts pressed as the model has it at `guess` rather than as the pads tell it."""
-        return self._residuals.record.pressed_by(self._residuals.pressing(guess))
+    def with_predicted_forces(self, guess: Guess) -> Record:
+        """The record with contact forces predicted by the model at `guess` instead of the measured ones."""
+        return self._residuals.record.with_contact_forces(self._residuals.contact_forces(guess))
 
-    def judged(self, guess: Guess, hopping_only: bool = False) -> Record:
-        """The record, its steps as uncertain as the law of friction at `guess`, or as that is where contacts hop.
+    def with_discrepancy(self, guess: Guess, hopping_only: bool = False) -> Record:
+        """The record with the friction law's uncertainty at `guess` as process noise.
 
-        Of motions and constants together the least cost is that of a body so heavy that uncertain steps alone turn it:
-        but for `hopping_only`, nothing but what is known beforehand speaks against it.
+        hopping_only: only in steps in which contacts hop. Without it, the least cost over motions and constants is that
+        of an object so heavy that only the uncertainty of steps turns it; only prior knowledge contradicts that.
         """
-        return replace(self._residuals.record, left_open=self._residuals.discrepancy(guess, hopping_only))
+        return replace(self._residuals.record, discrepancy=self._residuals.discrepancy(guess, hopping_only))
 
-    def places(self, guess: Guess) -> FloatArray:
-        """What each contact reading would be without noise (m)."""
-        return self._residuals.places(guess)
+    def predicted_contacts(self, guess: Guess) -> FloatArray:
+        """Predicted contact readings (m)."""
+        return self._residuals.predicted_contacts(guess)
 
     def residuals(self, guess: Guess) -> FloatArray:
-        """Each contact reading less its prediction, in sigmas of its noise."""
+        """Residual of each contact reading, normalised by the σ of its noise."""
         return self._residuals.contacts(guess)
 
     def linearised(self, guess: Guess, noise: ProcessNoise) -> NormalEquations:
-        """The normal equations at `guess` with what is known besides; the cost is infinite where they are void."""
+        """The normal equations at `guess`, with prior knowledge; the cost is infinite where they are invalid."""
         now = self._residuals.linearised(guess, noise)
-        return now.knowing(self._known.terms(guess.p, guess.x[0])) if math.isfinite(now.cost) else now
+        return now.plus_knowledge(self._known.terms(guess.p, guess.x[0])) if math.isfinite(now.cost) else now
 
     def _corrected(self, trial: Guess, noise: ProcessNoise, to_beat: float) -> tuple[Guess, NormalEquations | None]:
-        """The trial with its nodes solved for again while that helps to beat the cost so far; None where it is void."""
+        """The trial, its nodes solved for again while that helps to beat the cost so far; None where it is invalid."""
         if not self.sane(trial):
             return trial, None
-        then = self.linearised(trial, noise)
-        if not math.isfinite(then.cost):
+        equations = self.linearised(trial, noise)
+        if not math.isfinite(equations.cost):
             return trial, None
         for _ in range(CORRECTIONS):
-            if then.cost < GOOD_ENOUGH * to_beat:
+            if equations.cost < GOOD_ENOUGH * to_beat:
                 break
-            step = _solved_nodes(then)
-            if not then.node_side @ step.ravel() > LEAST_FALL * then.cost:
-                break  # by which it would fall, were it square
+            step = _solved_nodes(equations)
+            if not equations.node_side @ step.ravel() > LEAST_DECREASE * equations.cost:
+                break  # predicted decrease, if the cost were quadratic
             better = Guess(trial.x + step, trial.p)
             if not self.sane(better):
                 break
-            after = self.linearised(better, noise)
-            if not after.cost < (1.0 - LEAST_FALL) * then.cost:
+            better_equations = self.linearised(better, noise)
+            if not better_equations.cost < (1.0 - LEAST_DECREASE) * equations.cost:
                 break
-            trial, then = better, after
-        return trial, then
+            trial, equations = better, better_equations
+        return trial, equations
 
     def sane(self, guess: Guess) -> bool:
-        """Whether the kernels can be asked there: a lump of 1 to 200 mm that weighs something, no wild spin."""
+        """Whether the kernels can be evaluated: an object of 1 to 200 mm with a mass, and no excessive spin."""
         p = guess.p
         return bool(
             np.isfinite(guess.x).all()
@@ -237,20 +240,22 @@ class Smoother:
         )
 
     def posterior(self, fit: Fit) -> Posterior:
-        """How sure the fit is of itself; raises LinAlgError where it is no minimum."""
-        noise, known = fit.noise, fit.linearised
-        if known is not None and known.is_of(self._residuals.record, self._known, fit.guess, noise):
-            now = known.equations
+        """Posterior of the fit; raises LinAlgError where it is no minimum."""
+        noise, linearised = fit.noise, fit.linearised
+        if linearised is not None and linearised.is_of(self._residuals.record, self._known, fit.guess, noise):
+            equations = linearised.equations
         else:
-            now = self.linearised(fit.guess, noise)
-        if not math.isfinite(now.cost):
-            raise np.linalg.LinAlgError("the fit is beyond all numbers")
-        covariance, log_det, step = now.posterior()
+            equations = self.linearised(fit.guess, noise)
+        if not math.isfinite(equations.cost):
+            raise np.linalg.LinAlgError("the cost of the fit is not finite")
+        covariance, log_det, step = equations.posterior()
         steps = len(fit.guess.x) - 1
-        left_open = self._residuals.record.left_open[:-1]
-        normaliser = steps * math.log(noise.psi) + float(np.log(noise.omega0 + left_open).sum())
+        discrepancy = self._residuals.record.discrepancy[:-1]
+        normaliser = steps * math.log(noise.psi) + float(np.log(noise.omega0 + discrepancy).sum())
         beyond = Guess(fit.guess.x + step.x, fit.guess.p + step.p)
-        return Posterior(covariance, -0.5 * (now.cost + log_det + normaliser), beyond, now.promise(step))
+        return Posterior(
+            covariance, -0.5 * (equations.cost + log_det + normaliser), beyond, equations.predicted_decrease(step)
+        )
 
     def posterior_if_any(self, fit: Fit) -> Posterior | None:
         """As `posterior`; None where the fit is no minimum."""
@@ -260,21 +265,21 @@ class Smoother:
             return None
 
 
-def _most_on_the_way(promise: float, fall: float) -> float:
-    """By how much the cost falls at most along a step, by the parabola that begins as it promises and ends as it is."""
-    return promise**2 / (2.0 * promise - fall)
+def _largest_decrease(predicted: float, decrease: float) -> float:
+    """Largest decrease of the cost along a step, by the parabola with the predicted slope and the actual end."""
+    return predicted**2 / (2.0 * predicted - decrease)
 
 
-def _solved(now: NormalEquations, damping: float, scale: FloatArray) -> Guess | None:
+def _solved(equations: NormalEquations, damping: float, scale: FloatArray) -> Guess | None:
     try:
-        return now.solved(damping, scale)
+        return equations.solved(damping, scale)
     except np.linalg.LinAlgError:
         return None
 
 
-def _solved_nodes(now: NormalEquations) -> FloatArray:
-    """The Newton step of the nodes alone, zero where there is none."""
+def _solved_nodes(equations: NormalEquations) -> FloatArray:
+    """The Newton step of the nodes alone; zero where there is none."""
     try:
-        return now.nodes_solved()
+        return equations.nodes_solved()
     except np.linalg.LinAlgError:
-        return np.zeros((len(now.node_side) // NODE, NODE))
+        return np.zeros((len(equations.node_side) // NODE, NODE))

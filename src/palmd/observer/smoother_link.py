@@ -90,7 +90,7 @@ class SmootherLink:
             never, now = -math.inf, improvement.t
             self._refused_at, self._vouched_at = (never, now) if sd < VOUCHED_M else (now, never)
             self._sure_at = now if sd < SURE_M else never
-        if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
+        if improvement is not None and max(session.start_time, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement
         return improvement

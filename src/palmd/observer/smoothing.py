@@ -1,4 +1,4 @@
-"""What loop and smoother tell each other, wherever the smoother runs."""
+"""Interface between the loop and the smoother, wherever the smoother runs."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from palmd.events import Event, FloatArray, Improvement, Unexplained
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Which object is on the palms, counted from 1, and since when (s, inf while there is none).
+    """Number of the object on the palms, counted from 1, and since when it is there (s, inf while there is none).
 
-    `hint`: the state of `model.shape_map` that a bank of filters has settled on, if it has.
+    hint: state of `model.shape_map` on which a bank of filters has settled, if it has.
     """
 
     object_count: int
-    begun: float
+    start_time: float
     hint: FloatArray | None = None
 
 
 class Smoothing(Protocol):
-    """Where the smoother runs; both calls return at once."""
+    """A running smoother; both calls return at once."""
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
-        """The tick's time, which object is on the palms since when, and the tick's events."""
+        """Pass the tick's time, the session and the tick's events."""
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
-        """An improvement, or the word that there is none, that is ready at `t`, each once."""
+        """The answer that is ready at `t` (s), an improvement or that there is none; each answer once."""
 
 
 Answer = TypeVar("Answer", covariant=True)
 
 
 class SmoothingOfOne(Protocol[Answer]):
-    """Where the smoother of one object runs; nothing here keeps the loop waiting."""
+    """A running smoother of one object; the calls never block the loop."""
 
     def submit(self, t: float, events: Sequence[Event]) -> None:
-        """Hand the events of a tick over."""
+        """Pass the events of a tick."""
 
     def collect(self, t: float) -> Answer | None:
-        """The newest answer that has come by `t` (s), each once."""
+        """The newest answer at `t` (s), each once."""
 
 
 def period(elapsed_s: float) -> float:
-    """How long to wait from one answer of the smoother to the next, so long after the object was begun (s)."""
+    """Time (s) between two answers of the smoother, `elapsed_s` after the object was put down."""
     return min(max(elapsed_s / 8.0, 0.25), 2.0)

@@ -1,4 +1,4 @@
-"""The mass of an object that lies still (CMU-CS-01-107, end of section 4.1), without a model of its shape. Pure."""
+"""Mass of an object at rest (CMU-CS-01-107, end of section 4.1), without a model of its shape. Pure."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
-SPAN_S = 0.5  # looked at as one: still, or not
-STILL_M_S, STILL_RAD_S = 1.5e-3, 0.01  # of contacts, of palm angles
+SPAN_S = 0.5  # tested for rest as a whole
+STILL_M_S, STILL_RAD_S = 1.5e-3, 0.01  # limits of rest, of contacts and of palm angles
 LEAST_READINGS = 10
 
 
 def mass_at_rest(events: Iterable[Event], rig: RigDescription) -> MassEstimator:
-    """The mass from all spans in which palms and contacts stand still; its value is NaN when there is none.
+    """The mass from all spans in which palms and contacts are at rest; its value is NaN when there is none.
 
-    With a0 = 0 in (4.5), m g = −(Fc1 + Fc2): each pad's force is m f of `resting_forces`. Friction is left out, which
-    a dither makes right on average; without dither a body that sticks may be off by a share of μ.
+    With a0 = 0 in (4.5), m g = −(Fc1 + Fc2): each pad's force is m f of `resting_forces`. Friction is neglected; a
+    dither makes that right on average, and without dither the result for a sticking object may be wrong by a fraction
+    of μ.
     """
-    weighed = MassEstimator(rig.pads)
+    mass = MassEstimator(rig.pads)
     for palms, pads in _spans(events):
         if not _still(palms, pads):
             continue
@@ -31,12 +32,12 @@ def mass_at_rest(events: Iterable[Event], rig: RigDescription) -> MassEstimator:
         angles = tangents(palms[:, 1:].mean(axis=0).tolist(), contacts, rig.curvatures)
         for pad, readings, f in zip(PALMS, pads, resting_forces(rig.gravity, angles), strict=True):
             for force in readings[np.isfinite(readings[:, 2]), 2]:
-                weighed.feed(pad, float(force), f)
-    return weighed
+                mass.feed(pad, float(force), f)
+    return mass
 
 
 def _spans(events: Iterable[Event]) -> Iterable[tuple[FloatArray, tuple[FloatArray, ...]]]:
-    """Reports (t, angles) and all pads' readings (t, s, force or NaN) of each `SPAN_S` that has enough of all."""
+    """Reports (t, angles) and all pads' readings (t, s, force or NaN) of each `SPAN_S` with enough of all."""
     samples = [event for event in events if isinstance(event, PadSample | PalmSample)]
     numbers = [int((sample.t_sample - samples[0].t_sample) // SPAN_S) for sample in samples]
     for number in sorted(set(numbers)):
@@ -64,6 +65,6 @@ def _still(palms: FloatArray, pads: tuple[FloatArray, ...]) -> bool:
 
 
 def _slope(t: FloatArray, values: FloatArray) -> float:
-    """Of the straight line through the values."""
-    about = t - t.mean()
-    return float(about @ values / max(about @ about, 1e-12))
+    """Slope of the least-squares line."""
+    centred = t - t.mean()
+    return float(centred @ values / max(centred @ centred, 1e-12))

@@ -9,11 +9,11 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.observer.contacts import Contacts
 from palmd.observer.coverage import Coverage, Marks
 from palmd.observer.filters.shape_map import ShapeFilters
+from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.observer.fusion import Fusion
 from palmd.observer.innovation_test import InnovationTest
 from palmd.observer.mass import MassEstimator
 from palmd.observer.prior import BlindStart
-from palmd.observer.riding import Riding
 
 
 @dataclass(slots=True)
@@ -36,7 +36,7 @@ class Track:
     mass: MassEstimator
     likely_mass: MassEstimator
     coverage: Coverage
-    riding: Riding
+    riding: FixedModeTest
     valid: bool = False
     predictable: bool = False
     confirmed: bool = False

@@ -90,8 +90,8 @@ def under_outline(series: Series, outline: OutlineAt) -> str:
     if outline.touched.any():
         said += f", median ±{SDS:g} sd there {_um(SDS * float(np.median(outline.h_sd[outline.touched])))}"
     root = root_of_band(outline.h_sd, outline.theta)
-    if outline.valid and (form := shape_class(outline.theta, outline.h, root, outline.touched)).said:
-        said += f"; looks like: {form.said}"
+    if outline.valid and (form := shape_class(outline.theta, outline.h, root, outline.touched)).text:
+        said += f"; looks like: {form.text}"
     if chords := chords_of(outline.theta, outline.h, outline.touched):
         said += f"; of the hull, which is what palms feel, straight ({MEANT}, dashed): "
         said += ", ".join(_mm(chord.length) for chord in chords)

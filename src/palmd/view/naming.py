@@ -40,7 +40,7 @@ def named(latest: Mapping[str, bytes]) -> bytes | None:
         return None
     with one_thread():
         told = shape_class(theta, h, root_of_band(sd, theta), touched.astype(bool))
-    return bytes(msgpack.packb({"object": estimate.get("object"), "said": told.said}))
+    return bytes(msgpack.packb({"object": estimate.get("object"), "said": told.text}))
 
 
 def _columns(shape: Mapping[str, object]) -> FloatArray:

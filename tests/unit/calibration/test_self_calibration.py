@@ -31,7 +31,7 @@ from palmd.yamlfile import load_config
 
 def priors_of(rig):
     """As a reconstruction has them: small, and not zero, where a constant is known."""
-    return RigBelief.of(rig).told
+    return RigBelief.of(rig).described_sd
 
 
 PRIORS = priors_of(RigDescription().known_to(AS_CALIBRATED))

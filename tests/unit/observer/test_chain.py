@@ -59,13 +59,13 @@ def test_a_chain_knows_what_the_whole_record_tells(smoothed, kept):
     covariance = np.linalg.inv(known.matrix)
     assert covariance / np.outer(sd, sd) == pytest.approx(whole / np.outer(sd, sd), abs=1e-4)
     assert known.cost == pytest.approx(best.cost, rel=1e-6)
-    assert known.strain() < 0.1  # at its minimum, as far as the iteration went
+    assert known.excess() < 0.1  # at its minimum, as far as the iteration went
 
 
 def test_without_the_prior_it_is_the_prior_less(smoothed):
     chain, p = cut(smoothed), smoothed[1].fits[0].guess.p
     told, prior = chain.information(p), chain.prior(p)
-    known = chain.known(p).without(slice(CONSTANTS, None))
+    known = chain.known(p).marginalised(slice(CONSTANTS, None))
     assert told.plus(prior).matrix == pytest.approx(known.matrix)
     assert told.matrix[C.DAMPING, C.DAMPING] < known.matrix[C.DAMPING, C.DAMPING]
 

@@ -10,7 +10,16 @@ from simulated import Run, palms_changed, simulated
 
 from palmd.events import PadSample, PalmSample
 from palmd.model.smoothing import RIG, RIG_CONSTANTS, C, R
-from palmd.observer.criticism import FREE_SD, KNOWN, LEFT, OFTEN, SELDOM, TIMES, RigBelief, criticised
+from palmd.observer.criticism import (
+    CALIBRATION_SD,
+    CAUSE_SIZES,
+    FREE_SD,
+    LEAST_SD,
+    LN_PRIOR_NAMED,
+    PRIOR_DOUBTED,
+    RigBelief,
+    criticised,
+)
 from palmd.observer.data_segment import data_segments
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.reconstruct import reconstruct
@@ -21,7 +30,7 @@ from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED
 from palmd.system.rig_constants import RIG_NAMES
 
-CALIBRATED = np.where(LEFT > 0.0, LEFT, KNOWN)  # the vibration is as described
+CALIBRATED = np.where(CALIBRATION_SD > 0.0, CALIBRATION_SD, LEAST_SD)  # the vibration is as described
 EXACT = np.full(RIG_CONSTANTS, 1e-7)
 
 
@@ -59,21 +68,21 @@ def test_the_odds_are_the_ratio_of_what_the_readings_are_worth():
         return multivariate_normal(np.zeros(20), np.eye(20) + linear.design @ prior @ linear.design.T).logpdf(heard)
 
     def opened(*causes):
-        off = [np.where(np.isin(np.arange(RIG_CONSTANTS), each), LEFT, 0.0) for each in causes]
+        off = [np.where(np.isin(np.arange(RIG_CONSTANTS), each), CALIBRATION_SD, 0.0) for each in causes]
         return [
             density(np.diag(sd**2) + times**2 * sum(np.outer(each, each) for each in off)) - density(np.diag(sd**2))
-            for times in TIMES
+            for times in CAUSE_SIZES
         ]
 
     one, other, alike, both = (np.array(opened(*causes)) for causes in ([0], [1], [[0, 1]], [0, 1]))
     terms = np.concatenate(
         [
-            (each + SELDOM)[each > 0.0] for each in (one, other, alike)
-        ] + [(both + 2 * SELDOM)[both > np.maximum(one, other)]]
+            (each + LN_PRIOR_NAMED)[each > 0.0] for each in (one, other, alike)
+        ] + [(both + 2 * LN_PRIOR_NAMED)[both > np.maximum(one, other)]]
     )  # fmt: skip
     covariance = np.linalg.inv(linear.design.T @ linear.design + np.diag(sd**-2.0))
     found = criticised(covariance @ linear.design.T @ heard, covariance, sd, sd)
-    assert found.odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(TIMES)), abs=1e-3)
+    assert found.log_odds == pytest.approx(np.logaddexp.reduce(terms) - math.log(len(CAUSE_SIZES)), abs=1e-3)
 
 
 def test_doubt_is_in_the_answer_before_anything_is_named():
@@ -85,12 +94,12 @@ def test_doubt_is_in_the_answer_before_anything_is_named():
         return criticised(values, np.diag(1.0 / precision), EXACT, EXACT)
 
     none, some, sure = map(found, (1.0, 2.8, 6.0))
-    assert not none.doubt.any()
+    assert not none.considered.any()
     assert (some.sd == EXACT).all()
-    assert 0.1 * LEFT[0] < math.sqrt(some.doubt[0, 0]) < LEFT[0]
+    assert 0.1 * CALIBRATION_SD[0] < math.sqrt(some.considered[0, 0]) < CALIBRATION_SD[0]
     assert not some.contradicted.any()
     assert np.flatnonzero(sure.contradicted).tolist() == [0]
-    assert not sure.doubt.any()
+    assert not sure.considered.any()
 
 
 @pytest.mark.parametrize("off", [1.4, 1.8, 2.2])
@@ -98,13 +107,13 @@ def test_doubt_is_in_the_answer_before_anything_is_named():
 def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
     """Against the mixture's second moments about what is believed: of a zero, and of what readings tell with it."""
     sd = np.where(
-        np.arange(RIG_CONSTANTS) == 0, known * LEFT, 30 * CALIBRATED
+        np.arange(RIG_CONSTANTS) == 0, known * CALIBRATION_SD, 30 * CALIBRATED
     )  # only the first zero can be contradicted
     scale = np.concatenate([np.ones(C.RIG), CALIBRATED, [1.0]])  # constants before the rig's, the rig's, something else
     readings = np.zeros((2, len(scale)))
     readings[:, [C.RIG, -1]] = [[2.0, 0.6], [1.0, 1.0]]
     readings /= scale
-    heard = readings[:, C.RIG] * off * LEFT[0] + np.array([0.3, -0.4])
+    heard = readings[:, C.RIG] * off * CALIBRATION_SD[0] + np.array([0.3, -0.4])
 
     def posterior(prior):
         """Mean, covariance and log evidence where the rig's constants are known to `prior`."""
@@ -118,22 +127,26 @@ def test_an_answer_in_doubt_spreads_as_all_explanations_together_do(known, off):
         )
 
     def opened(times):
-        return np.where(np.arange(RIG_CONSTANTS) == 0, np.hypot(sd, times * LEFT), sd)
+        return np.where(np.arange(RIG_CONSTANTS) == 0, np.hypot(sd, times * CALIBRATION_SD), sd)
 
     y, covariance, evidence = posterior(sd)
-    each = [(times, *other) for times in TIMES if times > known and (other := posterior(opened(times)))[2] > evidence]
+    each = [
+        (times, *other) for times in CAUSE_SIZES if times > known and (other := posterior(opened(times)))[2] > evidence
+    ]
     gains = np.array([other[3] - evidence for other in each])
     found = criticised(y[RIG], covariance[RIG, RIG], sd, sd)
-    assert found.odds == pytest.approx(np.logaddexp.reduce(gains) + SELDOM - math.log(len(TIMES)), abs=1e-6)
+    assert found.log_odds == pytest.approx(
+        np.logaddexp.reduce(gains) + LN_PRIOR_NAMED - math.log(len(CAUSE_SIZES)), abs=1e-6
+    )
     declared = known < 1.0  # better than calibration leaves it, where more is in doubt
-    often = [OFTEN / times if declared else math.exp(SELDOM) / len(TIMES) for times, *_ in each]
+    often = [PRIOR_DOUBTED / times if declared else math.exp(LN_PRIOR_NAMED) / len(CAUSE_SIZES) for times, *_ in each]
     weights = np.exp([0.0, *(gains + np.log(often))])
     weights /= weights.sum()
     spread = sum(
         weight * (P + np.outer(mean - y, mean - y))
         for weight, (mean, P) in zip(weights, [(y, covariance), *(other[1:3] for other in each)], strict=True)
     )
-    by = RigBelief(sd, found.contradicted, found.sd, found.doubt).considering(covariance)
+    by = RigBelief(sd, found.contradicted, found.sd, found.considered).considering(covariance)
     asked = [C.RIG, -1]
     assert (by / np.outer(scale, scale))[np.ix_(asked, asked)] == pytest.approx(
         (spread / np.outer(scale, scale))[np.ix_(asked, asked)], rel=1e-4
@@ -166,7 +179,9 @@ def test_both_zeros_that_are_off_alike_are_one_cause():
     def found(one, other):
         off = np.zeros(RIG_CONSTANTS)
         off[[R.ZERO, R.ZERO + 1]] = one, other
-        return criticised(off * LEFT * (3.0 / CALIBRATED) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT)
+        return criticised(
+            off * CALIBRATION_SD * (3.0 / CALIBRATED) ** 2 / precision, np.diag(1.0 / precision), EXACT, EXACT
+        )
 
     assert np.flatnonzero(found(1.0, 1.0).contradicted).tolist() == [R.ZERO, R.ZERO + 1]
     assert not found(1.0, -1.0).contradicted.any()
@@ -187,8 +202,8 @@ def test_the_likeliest_is_named_alone_and_where_there_is_none_all_that_may_be_of
         told = 36.0 * np.ones((len(where), len(where)))
         told[0, 0] += by_itself**2
         M, off = np.zeros((RIG_CONSTANTS, RIG_CONSTANTS)), np.zeros(RIG_CONSTANTS)
-        M[np.ix_(where, where)] = told / np.outer(LEFT[where], LEFT[where])
-        off[where[0]] = LEFT[where[0]]
+        M[np.ix_(where, where)] = told / np.outer(CALIBRATION_SD[where], CALIBRATION_SD[where])
+        off[where[0]] = CALIBRATION_SD[where[0]]
         covariance = np.linalg.inv(M + np.diag(EXACT**-2.0))
         return np.flatnonzero(criticised(covariance @ M @ off, covariance, EXACT, EXACT).contradicted).tolist()
 
@@ -271,9 +286,9 @@ def test_what_is_all_but_certain_is_not_judged_by_where_the_iteration_ended():
     assert found is not None
     fit, smoother = found.fits[0], Smoother(search.library, found.record, search.prior)
     p = fit.guess.p.copy()
-    p[C.RIG + R.SAGITTA] -= KNOWN
+    p[C.RIG + R.SAGITTA] -= LEAST_SD
     here, there = (smoother.posterior(replace(fit, guess=replace(fit.guess, p=each))) for each in (fit.guess.p, p))
     belief = RigBelief.of(run.rig)
-    assert there.constants[RIG] == pytest.approx(here.constants[RIG], abs=0.1 * KNOWN)
+    assert there.constants[RIG] == pytest.approx(here.constants[RIG], abs=0.1 * LEAST_SD)
     assert not belief.after(here).contradicted.any()
     assert not belief.after(there).contradicted.any()

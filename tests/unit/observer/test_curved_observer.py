@@ -99,7 +99,7 @@ def test_an_object_that_would_lie_in_its_palm_is_refused_in_words(cradle, monkey
     monkeypatch.setattr(reconstruct_module, "MOST_LYING", 0.3)
     answer = reconstruct([event for event in log.events if event.t_sample < ENOUGH_S], log.rig)
     assert not answer.converged
-    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d where", answer.reason)
+    assert re.match(r"the palms are too concave for the object: kappa v reaches 0\.\d\d at a contact", answer.reason)
 
 
 def test_live_it_settles_on_what_is_there(cradle):
@@ -142,8 +142,8 @@ def test_observers_of_flat_palms_say_so(cradle, tmp_path, capsys, name):
     path, log, _ = cradle
     assert main(["estimate", str(path), "-o", str(tmp_path / "out"), "--observer", name]) == 1
     told = capsys.readouterr().err
-    assert f"the observer {name} knows flat palms only; the observer shape knows curved ones" in told
-    with pytest.raises(ValueError, match="knows flat palms only"):
+    assert f"the observer {name} supports flat palms only" in told
+    with pytest.raises(ValueError, match="supports flat palms only"):
         observer.make(name, log.rig)
 
 

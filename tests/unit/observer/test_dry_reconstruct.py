@@ -16,17 +16,17 @@ from palmd.observer.data_segment import longest_segment
 from palmd.observer.dry_fit import LN_MASS as LN_MASS_OF_FIT
 from palmd.observer.dry_fit import MU, RIG, SHAPE, DryModel, _palms, _q, _s, phases_of
 from palmd.observer.dry_reconstruct import _with_forces, dry_reconstruction
-from palmd.observer.factor import given
+from palmd.observer.factor import conditional_covariance
 from palmd.observer.noise import with_scatter
 from palmd.observer.outline import contact_normals, outline_of
 from palmd.observer.search import Search
 from palmd.observer.stuck_palms import (
     LN_MASS,
     STANDOFF,
-    _begun,
     _contacts,
-    _going,
+    _initial_filters,
     _learned,
+    _not_diverged,
     _rolled,
     blind,
     stuck_guess,
@@ -124,12 +124,12 @@ def test_on_a_moving_rig_that_rubs_little_and_unequally_contacts_tell_what_force
 
 def test_a_filter_that_diverges_is_dropped_and_the_others_go_on(dry):
     search = searched(dry[0], 2.0)
-    filters = _begun(blind(search.record, search.prior, 0.0))
+    filters = _initial_filters(blind(search.record, search.prior, 0.0))
     x = filters.x.copy()
     x[0, LN_MASS.start] += 800.0
-    assert _going(replace(filters, x=x), filters.x[0]).tolist() == [False, True]
+    assert _not_diverged(replace(filters, x=x), filters.x[0]).tolist() == [False, True]
     lost = replace(filters, cost=np.array([0.0, math.nan]))
-    assert _going(lost, filters.x[0]).tolist() == [True, False]
+    assert _not_diverged(lost, filters.x[0]).tolist() == [True, False]
 
 
 def test_filters_tell_how_high_the_palms_surfaces_stand(dry):
@@ -137,7 +137,7 @@ def test_filters_tell_how_high_the_palms_surfaces_stand(dry):
     log, _ = dry
     search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 2.0)
     record = search.record
-    filters = _begun(blind(record, search.prior, 0.0))
+    filters = _initial_filters(blind(record, search.prior, 0.0))
     variance = np.diagonal(filters.covariance[0])[STANDOFF]
     assert np.sqrt(variance) == pytest.approx([AS_CALIBRATED["standoff_sd"]] * 2)
     x, part, step = filters.x.copy(), record.between(0, 40), 1e-6
@@ -168,7 +168,7 @@ def test_rounding_does_not_grow_into_covariances_that_are_none(dry):
     """Squared residuals that such a covariance makes negative are taken for the likeliest sequence of palms."""
     search = searched(dry[0], 2.0)
     record = search.record
-    filters = _begun(blind(record, search.prior, 0.3))
+    filters = _initial_filters(blind(record, search.prior, 0.3))
     skew = 1e-9 * np.random.default_rng(4).normal(size=filters.covariance.shape)
     sd = np.sqrt(np.diagonal(filters.covariance[0]) + 1e-12)
     filters = replace(filters, covariance=filters.covariance + (skew - skew.transpose(0, 2, 1)) * sd[:, None] * sd)
@@ -192,7 +192,7 @@ def test_palms_followed_anew_from_a_fit_are_told_to_a_step(dry):
     short = int(np.argmin(np.diff(changes)))
     wrong[changes[short] : changes[short + 1] + 1] = wrong[changes[short]]
     model = DryModel(record, search.path, search.prior, phases_of(wrong, record.t))
-    fit = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
+    fit = model.fit(model.initial_constants(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
     start = model.filter_start(fit, blind(record, search.prior, 0.0))
     guess = stuck_guess(record, start)
     assert np.mean(truly != guess.palms) < min(0.01, 0.5 * np.mean(truly != wrong))
@@ -202,7 +202,7 @@ def test_filters_begin_anew_with_the_standoffs_of_the_fit(dry):
     log, _ = dry
     search = searched(replace(log, rig=log.rig.known_to(AS_CALIBRATED)), 4.0)
     model, z = drawn(search)
-    fit = model._found(z, model._terms(z), settled=True)
+    fit = model._result(z, model._terms(z), settled=True)
     start = model.filter_start(fit, blind(search.record, search.prior, 0.0))
     its = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
     assert np.abs(z[its]).min() > 1e-5
@@ -226,7 +226,7 @@ def test_gains_of_pads_are_told_with_the_object(dry):
     fits = {}
     for stds in ((0.0, 0.0), (0.03, 0.03)):
         model = DryModel(record, search.path, search.prior, phases, stds)
-        fits[stds] = model.fit(model.begun(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
+        fits[stds] = model.fit(model.initial_constants(search.prior.mean[C.SHAPE :], truth["mass_kg"], DRY.mu, 0.0))
     told, known = fits[0.03, 0.03], fits[0.0, 0.0]
     assert told.force_chi2 < known.force_chi2 - 0.05
     modes = model._gain_modes(np.ones(len(record.force_value))) @ told.z[model.gains]
@@ -324,12 +324,12 @@ def test_what_a_calibrated_rig_leaves_open_is_its_standoffs(dry):
     record = search.record
     model = DryModel(record, search.path, search.prior, phases_of(truly_stuck(record, truth).astype(np.intp), record.t))
     outline = shape.coefficients_of(np.array(truth["h_m"]), ORDER)
-    fit = model.fit(model.begun(outline, truth["mass_kg"], DRY.mu, 0.0))
+    fit = model.fit(model.initial_constants(outline, truth["mass_kg"], DRY.mu, 0.0))
     covariance = np.linalg.inv(fit.matrix)
     felt = [contact_normals(record, fit.psi, fit.z[SHAPE])]
 
     def band(known):
-        left = given(covariance, known, SHAPE) if known else covariance[SHAPE, SHAPE]
+        left = conditional_covariance(covariance, known, SHAPE) if known else covariance[SHAPE, SHAPE]
         told = outline_of(fit.z[SHAPE], left, felt)
         return float(np.sqrt(np.mean(told.h_sd[told.touched] ** 2)))
 
@@ -346,7 +346,7 @@ def drawn(search):
     palms = (np.arange(len(search.record.t)) // 300 % 2).astype(np.intp)
     model = DryModel(search.record, search.path, search.prior, phases_of(palms, search.record.t), (0.03, 0.0))
     random = np.random.default_rng(5)
-    z = model.begun(
+    z = model.initial_constants(
         search.prior.mean[C.SHAPE :] + 0.3 * search.prior.sd[C.SHAPE :] * random.normal(size=25), 0.1, 0.2, 0.0
     )
     z[RIG] = prior_sds(RigDescription().known_to(AS_CALIBRATED)) * random.normal(size=RIG_CONSTANTS)
@@ -378,18 +378,18 @@ def test_a_reading_at_a_nodes_time_but_for_rounding_is_foretold_as_the_others_ar
     record = replace(record, contact_offset=offset)
     palms = (np.arange(len(record.t)) // 300 % 2).astype(np.intp)
     model = DryModel(record, search.path, search.prior, phases_of(palms, record.t))
-    z = model.begun(search.prior.mean[C.SHAPE :], 0.1, DRY.mu, 0.0)
+    z = model.initial_constants(search.prior.mean[C.SHAPE :], 0.1, DRY.mu, 0.0)
     z[RIG.start + R.LAG : RIG.start + R.LAG + 2] = 3e-3
     foretold = []
     for step in range(4):
         z[4] = step * 1e-6
-        foretold.append(model._contact_terms(z, *model._followed(z)).residual[k])
+        foretold.append(model._contact_terms(z, *model._orientation(z)).residual[k])
     assert np.diff(foretold, 3) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_derivatives_are_those_of_finite_differences(dry):
     model, z = drawn(searched(dry[0], 4.0))
-    psi, slope = model._followed(z)
+    psi, slope = model._orientation(z)
     of_contacts, of_forces = (of(z, psi, slope).jacobian for of in (model._contact_terms, model._force_terms))
     standoff, tilt, turn, asymmetry = (RIG.start + which for which in (R.STANDOFF, R.TILT, R.TURN, R.FRICTION))
 
@@ -399,12 +399,12 @@ def test_the_derivatives_are_those_of_finite_differences(dry):
 
     for i in (3, standoff, tilt, turn, RIG.stop):
         told = slope[:, i]
-        assert differences(i, lambda z: model._followed(z)[0]) == pytest.approx(
+        assert differences(i, lambda z: model._orientation(z)[0]) == pytest.approx(
             told, rel=1e-4, abs=1e-4 * np.abs(told).max() + 1e-5
         )
-        miss = differences(i, lambda z: -model._contact_terms(z, *model._followed(z)).residual) - of_contacts[:, i]
+        miss = differences(i, lambda z: -model._contact_terms(z, *model._orientation(z)).residual) - of_contacts[:, i]
         assert np.median(np.abs(miss)) < 1e-2 * np.median(np.abs(of_contacts[:, i])) + 1e-3
     for i in (tilt, turn, asymmetry, model.gains.start, model.gains.stop - 2):
-        miss = differences(i, lambda z: -model._force_terms(z, *model._followed(z)).residual) - of_forces[:, i]
+        miss = differences(i, lambda z: -model._force_terms(z, *model._orientation(z)).residual) - of_forces[:, i]
         moved = of_forces[:, i] != 0.0  # of a gain, the pad's own
         assert np.median(np.abs(miss[moved])) < 1e-2 * np.median(np.abs(of_forces[moved, i]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmd.model.smoothing import CONSTANTS, NODE, C
-from palmd.observer.factor import SIZE, Factor, Prior, given
+from palmd.observer.factor import SIZE, Factor, Prior, conditional_covariance
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_cost_expanded_elsewhere_is_the_same_cost(random):
 
 def test_marginalised_is_the_least_cost_over_what_is_dropped(random):
     factor, dropped = a_factor(random), slice(CONSTANTS, SIZE)
-    kept = factor.without(dropped)
+    kept = factor.marginalised(dropped)
     for _ in range(5):
         p = factor.about[:CONSTANTS] + 1e-4 * random.standard_normal(CONSTANTS)
         by = p - factor.about[:CONSTANTS]
@@ -47,14 +47,14 @@ def test_two_costs_together_and_apart_again(random):
     both = one.plus(other)
     y = one.about + 0.1 * random.standard_normal(SIZE)
     assert cost(both, y) == pytest.approx(cost(one, y) + cost(other, y), rel=1e-9)
-    assert cost(both.less(other), y) == pytest.approx(cost(one, y), rel=1e-6)
+    assert cost(both.minus(other), y) == pytest.approx(cost(one, y), rel=1e-6)
 
 
 def test_strain_is_what_the_cost_exceeds_its_least_by(random):
     factor = a_factor(random)
     least = factor.moved(factor.about + factor.solved(factor.side))
-    assert factor.strain() == pytest.approx(factor.cost - least.cost, rel=1e-6)
-    assert least.strain() == pytest.approx(0.0, abs=1e-6 * factor.strain())
+    assert factor.excess() == pytest.approx(factor.cost - least.cost, rel=1e-6)
+    assert least.excess() == pytest.approx(0.0, abs=1e-6 * factor.excess())
 
 
 def test_the_determinant_survives_entries_of_very_different_size(random):
@@ -84,4 +84,6 @@ def test_what_is_known_no_longer_spreads_the_rest(random):
     root = random.standard_normal((7, 7)) * 10 ** random.uniform(-3, 3, (7, 1))
     covariance = root @ root.T
     information = np.linalg.inv(covariance)  # of what is left, given the others: its own block
-    assert given(covariance, slice(4, 7), slice(0, 4)) == pytest.approx(np.linalg.inv(information[:4, :4]), rel=1e-4)
+    assert conditional_covariance(covariance, slice(4, 7), slice(0, 4)) == pytest.approx(
+        np.linalg.inv(information[:4, :4]), rel=1e-4
+    )

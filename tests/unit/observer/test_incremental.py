@@ -127,7 +127,7 @@ def test_what_the_law_of_friction_alone_does_not_explain_is_explained_doubting_i
     assert beside.until(4.0, session) is not None
 
     def only_doubting(search: Search, record: Record, *rest: Any) -> Minima:
-        found, doubting = minima(search, record, *rest), bool(record.left_open.any())
+        found, doubting = minima(search, record, *rest), bool(record.discrepancy.any())
         asked.append(doubting)
         return found if doubting else replace(found, fits=(replace(found.fits[0], settled=False),))
 
@@ -143,7 +143,7 @@ def test_what_a_segment_tells_is_as_uncertain_as_the_law_of_friction(monkeypatch
     left_open, append = list[FloatArray](), Chain.append
 
     def seen(chain: Chain, record: Record, guess: Guess) -> None:
-        left_open.append(record.left_open)
+        left_open.append(record.discrepancy)
         append(chain, record, guess)
 
     monkeypatch.setattr(Chain, "append", seen)

@@ -95,7 +95,7 @@ def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig
     assert tried == [MOTIONS, MOTIONS[1:], MOTIONS, MOTIONS]
     search = Search(whole, rig)
     seek._likeliest(search, None)
-    seek._likeliest(search.believing(search.belief.suspended()), None)
+    seek._likeliest(search.with_belief(search.belief.suspended()), None)
     assert tried[-1] == MOTIONS
 
 
@@ -171,7 +171,7 @@ def test_what_a_starved_machine_has_spoilt_is_left_out_once_nothing_explains_it(
 def asked(monkeypatch):
     """Which searches are asked for, in order; `nothing`: which of them come to nothing."""
     order, nothing = [], set()
-    for name in ("placed", "blind"):
+    for name in ("from_constants", "blind"):
         search = getattr(Search, name)
 
         def noted(self, *arguments, name=name, search=search):
@@ -223,7 +223,7 @@ def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_ha
 
 @pytest.mark.parametrize(
     ("nothing", "exact", "expected"),
-    [((), True, ["blind"]), (("blind",), True, ["blind", "placed"]), ((), False, ["placed", "blind"])],
+    [((), True, ["blind"]), (("blind",), True, ["blind", "from_constants"]), ((), False, ["from_constants", "blind"])],
 )
 def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_open(
     rig, asked, nothing, exact, expected
@@ -267,15 +267,15 @@ def test_a_fit_that_does_not_settle_is_tried_with_the_laws_own_uncertainty(rig):
     found = search.blind(Attempt(2.0, 3), 0)
     assert found is not None
     unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
-    doubted = search.doubted(unsettled)
+    doubted = search.with_friction_discrepancy(unsettled)
     assert doubted.fits[0].settled
-    assert doubted.record.left_open.any()
+    assert doubted.record.discrepancy.any()
     assert explained(doubted.fits[0], doubted.record)
     old = simulated("friction", 0, 4.0)  # by the averaged law, which leaves nothing open
     search = Search(longest_segment(old.events), old.rig)
     found = search.blind(Attempt(2.0, 3), 0)
     unsettled = replace(found, fits=(replace(found.fits[0], settled=False),))
-    assert search.doubted(unsettled) is unsettled
+    assert search.with_friction_discrepancy(unsettled) is unsettled
 
 
 def test_one_step_that_is_not_explained_does_not_reject_a_confirmed_hypothesis(rig, asked, monkeypatch):

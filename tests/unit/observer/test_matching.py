@@ -9,7 +9,7 @@ from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, RIG_CONSTANTS, C
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.factor import Factor
-from palmd.observer.matching import Felt, _weight, _weights, matched, of_any_small_turn
+from palmd.observer.matching import ObjectInformation, _weight, _weights, matched, with_turn_marginalised
 
 RANDOM = np.random.default_rng(3)
 RADIUS = 0.02
@@ -42,7 +42,7 @@ def felt(p, middle, width, sd=SD):
     miss = values - rows @ about
     marks = NOWHERE.copy()
     marks[np.floor(theta / (2 * np.pi) * NORMAL_BINS).astype(int) % NORMAL_BINS] = True
-    return Felt(Factor(about, float(miss @ miss), matrix, rows.T @ miss, np.ones(CONSTANTS)), marks)
+    return ObjectInformation(Factor(about, float(miss @ miss), matrix, rows.T @ miss, np.ones(CONSTANTS)), marks)
 
 
 def turned(p, by):
@@ -58,18 +58,18 @@ def test_records_of_one_object_that_overlap_are_joined_at_the_right_turn(by):
     found = matched(known, now, a_prior())
     assert found is not None
     assert math.remainder(found.turn - by, math.tau) == pytest.approx(0.0, abs=1e-3)
-    joined = found.felt.information.plus(now.information).plus(a_prior())
+    joined = found.aligned.information.plus(now.information).plus(a_prior())
     best = joined.about + joined.solved(joined.side)
     theta = 1.0 - by + np.linspace(-1.5, 1.5, 50)
     assert shape.basis(theta, ORDER) @ (best - turned(p, by))[C.SHAPE :] == pytest.approx(0.0, abs=6 * SD)
-    assert found.felt.touched.sum() == known.touched.sum()
-    assert found.felt.touched[int((1.0 - by) % math.tau / math.tau * NORMAL_BINS)]
+    assert found.aligned.touched.sum() == known.touched.sum()
+    assert found.aligned.touched[int((1.0 - by) % math.tau / math.tau * NORMAL_BINS)]
 
 
 def test_the_turn_itself_is_not_told_by_what_was_known():
     """Its gauge is open: what the joined record knows of the orientation comes from the overlap alone."""
     known = felt(an_object(), 1.0, 3.0)
-    free, told = of_any_small_turn(known.information)
+    free, told = with_turn_marginalised(known.information)
     along, h = np.zeros(CONSTANTS), 1e-6
     along[C.SHAPE :] = (shape.turned(h, ORDER) - shape.turned(-h, ORDER)) @ known.information.about[C.SHAPE :] / (2 * h)
     assert told > 1.0
@@ -96,7 +96,7 @@ def test_all_turns_at_once_are_weighed_as_each_by_itself():
     known, rest = felt(p, 1.0, 1.5), felt(p, 1.5, 1.2).information.plus(a_prior())
     weights = _weights(known.information, rest)
     for number in (0, 17, 120):
-        free, told = of_any_small_turn(known.turned(number * math.tau / 240).information)
+        free, told = with_turn_marginalised(known.turned(number * math.tau / 240).information)
         wanted = _weight(free.plus(rest)) - 0.5 * math.log1p(told) - math.log(240)
         assert weights[number] == pytest.approx(wanted, rel=1e-9)
 

@@ -12,10 +12,10 @@ import pytest
 from palmd.events import PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer.coverage import NORMAL_BINS, Coverage
+from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.object_memory import DIRECTIONS, INFLATION, KnownObject, ObjectMemory
 from palmd.observer.returning_object import ReturningObject
-from palmd.observer.riding import Riding
 from palmd.system.description import PadSensor, RigDescription
 
 Z = shape_map.Z
@@ -114,7 +114,7 @@ def test_all_that_lies_between_two_ticks_is_marked_and_told_as_a_share() -> None
 def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
     """Else what was vouched for before would have to roll anew first."""
     rig, track = RigDescription(), MagicMock()
-    before, hypotheses = Riding(rig), ReturningObject(rig, MagicMock())
+    before, hypotheses = FixedModeTest(rig), ReturningObject(rig, MagicMock())
     hypotheses.candidate = replace(_known(), riding=before)
     hypotheses.accept(track)
     assert track.riding is before

@@ -15,7 +15,7 @@ from palmd.observer import criticism
 from palmd.observer import reconstruct as reconstructing
 from palmd.observer.data_segment import data_segments
 from palmd.observer.initialiser import attempts_for
-from palmd.observer.reconstruct import BEFORE_OTHERS, LATER, _besides, reconstruct
+from palmd.observer.reconstruct import LATER_ATTEMPTS, SMOOTH_FIRST, _other_searches, reconstruct
 from palmd.observer.reconstruction import Reconstruction
 from palmd.observer.search import NOTHING_MOVES, Search
 from palmd.rig.imperfections import Imperfections, PadImperfection
@@ -395,13 +395,13 @@ def test_what_the_first_searches_have_found_beyond_doubt_is_not_searched_for_aga
     run = simulated("nominal", 3, 6.0)
     answer = reconstruct(run.events, run.rig)
     assert answer.converged, answer.reason
-    assert asked == [attempts_for(run.rig)[0], *LATER][: len(asked)]
+    assert asked == [attempts_for(run.rig)[0], *LATER_ATTEMPTS][: len(asked)]
 
 
 @pytest.fixture
 def believing(monkeypatch):
     """The rest of the rig is taken at its word, so that bands are of what readings tell, without doubt about it."""
-    monkeypatch.setattr(criticism, "OFTEN", 1e-6)
+    monkeypatch.setattr(criticism, "PRIOR_DOUBTED", 1e-6)
 
 
 @pytest.mark.parametrize(("seed", "asymmetry"), [(41, 0.33), (43, -0.667)])
@@ -428,9 +428,7 @@ def test_readings_that_move_with_force_are_told_and_cost_little(believing):
     assert sd[0] < shift / 5
 
 
-@pytest.mark.parametrize(
-    ("share", "chi2", "searches"), [(1.0, 1.0, BEFORE_OTHERS), (0.5, 1.0, None), (1.0, 1.12, None)]
-)
+@pytest.mark.parametrize(("share", "chi2", "searches"), [(1.0, 1.0, SMOOTH_FIRST), (0.5, 1.0, None), (1.0, 1.12, None)])
 def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smooth_one(
     run, answer, monkeypatch, share, chi2, searches
 ):
@@ -442,13 +440,13 @@ def test_what_explains_all_as_another_kind_of_object_ends_the_search_for_a_smoot
     monkeypatch.setattr("palmd.observer.reconstruct.sharp_reconstruction", lambda *_: other)
     assert reconstruct(run.events, run.rig) is other
     assert lasts > 2.0
-    later = [each for each in LATER if each.later_s + each.seconds <= lasts]
+    later = [each for each in LATER_ATTEMPTS if each.later_s + each.seconds <= lasts]
     assert len(tried) == (searches or len(later) + len(attempts_for(run.rig)))
 
 
 def test_rides_are_read_in_the_longest_segments_of_a_minute_together(monkeypatch):
     monkeypatch.setattr("palmd.observer.reconstruct._search", lambda segment, _: segment)
     segments = [SimpleNamespace(lasts=seconds) for seconds in (30.0, 20.0, 15.0, 5.0)]
-    assert _besides(segments, None) == segments[1:2]
-    assert _besides(segments[1:], None) == segments[2:]
-    assert _besides(segments[:1], None) == []
+    assert _other_searches(segments, None) == segments[1:2]
+    assert _other_searches(segments[1:], None) == segments[2:]
+    assert _other_searches(segments[:1], None) == []

@@ -40,12 +40,12 @@ def test_contacts_are_pressed_by_what_a_model_says_as_much_as_pads_tell():
     record = laid(silent)
     first = record.contact_pad == 1
     model = 1.0 + record.t[record.contact_step] + record.contact_offset  # of an object of some other mass
-    pressed = record.pressed_by(model)
+    pressed = record.with_contact_forces(model)
     ratio = pressed.contact_force[first] / model[first]
     assert ratio == pytest.approx(np.median(2.0 / model[first]))
     assert (pressed.contact_force[~first] == 0.0).all()
     assert record.contact_force[first] == pytest.approx(2.0), "the record itself stays as it was"
-    assert laid(pads(0.01, 0.02, force=None)).pressed_by(np.ones(2)).contact_force.tolist() == [0.0, 0.0]
+    assert laid(pads(0.01, 0.02, force=None)).with_contact_forces(np.ones(2)).contact_force.tolist() == [0.0, 0.0]
 
 
 def test_a_pad_that_is_pressed_beyond_its_scale_is_pressed_as_much_as_it_tells_at_most():
@@ -64,7 +64,7 @@ def test_a_pad_pressed_beyond_its_scale_all_along_is_pressed_as_the_model_has_it
     beyond = record.contact_pad == 1
     assert record.contact_force[beyond] == pytest.approx(2.5)
     assert record.contact_force[~beyond] == pytest.approx(1.0)
-    pressed = record.pressed_by(np.where(beyond, 6.0, 2.0))
+    pressed = record.with_contact_forces(np.where(beyond, 6.0, 2.0))
     assert pressed.contact_force == pytest.approx(np.where(beyond, 3.0, 1.0))
 
 

@@ -47,7 +47,7 @@ def test_what_is_none_of_the_forms_gets_no_name(kind: str) -> None:
     random = np.random.default_rng(5)
     told = _named(thing(kind, random).body, random)
     assert not told.name
-    assert not told.said
+    assert not told.text
     assert as_json(told)["orientation_told"] is None
 
 
@@ -76,10 +76,10 @@ def test_the_orientation_of_a_coin_cannot_be_told_that_of_a_block_up_to_half_a_t
     random = np.random.default_rng(9)
     coin, block = (_named(thing(kind, random).body, random) for kind in ("coin", "block"))
     assert coin.turn_rad == 0.0
-    assert coin.said.endswith("; its orientation cannot be told")
+    assert coin.text.endswith("; its orientation is undetermined")
     assert as_json(coin)["orientation_told"] is False
     assert block.turn_rad == math.pi
-    assert "mm long side" in block.said
+    assert "mm long side" in block.text
     assert as_json(block)["orientation_told"] is True
 
 

@@ -15,7 +15,7 @@ from palmd.observer.factor import GAUGE_SD
 from palmd.observer.marginal import marginalised
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import NOISE, Search
-from palmd.observer.smoother import Budget, Smoother, _most_on_the_way
+from palmd.observer.smoother import Budget, Smoother, _largest_decrease
 
 SECONDS = 0.4
 
@@ -142,7 +142,7 @@ def test_the_posterior_is_the_inverse_of_the_normal_matrix(problem):
 def test_a_fit_has_its_own_equations_and_others_have_not(problem):
     fit = problem.smoother.fit(problem.guess, NOISE)
     moved = replace(fit, guess=Guess(fit.guess.x, 1.001 * fit.guess.p))
-    doubting = problem.smoother.knowing(replace(problem.prior, sd=2.0 * problem.prior.sd))
+    doubting = problem.smoother.with_knowledge(replace(problem.prior, sd=2.0 * problem.prior.sd))
     for smoother, each in ((problem.smoother, fit), (problem.smoother, moved), (doubting, fit)):
         got, wanted = smoother.posterior(each), smoother.posterior(replace(each, linearised=None))
         np.testing.assert_array_equal(got.covariance, wanted.covariance)
@@ -161,7 +161,7 @@ def test_steps_over_the_dither_speed_are_foretold(problem, monkeypatch):
         ends.append(value)
         return start.guess
 
-    monkeypatch.setattr(marginal, "_foreseen", from_the_start)
+    monkeypatch.setattr(marginal, "_predicted", from_the_start)
     wanted = marginalised(problem.library, problem.measured, prior, fit)
     assert len(ends) > 4
     sd = np.sqrt(np.diagonal(wanted.covariance))
@@ -220,7 +220,7 @@ def test_a_step_that_is_rejected_tells_what_is_left_on_the_way(promise, fall):
     t = np.linspace(0.0, 1.0, 100001)
     cost = -2.0 * promise * t + (2.0 * promise - fall) * t**2  # its slope is twice what the step promises
     assert cost[-1] == pytest.approx(-fall)
-    assert _most_on_the_way(promise, fall) == pytest.approx(-cost.min(), rel=1e-6)
+    assert _largest_decrease(promise, fall) == pytest.approx(-cost.min(), rel=1e-6)
 
 
 def test_outliers_do_not_bend_the_answer():

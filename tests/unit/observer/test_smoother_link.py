@@ -65,7 +65,7 @@ class Silent:
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
         del t, events
-        self.sessions.add((session.object_count, session.begun))
+        self.sessions.add((session.object_count, session.start_time))
 
     def collect(self, t: float) -> None:
         del t
@@ -79,7 +79,7 @@ class Scripted:
         self.count = 0
 
     def submit(self, t: float, session: Session, events: Sequence[Event]) -> None:
-        assert session.begun < t or math.isinf(session.begun)
+        assert session.start_time < t or math.isinf(session.start_time)
         self.count += len(events)
 
     def collect(self, t: float) -> Improvement | None:

@@ -15,7 +15,7 @@ from palmd.blas import one_thread
 from palmd.events import FloatArray, PadSample
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P, U, library
-from palmd.observer.factor import given
+from palmd.observer.factor import conditional_covariance
 from palmd.observer.noise import LEAST_READINGS, scattered
 from palmd.observer.outline import directions, gauge_free_sd, touched_by
 from palmd.observer.pivot.fit import (
@@ -264,7 +264,7 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
     sd_known_rig = gauge_free_sd(
-        theta, theta[touched], coefficients, given(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
+        theta, theta[touched], coefficients, conditional_covariance(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
     )
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])

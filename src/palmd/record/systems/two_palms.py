@@ -69,7 +69,7 @@ def summary(answer: Reconstruction) -> str:
         raise ValueError("there is no outline")
     band = float(np.sqrt(np.mean(answer.h_sd[answer.touched] ** 2)))
     parts = [
-        *([f"looks like: {answer.shape_class.said}"] if answer.shape_class.said else []),
+        *([f"looks like: {answer.shape_class.text}"] if answer.shape_class.text else []),
         f"outline ± {band * 1e6:.1f} µm on {np.mean(answer.touched):.0%} of the normals",
         f"rho {answer.rho * 1e3:.2f} ± {answer.rho_sd * 1e3:.2f} mm",
         f"mu {answer.mu:z.4f} ± {answer.mu_sd:.4f}",

@@ -8,7 +8,7 @@ from simulated import simulated
 
 from palmd.model import shape
 from palmd.model.smoothing import CONSTANTS, ORDER, C
-from palmd.observer.beginning import known_of, with_beginning
+from palmd.observer.backward_extension import extended_backwards, knowledge_of_constants
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.normal_equations import Guess
 from palmd.observer.reconstruct import reconstruct
@@ -51,8 +51,8 @@ def test_a_guess_carried_back_has_the_rest_as_it_was_and_is_near_the_minimum(sea
     turn = np.eye(CONSTANTS)
     turn[C.SHAPE :, C.SHAPE :] = shape.turned(-psi, ORDER)
     rest = Guess(best.guess.x[cut:] - [psi, 0.0], turn @ best.guess.p)
-    known = known_of(rest.p, turn @ covariance[:CONSTANTS, :CONSTANTS] @ turn.T, search.prior.scale)
-    guess = with_beginning(search.library, search.record, replace(best, guess=rest), known, explained)
+    known = knowledge_of_constants(rest.p, turn @ covariance[:CONSTANTS, :CONSTANTS] @ turn.T, search.prior.scale)
+    guess = extended_backwards(search.library, search.record, replace(best, guess=rest), known, explained)
     assert guess.x[:, 0] == pytest.approx(best.guess.x[:, 0], abs=5e-3)
     assert guess.p[C.SHAPE :] == pytest.approx(best.guess.p[C.SHAPE :], abs=1e-4)
     late = slice(cut + 51, None)
@@ -62,11 +62,11 @@ def test_a_guess_carried_back_has_the_rest_as_it_was_and_is_near_the_minimum(sea
 def test_a_beginning_that_is_of_something_else_is_not_joined(search, found):
     best, cut, record = found.fits[0], 150, search.record
     covariance = Smoother(search.library, found.record, search.known).posterior(best).covariance
-    known = known_of(best.guess.p, covariance, search.prior.scale)
+    known = knowledge_of_constants(best.guess.p, covariance, search.prior.scale)
     off = np.where(record.contact_step < 40, 4e-3, 0.0)
     other = replace(record, contact_value=record.contact_value + off)
     fit = replace(best, guess=replace(best.guess, x=best.guess.x[cut:]))
-    assert with_beginning(search.library, other, fit, known, explained) is None
+    assert extended_backwards(search.library, other, fit, known, explained) is None
 
 
 def test_of_a_record_that_is_too_short_for_it_nothing_is_sought_later(search):

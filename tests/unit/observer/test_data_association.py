@@ -6,11 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palmd.observer import places
-from palmd.observer.cornered import beyond, discs, regular, seats, side_normals, supported, turned
-from palmd.observer.lying import Carried, RideReadings
-from palmd.observer.places import Places, PlaceSearch, Seat, certain, placed
-from palmd.observer.rides import Ride
+from palmd.observer import data_association
+from palmd.observer.data_association import Association, AssociationSearch, ModeEstimate, associated, certain
+from palmd.observer.mode_model import SegmentReadings, SupportFrame
+from palmd.observer.mode_segments import ModeSegment
+from palmd.observer.rounded_polygon import (
+    discs,
+    mode_parameters,
+    normal_violation,
+    regular,
+    side_normals,
+    support,
+    turned,
+)
 
 # Of five corners: side and corner opposite, one after the other, each led to by a tip or a stay; on which palm.
 TOUR = [(0, 4, 0), (0, 3, 0), (3, 0, 1), (3, 1, 1), (1, 4, 0), (1, 0, 0), (4, 1, 1), (4, 2, 1), (2, 0, 0), (2, 1, 0)]
@@ -32,14 +40,14 @@ def told(p, tour):
         stays = i > 0 and tour[i - 1][0] == side
         start = t + (0.03 if stays else 0.3)
         t = start + 2.0
-        value = seats(p, np.array([side]), np.array([corner]), [palm])[0]
+        value = mode_parameters(p, np.array([side]), np.array([corner]), [palm])[0]
         value = value + 1e-5 * np.random.default_rng(i).normal(size=4)
-        ride = Ride(palm, start, t, value[:2], 1e-10 * np.eye(2), rolls=True)
+        ride = ModeSegment(palm, start, t, value[:2], 1e-10 * np.eye(2), excludes_disc=True)
         opening = np.array([[middle - 0.1, 0.0, 0.0], [middle + 0.1, 0.0, 0.0]])
         two = np.zeros(2)
-        carried = Carried(np.zeros((2, 2)), two, two, opening)
-        lying = RideReadings(ride, two, two, two, np.array([True, False]), carried)
-        found.append(Seat(value, np.diag(1.0 / np.array([3e-5, 5e-5, 1.5e-4, 1e-4])), lying))
+        carried = SupportFrame(np.zeros((2, 2)), two, two, opening)
+        lying = SegmentReadings(ride, two, two, two, np.array([True, False]), carried)
+        found.append(ModeEstimate(value, np.diag(1.0 / np.array([3e-5, 5e-5, 1.5e-4, 1e-4])), lying))
     return found
 
 
@@ -50,25 +58,25 @@ def test_a_side_is_where_both_corners_reach_as_far_and_a_corner_where_it_is_felt
         reach = (centres * np.exp(-1j * normals[side])).real + radii
         assert reach[side] == pytest.approx(reach[(side + 1) % 5], abs=1e-12)
         assert reach[side] == pytest.approx(reach.max(), abs=1e-12)
-        assert supported(p, normals[side : side + 1])[0][0] == pytest.approx(reach.max(), abs=1e-12)
+        assert support(p, normals[side : side + 1])[0][0] == pytest.approx(reach.max(), abs=1e-12)
     theta = np.linspace(0.0, 6.0, 50)
-    h, slope, rows = supported(p, theta)
+    h, slope, rows = support(p, theta)
     assert rows @ p == pytest.approx(h)
-    assert slope == pytest.approx((supported(p, theta + 1e-7)[0] - supported(p, theta - 1e-7)[0]) / 2e-7, abs=1e-5)
-    assert supported(turned(p, 0.3), theta + 0.3)[0] == pytest.approx(h)
+    assert slope == pytest.approx((support(p, theta + 1e-7)[0] - support(p, theta - 1e-7)[0]) / 2e-7, abs=1e-5)
+    assert support(turned(p, 0.3), theta + 0.3)[0] == pytest.approx(h)
 
 
 def test_normals_that_are_not_the_corners_are_missed_by_as_much():
     p, openings = regular(4, 10e-3, 1e-3), np.array([[0.6 * math.pi, 0.7 * math.pi]])
     side, palm = np.array([0]), np.array([0])
-    assert not beyond(p, side, np.array([0]), palm, openings).any()  # 54 to 72° from the side: its own end
-    assert np.abs(beyond(p, side, np.array([3]), palm, openings)).max() == pytest.approx(0.2 * math.pi)
+    assert not normal_violation(p, side, np.array([0]), palm, openings).any()  # 54 to 72° from the side: its own end
+    assert np.abs(normal_violation(p, side, np.array([3]), palm, openings)).max() == pytest.approx(0.2 * math.pi)
 
 
 def test_all_rides_are_given_their_places_and_the_number_of_corners_is_found(monkeypatch):
-    monkeypatch.setattr(places, "CORNERS", (4, 5, 6))  # others take their time
+    monkeypatch.setattr(data_association, "CORNERS", (4, 5, 6))  # others take their time
     p = pentagon()
-    rivals = placed(told(p, TOUR), 30.0)
+    rivals = associated(told(p, TOUR), 30.0)
     best = rivals[0]
     assert best.count == 5
     assert best.used.all()
@@ -82,15 +90,15 @@ def test_all_rides_are_given_their_places_and_the_number_of_corners_is_found(mon
 def test_what_is_of_no_outline_is_left_out():
     found = told(pentagon(), TOUR)
     wrong = replace(found[4], value=found[4].value + np.array([3e-3, 0.0, 0.0, 2e-3]))
-    best = PlaceSearch([*found[:4], wrong, *found[5:]], 5).best(math.inf)[0]
+    best = AssociationSearch([*found[:4], wrong, *found[5:]], 5).best(math.inf)[0]
     assert np.flatnonzero(best.used == 0).tolist() == [4]
 
 
 def test_what_a_rival_has_elsewhere_is_not_certain():
     p = pentagon()
     sides, corners, ones = (np.array(each) for each in ([0, 0, 3, 1], [4, 3, 0, 3], [1, 1, 1, 1]))
-    best = Places(p, sides, corners, ones, 10.0)
-    other = Places(p, np.array([0, 0, 3, 2]), np.array([4, 3, 0, 0]), ones, 12.0)
+    best = Association(p, sides, corners, ones, 10.0)
+    other = Association(p, np.array([0, 0, 3, 2]), np.array([4, 3, 0, 0]), ones, 12.0)
     assert certain([best, other], np.array([3.0, 3.0, 2.0, 2.0])).tolist() == [1, 1, 1, 0]
     assert certain([best, replace(other, used=np.array([1, 1, 1, 0]))], np.full(4, 2.0)).all()
     assert certain([best, replace(best, corners=np.array([4, 3, 1, 3]))], np.full(4, 2.0)).tolist() == [1, 1, 0, 1]

@@ -13,10 +13,10 @@ from palmd.events import FloatArray, PadSample, PalmSample
 from palmd.model import smoothing
 from palmd.model.smoothing import C
 from palmd.observer.data_segment import longest_segment
+from palmd.observer.mode_segments import ModeSegment, find_mode_segments, group_by_mode
 from palmd.observer.normal_equations import Guess, ProcessNoise, Residuals
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.record import Record, lay_out
-from palmd.observer.rides import Ride, rides_of, same
 from palmd.observer.search import Search
 from palmd.system.description import RigDescription
 
@@ -54,28 +54,28 @@ def test_two_rides_on_one_side_are_found_and_what_tips_between_is_not():
     t = np.arange(0.0, END, 0.012)
     tips = (t > TIPS[0]) & (t < TIPS[1])
     other = by_corner(t) + np.where(tips, 8e-3 * np.sin(math.pi * (t - TIPS[0]) / (TIPS[1] - TIPS[0])), 0.0)
-    found = rides_of(laid(0.02 + 4e-3 * np.sin(9.0 * t), other, t))
+    found = find_mode_segments(laid(0.02 + 4e-3 * np.sin(9.0 * t), other, t))
     on_first = [ride for ride in found if ride.palm == 0]
     assert len(on_first) == 2
     for ride, (start, end) in zip(sorted(on_first, key=lambda ride: ride.start), [(0.0, 2.0), (2.6, END)], strict=True):
         assert (ride.start, ride.end) == pytest.approx((start, end), abs=0.06)
-        assert ride.rolls
+        assert ride.excludes_disc
         sd = np.sqrt(np.diagonal(ride.covariance))
         assert np.abs(ride.corner - (HIGH, RHO)) == pytest.approx(np.zeros(2), abs=4 * float(sd.max()))
-    assert [ride.start for ride in same(found)[0]] == sorted(ride.start for ride in on_first)
+    assert [ride.start for ride in group_by_mode(found)[0]] == sorted(ride.start for ride in on_first)
 
 
 def test_what_may_ride_on_either_palm_does_not_roll_for_certain():
     t = np.arange(0.0, END, 0.012)
-    assert not any(ride.rolls for ride in rides_of(laid(by_corner(t), by_corner(t), t)))
+    assert not any(ride.excludes_disc for ride in find_mode_segments(laid(by_corner(t), by_corner(t), t)))
 
 
 def test_another_corner_or_palm_is_another_ride():
-    one = Ride(0, 0.0, 2.0, np.array([HIGH, RHO]), 1e-10 * np.eye(2), True)
+    one = ModeSegment(0, 0.0, 2.0, np.array([HIGH, RHO]), 1e-10 * np.eye(2), True)
     again = replace(one, start=3.0, end=6.0, corner=one.corner + 2e-5)
     higher, on_other = replace(one, corner=one.corner + np.array([2e-4, 0.0])), replace(one, palm=1)
-    assert [len(group) for group in same([again, one, higher, on_other])] == [2, 1, 1]
-    assert same([again, one])[0] == [one, again]
+    assert [len(group) for group in group_by_mode([again, one, higher, on_other])] == [2, 1, 1]
+    assert group_by_mode([again, one])[0] == [one, again]
 
 
 def test_of_parts_the_cost_is_the_sum_whatever_the_object_did_in_between():
@@ -99,4 +99,4 @@ def test_of_parts_the_cost_is_the_sum_whatever_the_object_did_in_between():
         if each.gate == math.inf:  # else it hangs on the median of all
             assert both.cost == pytest.approx(sum(cost.cost for cost in costs), rel=1e-9)
         assert not both.banded[2:, 2 * 70 : 2 * 71].any()
-    assert whole.between(60, 100).torn.tolist() == [10]
+    assert whole.between(60, 100).gap_steps.tolist() == [10]

@@ -16,34 +16,34 @@ from palmd.model.sharp import LENGTHS, NORMALS, WIDTH
 from palmd.model.smoothing import C
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.factor import Prior
-from palmd.observer.joined import (
-    Footing,
-    bridged,
-    footing,
-    ridden_at,
-    seated,
-    side_between,
-    sketched,
-    slope_of,
-    told_by,
-    turns,
-)
+from palmd.observer.flat_side_search import FlatSideSearch, _neighbours, _split_where_uncertain
+from palmd.observer.mode_initialisation import palm_turn, rotated
+from palmd.observer.mode_segments import ModeSegment, combined_corner, find_mode_segments, group_by_mode
 from palmd.observer.normal_equations import Guess, Residuals
 from palmd.observer.outline import directions, normal_angles, touched_by, touched_within
 from palmd.observer.palm_path import smoothed_path
 from palmd.observer.record import Record, lay_out
-from palmd.observer.ridden import rotated, turning
-from palmd.observer.rides import Ride, corner_of, rides_of, same
 from palmd.observer.search import Search
-from palmd.observer.sided import SidedSearch, _neighbours, _told_apart
-from palmd.observer.sides_joined import Part, SidesJoined
+from palmd.observer.side_alignment import (
+    SideContact,
+    bridged,
+    candidate_turns,
+    initial_outline,
+    moved_to_outline,
+    side_between,
+    side_contact,
+    slope_of,
+    supporting_palm,
+    updated_contact,
+)
+from palmd.observer.side_merging import Part, SideMerger
 from palmd.score import score_outline
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import normal_directions
 
 # a polygon lies on palm 2 with one side, tips over both corners, and lies on palm 1 with the next
-LOWER = Footing(1, -2.3527, 17.21e-3, 0.0, 13.47e-3 - 11.30e-3j, 2.97e-3, (-1.08, -0.70))
-UPPER = Footing(0, -1.2653, 17.85e-3, 0.0, -15.57e-3 - 4.51e-3j, 3.00e-3, (-3.02, -2.67))
+LOWER = SideContact(1, -2.3527, 17.21e-3, 0.0, 13.47e-3 - 11.30e-3j, 2.97e-3, (-1.08, -0.70))
+UPPER = SideContact(0, -1.2653, 17.85e-3, 0.0, -15.57e-3 - 4.51e-3j, 3.00e-3, (-3.02, -2.67))
 POSES = [(0.0, 47.0, 94.0), (0.8, 45.0, 89.0), (1.8, 25.0, 89.0), (2.8, 25.0, 104.7), (3.2, 25.0, 104.7),
          (4.3, 34.0, 87.6), (4.8, 34.0, 90.0), (5.5, 34.5, 95.0), (6.6, 58.0, 97.0)]  # fmt: skip
 END = 6.4  # s
@@ -76,7 +76,7 @@ def constants() -> FloatArray:
     p[C.SHAPE], p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = 0.017, math.log(0.0129), 10.0, 2500.0
     p[NORMALS:LENGTHS] = LOWER.normal, UPPER.normal, 2.0, 3.0
     p[LENGTHS : LENGTHS + 2], p[WIDTH] = 0.018, math.log(5e-4)
-    return sketched(p, [UPPER, LOWER], Prior(p, np.full(len(p), 5e-3), 1.0), 2)
+    return initial_outline(p, [UPPER, LOWER], Prior(p, np.full(len(p), 5e-3), 1.0), 2)
 
 
 class Tipped:
@@ -100,7 +100,7 @@ class Tipped:
 
     def gap(self, start: float, end: float) -> tuple[Record, FloatArray]:
         """A record of readings from `start` to `end` (s), and ψ at its nodes."""
-        record = SidedSearch(self.search).record.within([(start, end)])
+        record = FlatSideSearch(self.search).record.within([(start, end)])
         return record, np.interp(record.t, self.record.t, self.guess.x[:, 0])
 
 
@@ -110,36 +110,38 @@ def tipped() -> Tipped:
 
 
 def test_where_either_corner_ends_the_side_of_the_other_is_one_turn():
-    (turn,) = turns(LOWER, UPPER)
+    (turn,) = candidate_turns(LOWER, UPPER)
     assert turn == pytest.approx(0.0, abs=0.01)
-    (again,) = turns(LOWER.turned(0.4), UPPER.turned(-0.3))
+    (again,) = candidate_turns(LOWER.turned(0.4), UPPER.turned(-0.3))
     assert again == pytest.approx(turn + 0.7, abs=1e-9)
-    assert turns(LOWER, replace(UPPER, high=UPPER.high + 5e-4)) == []
+    assert candidate_turns(LOWER, replace(UPPER, height=UPPER.height + 5e-4)) == []
 
 
 def test_the_same_corner_or_the_same_side_is_one_turn_too():
-    next_side = replace(UPPER, normal=UPPER.normal - 0.8, high=UPPER.high + 5e-4).turned(0.2)
-    assert turns(UPPER, next_side) == [pytest.approx(-0.2)]
-    assert turns(UPPER, replace(next_side, radius=next_side.radius + 1e-3)) == []
+    next_side = replace(UPPER, normal=UPPER.normal - 0.8, height=UPPER.height + 5e-4).turned(0.2)
+    assert candidate_turns(UPPER, next_side) == [pytest.approx(-0.2)]
+    assert candidate_turns(UPPER, replace(next_side, radius=next_side.radius + 1e-3)) == []
     other_corner = replace(LOWER, corner=LOWER.corner * 0.93, radius=1e-3, palm=0)
-    assert turns(LOWER, other_corner.turned(0.2)) == [pytest.approx(-0.2)]
-    assert turns(LOWER, replace(other_corner, high=LOWER.high - 1e-3)) == []
+    assert candidate_turns(LOWER, other_corner.turned(0.2)) == [pytest.approx(-0.2)]
+    assert candidate_turns(LOWER, replace(other_corner, height=LOWER.height - 1e-3)) == []
 
 
 def test_no_corner_is_beyond_a_side():
     at = 0.9 * cmath.exp(1j * LOWER.normal)
-    inside = replace(LOWER, corner=at * (LOWER.high - LOWER.radius))
-    beyond = replace(inside, corner=at * (LOWER.high + 2e-3))
-    assert [len(turns(LOWER, each)) for each in (inside, beyond)] == [1, 0]
+    inside = replace(LOWER, corner=at * (LOWER.height - LOWER.radius))
+    beyond = replace(inside, corner=at * (LOWER.height + 2e-3))
+    assert [len(candidate_turns(LOWER, each)) for each in (inside, beyond)] == [1, 0]
 
 
 def test_an_outline_is_sketched_through_sides_and_corners():
     p = constants()
     for each, other in ((LOWER, UPPER), (UPPER, LOWER)):
-        felt = np.linspace(*each.felt, 9)
-        assert sharp.support(felt, p) == pytest.approx((each.corner * np.exp(-1j * felt)).real + each.radius, abs=2e-5)
-        assert sharp.support(np.array([each.normal]), p) == pytest.approx([each.high], abs=5e-5)
-        away = math.copysign(9.0 * math.exp(p[WIDTH]), math.remainder(other.felt[0] - each.normal, math.tau))
+        touched = np.linspace(*each.touched, 9)
+        assert sharp.support(touched, p) == pytest.approx(
+            (each.corner * np.exp(-1j * touched)).real + each.radius, abs=2e-5
+        )
+        assert sharp.support(np.array([each.normal]), p) == pytest.approx([each.height], abs=5e-5)
+        away = math.copysign(9.0 * math.exp(p[WIDTH]), math.remainder(other.touched[0] - each.normal, math.tau))
         end = np.array([each.normal + away])
         assert slope_of(end, p) == pytest.approx((other.corner * np.exp(-1j * end)).imag, abs=2e-4)
 
@@ -149,16 +151,16 @@ def test_contacts_stay_where_they_are_on_a_side_that_is_passed_otherwise(tipped)
     other = tipped.p.copy()
     other[WIDTH] += 0.7
     x = np.stack([psi, np.gradient(psi, record.t)], axis=1)
-    moved = seated(record, x, tipped.p, other, [LOWER.normal])
+    moved = moved_to_outline(record, x, tipped.p, other, [LOWER.normal])
     before, after = (normal_angles(record.palms, each[:, 0])[:, 1] for each in (x, moved))
     assert slope_of(after, other) == pytest.approx(slope_of(before, tipped.p), abs=2e-5)
     assert 1e-5 < np.abs(after - before).max() < 5e-3
-    assert ridden_at(record, Guess(moved, other), 50, 2) == 1
+    assert supporting_palm(record, Guess(moved, other), 50, 2) == 1
 
 
 def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
     gap, psi = tipped.gap(2.4, 4.6)
-    before, after = (turning(gap, palm)[:, 0] for palm in (1, 0))
+    before, after = (palm_turn(gap, palm)[:, 0] for palm in (1, 0))
     ways = psi[0] + before, psi[-1] + after - after[-1]
     found = bridged(gap, tipped.p, *ways)
     assert found is not None
@@ -173,18 +175,20 @@ def test_what_lies_between_two_rides_leads_from_one_to_the_other(tipped):
 
 
 @pytest.fixture(scope="module")
-def parts(tipped) -> tuple[SidesJoined, Part, Part]:
-    search = SidedSearch(tipped.search)
-    groups = [rides for rides in same(rides_of(search.record)) if any(ride.rolls for ride in rides)]
+def parts(tipped) -> tuple[SideMerger, Part, Part]:
+    search = FlatSideSearch(tipped.search)
+    groups = [
+        rides for rides in group_by_mode(find_mode_segments(search.record)) if any(ride.excludes_disc for ride in rides)
+    ]
     assert _neighbours(groups) == {0, 1}
     one, other = (Part.of(search.fits.on_one_side(rides)[0], rides) for rides in groups[:2])
-    return SidesJoined(search.fits), one, other
+    return SideMerger(search.fits), one, other
 
 
 def band(search, both):
     """One-sigma (m) of the outline in each of `directions`."""
     p, step = both.fit.guess.p, 1e-6
-    covariance = SidedSearch(search).fits.posterior(both).covariance[: len(p), : len(p)]
+    covariance = FlatSideSearch(search).fits.posterior(both).covariance[: len(p), : len(p)]
     ends = [[sharp.support(directions(), p + side * d) for side in (1, -1)] for d in step * np.eye(len(p))]
     rows = np.array([after - before for after, before in ends]) / (2 * step)
     return np.sqrt(np.einsum("in,ij,jn->n", rows, covariance, rows))
@@ -192,7 +196,7 @@ def band(search, both):
 
 def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
     sides, one, other = parts
-    both = sides.joined([other, one])
+    both = sides.merged([other, one])
     assert both is not None
     assert len(both.sides) == 2
     record, guess = both.record, both.fit.guess
@@ -209,43 +213,43 @@ def test_rides_on_two_sides_are_told_as_one_outline(tipped, parts):
 
 def test_rides_that_nothing_leads_between_are_not_joined(parts, monkeypatch):
     sides, one, other = parts
-    for each in ("bridged", "led"):
-        monkeypatch.setattr(f"palmd.observer.sides_joined.{each}", lambda *_: None)
-    assert sides.joined([one, other]) is None
+    for each in ("bridged", "followed_motion"):
+        monkeypatch.setattr(f"palmd.observer.side_merging.{each}", lambda *_: None)
+    assert sides.merged([one, other]) is None
 
 
 def test_where_the_way_hardly_arrives_nothing_is_told_of_it(parts, monkeypatch):
     sides, one, other = parts
-    monkeypatch.setattr("palmd.observer.sides_joined.bridged", lambda *_: None)
-    both = sides.joined([one, other])
+    monkeypatch.setattr("palmd.observer.side_merging.bridged", lambda *_: None)
+    both = sides.merged([one, other])
     assert len(both.sides) == 2
-    assert len(both.record.torn) == 1
+    assert len(both.record.gap_steps) == 1
     assert both.fit.chi2 < 1.15
 
 
 def test_no_way_leads_over_a_lost_contact(tipped, monkeypatch):
     segment, tried = tipped.search.segment, list[int]()
-    monkeypatch.setattr("palmd.observer.sides_joined.bridged", lambda *_: tried.append(1))
+    monkeypatch.setattr("palmd.observer.side_merging.bridged", lambda *_: tried.append(1))
     first, second = (Search(each, RIG) for each in (segment.until(3.0), segment.since(3.3)))
-    for search, ways in ((SidedSearch(tipped.search), 1), (SidedSearch(first, 0, [second]), 0)):
+    for search, ways in ((FlatSideSearch(tipped.search), 1), (FlatSideSearch(first, 0, [second]), 0)):
         record = search.record.within([(0.5, 2.4), (4.6, 6.0)])
         guess = Guess(np.zeros((len(record.t), 2)), tipped.p)
-        assert list(SidesJoined(search.fits).bridges(record, guess, 2, record.spans[:1])) == []
+        assert list(SideMerger(search.fits).bridges(record, guess, 2, record.spans[:1])) == []
         assert len(tried) == ways
         tried.clear()
 
 
 @pytest.mark.parametrize(("explaining", "joined"), [(0, False), (1, True), (2, False)])
 def test_only_one_turn_may_explain_both(tipped, monkeypatch, explaining, joined):
-    sides = SidesJoined(SidedSearch(tipped.search).fits)
+    sides = SideMerger(FlatSideSearch(tipped.search).fits)
     whole = Part(None, (LOWER,))  # type: ignore[arg-type]
-    monkeypatch.setattr("palmd.observer.sides_joined.turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
-    monkeypatch.setattr(sides, "turned_together", lambda one, _, turn: one if turn < 0.4 * explaining else None)
-    assert (sides.together(whole, whole) is whole) is joined
+    monkeypatch.setattr("palmd.observer.side_merging.candidate_turns", lambda *_: [0.1, 0.105, 0.5, 0.9])
+    monkeypatch.setattr(sides, "merged_with_turn", lambda one, _, turn: one if turn < 0.4 * explaining else None)
+    assert (sides.merged_pair(whole, whole) is whole) is joined
 
 
 def test_of_parts_only_what_they_touch_is_touched(tipped):
-    record = SidedSearch(tipped.search).record
+    record = FlatSideSearch(tipped.search).record
     torn = record.within([(0.5, 2.0), (5.0, 7.0)])
     psi = np.interp(torn.t, tipped.record.t, tipped.guess.x[:, 0])
     parts = [record.within([span]) for span in torn.spans]
@@ -258,62 +262,62 @@ def test_a_footing_is_read_off_an_outline(tipped):
     record, psi = tipped.gap(4.6, 7.5)
     p = tipped.p.copy()
     p[[NORMALS, NORMALS + 1]], p[[LENGTHS, LENGTHS + 1]] = p[[NORMALS + 1, NORMALS]], p[[LENGTHS + 1, LENGTHS]]
-    told = footing(record, Guess(np.stack([psi, np.zeros_like(psi)], axis=1), p), 0)
+    told = side_contact(record, Guess(np.stack([psi, np.zeros_like(psi)], axis=1), p), 0)
     assert told.normal == pytest.approx(UPPER.normal)
     assert abs(told.corner - UPPER.corner) < 1e-4
-    assert (told.high, told.radius) == pytest.approx((UPPER.high, UPPER.radius), abs=1e-4)
+    assert (told.height, told.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
 
 
 def test_a_side_lies_between_two_corners_that_the_other_palm_comes_to_one_after_the_other():
     """Corners of 3 mm about 16 mm from the middle, at ± 30° from the side between them."""
     high = 16e-3 * math.cos(math.pi / 6) + 3e-3
-    ride = Ride(1, 0.0, 2.0, np.array([0.018, 0.003]), 1e-10 * np.eye(2), True)
+    ride = ModeSegment(1, 0.0, 2.0, np.array([0.018, 0.003]), 1e-10 * np.eye(2), True)
     corners = [
         (2.0 - math.pi / 6, (1.2, 1.9), ride),
         (2.0 + math.pi / 6, (2.1, 2.8), replace(ride, start=2.03, end=3.0)),
     ]
     first, last = (
-        Footing(1, -0.2, high, 0.0, cmath.rect(16e-3, at), 3e-3, felt, (mine,)) for at, felt, mine in corners
+        SideContact(1, -0.2, high, 0.0, cmath.rect(16e-3, at), 3e-3, felt, (mine,)) for at, felt, mine in corners
     )
-    assert first.stays(last)
-    assert last.stays(first)
-    assert not first.stays(replace(last, palm=0))
-    assert not first.stays(replace(last, rides=(replace(ride, start=2.2, end=3.0),)))
+    assert first.stays_with(last)
+    assert last.stays_with(first)
+    assert not first.stays_with(replace(last, palm=0))
+    assert not first.stays_with(replace(last, segments=(replace(ride, start=2.2, end=3.0),)))
     for side, corner in zip(side_between(first, last), (first, last), strict=True):
-        assert (side.normal, side.high) == pytest.approx((2.0, high))
-        assert (side.palm, side.corner, side.rides) == (0, corner.corner, ())
-        assert corner.reaches(side)
+        assert (side.normal, side.height) == pytest.approx((2.0, high))
+        assert (side.palm, side.corner, side.segments) == (0, corner.corner, ())
+        assert corner.ends_side_of(side)
 
 
 def test_a_footing_is_read_anew_off_what_explains_more(tipped):
-    told = told_by(tipped.p, 2, replace(UPPER, normal=UPPER.normal + 0.02, high=1e-2, corner=0j, radius=0.0))
+    told = updated_contact(tipped.p, 2, replace(UPPER, normal=UPPER.normal + 0.02, height=1e-2, corner=0j, radius=0.0))
     assert told.normal == pytest.approx(UPPER.normal)
     assert abs(told.corner - UPPER.corner) < 1e-4
-    assert (told.high, told.radius) == pytest.approx((UPPER.high, UPPER.radius), abs=1e-4)
+    assert (told.height, told.radius) == pytest.approx((UPPER.height, UPPER.radius), abs=1e-4)
 
 
 def test_what_is_told_roughly_may_be_of_sides_that_are_alike():
-    ride = Ride(0, 0.0, 1.0, np.array([0.032, 0.002]), 1e-8 * np.eye(2), True)
+    ride = ModeSegment(0, 0.0, 1.0, np.array([0.032, 0.002]), 1e-8 * np.eye(2), True)
     rough = [ride, replace(ride, start=9.0, end=10.0)]
     sharply = [replace(each, covariance=1e-10 * np.eye(2)) for each in rough]
-    assert _told_apart([rough, sharply]) == [sharply, [rough[0]], [rough[1]]]
+    assert _split_where_uncertain([rough, sharply]) == [sharply, [rough[0]], [rough[1]]]
 
 
 def test_rides_on_one_corner_tell_of_it_by_what_each_knows():
     sharp_one, vague = np.diag([1e-10, 1e-8]), np.diag([1e-8, 1e-6])
-    one = Ride(0, 0.0, 1.0, np.array([0.016, 0.002]), sharp_one, True)
-    told = corner_of([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
+    one = ModeSegment(0, 0.0, 1.0, np.array([0.016, 0.002]), sharp_one, True)
+    told = combined_corner([one, replace(one, corner=np.array([0.0171, 0.003]), covariance=vague)])
     assert told == pytest.approx([0.016 + 0.0011 / 101, 0.002 + 0.001 / 101])
 
 
 @pytest.mark.parametrize("explains", [True, False])
 def test_a_ride_that_is_not_explained_all_along_is_asked_for_in_pieces(tipped, monkeypatch, explains):
-    ride = Ride(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
-    search, asked = SidedSearch(tipped.search), list[tuple[float, float]]()
+    ride = ModeSegment(0, 1.0, 14.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    search, asked = FlatSideSearch(tipped.search), list[tuple[float, float]]()
     found = SimpleNamespace(explains=explains)
-    monkeypatch.setattr("palmd.observer.sided.rides_of", lambda _: [ride])
+    monkeypatch.setattr("palmd.observer.flat_side_search.find_mode_segments", lambda _: [ride])
     monkeypatch.setattr(
         search.fits, "on_one_side", lambda rides: asked.append((rides[0].start, rides[0].end)) or [found]
     )
-    assert len(list(search.ridden())) == len(asked)
+    assert len(list(search.segment_fits())) == len(asked)
     assert asked == [(1.0, 14.5), *([] if explains else [(1.0, 7.0), (7.0, 13.0)])]

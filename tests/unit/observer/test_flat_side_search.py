@@ -16,16 +16,16 @@ from palmd.model.shape import coefficients_of, turned
 from palmd.model.smoothing import NODE, ORDER, C
 from palmd.observer.data_segment import data_segments, longest_segment
 from palmd.observer.factor import Prior
-from palmd.observer.followed import followed
-from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _quiet_or_blow
+from palmd.observer.flat_side_fits import FINE, LAST_ITERATIONS, WAYS, Candidate, FlatSideFits, Stage
+from palmd.observer.flat_side_search import LEAST_GROWTH_S, WITHOUT_IMPACTS, FlatSideSearch
+from palmd.observer.mode_initialisation import explained_spans, initial_normal, narrowed, on_nodes, palm_turn
+from palmd.observer.mode_segments import TRIM_S, ModeSegment, find_mode_segments, group_by_mode
+from palmd.observer.normal_equations import BLOW_SD, Guess, ProcessNoise, Residuals, _step_weights
+from palmd.observer.orientation_tracking import tracked_orientation
 from palmd.observer.outline import directions, normal_angles, touched_by
 from palmd.observer.reconstruct import reconstruct
-from palmd.observer.ridden import calm, kept, narrowed, normal_at_first, turning
-from palmd.observer.rides import TRIM_S, Ride, rides_of, same
 from palmd.observer.search import Search, overfits
-from palmd.observer.sharp_reconstruct import LEFT, _told, explained_smoothly, sharp_reconstruction
-from palmd.observer.sided import CALM, LEAST_GROWTH_S, SidedSearch
-from palmd.observer.sided_fits import FINE, LAST_ITERATIONS, WAYS, Candidate, SidedFits, Stage
+from palmd.observer.sharp_reconstruct import NODE_ERROR_LEFT, _result, explained_smoothly, sharp_reconstruction
 from palmd.observer.smoother import Fit
 from palmd.observer.validity import SHARP_M
 from palmd.score import score_outline
@@ -44,7 +44,7 @@ def test_the_readings_of_a_known_outline_tell_how_it_turns():
     p[sharp.WIDTH] = math.log(1e-3)
     record = search.record
     true = np.interp(record.t, run.truth.t, run.truth.psi)
-    psi = followed(p, record, 50, float(true[50]))
+    psi = tracked_orientation(p, record, 50, float(true[50]))
     assert len(psi) == len(record.t) - 50
     assert psi == pytest.approx(true[50:], abs=0.05)
     assert np.ptp(true[50:]) > 0.3
@@ -56,7 +56,7 @@ def test_a_step_is_quiet_or_a_blow():
     defect = np.zeros((20, NODE))
     quiet = 1.0 / root[0, 1]
     defect[7, 1], defect[9, 1] = 1.9 * quiet, 1000.0 * quiet
-    weighed, beyond = _quiet_or_blow(defect, root, noise)
+    weighed, beyond = _step_weights(defect, root, noise)
     weighed = weighed.reshape(-1, NODE)
     assert weighed[7, 1] == pytest.approx(root[7, 1], rel=1e-6)
     pulled = (defect * weighed)[9, 1] ** 2
@@ -66,7 +66,7 @@ def test_a_step_is_quiet_or_a_blow():
 
 def test_without_a_gate_every_defect_is_noise():
     root = np.full((3, NODE), 2.0)
-    weighed, beyond = _quiet_or_blow(np.full((3, NODE), 1e3), root, ProcessNoise(1.0, 1.0))
+    weighed, beyond = _step_weights(np.full((3, NODE), 1e3), root, ProcessNoise(1.0, 1.0))
     assert np.array_equal(weighed, root)
     assert beyond == 0.0
 
@@ -77,9 +77,11 @@ def a_fit(**but: float) -> Fit:
     return replace(fit, **but)
 
 
-@pytest.mark.parametrize(("chi2", "strain", "too_well"), [(0.51, 40.0, True), (0.51, 10.0, False), (0.95, 40.0, False)])
-def test_quiet_readings_of_a_likely_object_are_not_explained_too_well(chi2, strain, too_well):
-    assert overfits(a_fit(chi2=chi2, strain=strain)) is too_well
+@pytest.mark.parametrize(
+    ("chi2", "prior_cost", "too_well"), [(0.51, 40.0, True), (0.51, 10.0, False), (0.95, 40.0, False)]
+)
+def test_quiet_readings_of_a_likely_object_are_not_explained_too_well(chi2, prior_cost, too_well):
+    assert overfits(a_fit(chi2=chi2, prior_cost=prior_cost)) is too_well
 
 
 def test_a_window_that_grows_by_a_tumble_is_not_gone_on_with():
@@ -103,17 +105,17 @@ def test_no_side_is_unlikely_for_how_sharply_it_is_passed(stage, width_rad):
 
 
 def test_the_search_ends_when_its_work_is_done(monkeypatch):
-    monkeypatch.setattr("palmd.observer.sided.WORK", 1.0)
+    monkeypatch.setattr("palmd.observer.flat_side_search.WORK", 1.0)
     run = simulated("friction", 3, 6.0)
     seen: list[Candidate] = []
-    SidedSearch(Search(longest_segment(run.events), run.rig)).stretches(seen.append)
+    FlatSideSearch(Search(longest_segment(run.events), run.rig)).stretches(seen.append)
     assert max(float(each.record.t[-1]) for each in seen) < 1.0
 
 
-class Stub(SidedFits):
+class Stub(FlatSideFits):
     """Candidates of a given cost per reading in the place of fits."""
 
-    def __init__(self, fits: SidedFits, cost: float = 1.0):
+    def __init__(self, fits: FlatSideFits, cost: float = 1.0):
         super().__init__(fits.record, fits._base)
         self.cost, self.windows, self.stages = cost, list[float](), list[tuple[Stage, ...]]()
 
@@ -127,9 +129,9 @@ class Stub(SidedFits):
 @pytest.mark.parametrize(("now", "until"), [(1.0, 1.6), (3.0, 3.2)])
 def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, until, monkeypatch):
     run = simulated("friction", 3, SECONDS)
-    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
     search.fits = fits = Stub(search.fits)
-    monkeypatch.setattr(search, "_foretold", lambda rivals, _: float(rivals[0].record.t[-1]) + 0.2)
+    monkeypatch.setattr(search, "_predicted_until", lambda rivals, _: float(rivals[0].record.t[-1]) + 0.2)
     before = fits.fitted(search.record.until(now), (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
     fits.windows.clear()
     assert search._grown([before], search.record)
@@ -139,7 +141,7 @@ def test_a_short_window_grows_boldly_and_a_long_one_as_far_as_is_foretold(now, u
 class Reluctant(Stub):
     """Explains nothing beyond `until` (s), and nothing in fewer than `least` iterations."""
 
-    def __init__(self, fits: SidedFits, until: float = math.inf, least: int = 0):
+    def __init__(self, fits: FlatSideFits, until: float = math.inf, least: int = 0):
         super().__init__(fits)
         self.until, self.least = until, least
 
@@ -151,10 +153,10 @@ class Reluctant(Stub):
 
 def grown_from_three_seconds(monkeypatch, by: float, **reluctant: float) -> tuple[Reluctant, list[Candidate]]:
     run = simulated("friction", 3, SECONDS)
-    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
     search.fits = fits = Reluctant(search.fits, **reluctant)
-    monkeypatch.setattr(search, "_foretold", lambda rivals, _: float(rivals[0].record.t[-1]) + by)
-    monkeypatch.setattr(search, "_by_readings", lambda _, guess: guess)
+    monkeypatch.setattr(search, "_predicted_until", lambda rivals, _: float(rivals[0].record.t[-1]) + by)
+    monkeypatch.setattr(search, "_led_by_readings", lambda _, guess: guess)
     record = search.record.until(search.record.t[0] + 3.0)
     before = Stub.fitted(fits, record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
     fits.windows.clear()
@@ -185,7 +187,7 @@ def test_what_would_explain_a_window_is_iterated_to_its_end(monkeypatch):
 def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monkeypatch):
     run = simulated("friction", 3, 12.5)
     search = Search(longest_segment(run.events), run.rig)
-    sided = SidedSearch(search)
+    sided = FlatSideSearch(search)
     fits, record = Stub(sided.fits), sided.record.until(sided.record.t[0] + lasts)
     whole = fits.fitted(record, (), Guess(np.zeros((len(record.t), NODE)), np.zeros(sharp.CONSTANTS)))
     seen: list[float] = []
@@ -195,21 +197,23 @@ def test_of_a_stretch_that_may_not_be_told_its_first_half_may(lasts, tried, monk
         assert found == (best,)
         return True
 
-    monkeypatch.setattr(SidedSearch, "ridden", lambda _: iter(()))
-    monkeypatch.setattr(SidedSearch, "stretches", lambda *_: [(whole,)])
-    monkeypatch.setattr(SidedSearch, "refined", lambda _, found: iter((found,)))
-    monkeypatch.setattr(SidedFits, "fitted", lambda _, *but: fits.fitted(*but))
-    monkeypatch.setattr("palmd.observer.sharp_reconstruct._doubtful", doubtful)
+    monkeypatch.setattr(FlatSideSearch, "segment_fits", lambda _: iter(()))
+    monkeypatch.setattr(FlatSideSearch, "stretches", lambda *_: [(whole,)])
+    monkeypatch.setattr(FlatSideSearch, "refined", lambda _, found: iter((found,)))
+    monkeypatch.setattr(FlatSideFits, "fitted", lambda _, *but: fits.fitted(*but))
+    monkeypatch.setattr("palmd.observer.sharp_reconstruct._is_doubtful", doubtful)
     assert sharp_reconstruction(search, 0, time.perf_counter()) is None
     assert seen == pytest.approx(tried, abs=0.02)
 
 
-@pytest.mark.parametrize(("cost", "stages"), [(1.0, [CALM[:1], CALM[1:]]), (6.0, [CALM[:1]])])
+@pytest.mark.parametrize(
+    ("cost", "stages"), [(1.0, [WITHOUT_IMPACTS[:1], WITHOUT_IMPACTS[1:]]), (6.0, [WITHOUT_IMPACTS[:1]])]
+)
 def test_a_ride_that_explains_nothing_on_a_wide_side_is_given_up(cost, stages):
     run = simulated("friction", 3, 3.0)
-    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
     search.fits = fits = Stub(search.fits, cost)
-    search._ridden(search.record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
+    search._fit_from_wide_side(search.record, (), Guess(np.zeros((1, NODE)), np.zeros(sharp.CONSTANTS)))
     assert fits.stages == stages
 
 
@@ -246,26 +250,26 @@ def hexagon() -> Run:
 
 def test_rides_are_told_together_and_a_narrower_side_gives_less():
     run = hexagon()
-    search = SidedSearch(Search(longest_segment(run.events), run.rig))
-    ride = same(rides_of(search.record))[0][0]
+    search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
+    ride = group_by_mode(find_mode_segments(search.record))[0][0]
     told = search.fits.along(WAYS[0], [replace(ride, end=2.7), replace(ride, start=2.9)])
     record, guess = told.record, told.fit.guess
-    assert len(record.torn) == 1
+    assert len(record.gap_steps) == 1
     assert told.fit.chi2 < 1.1
     touched = touched_by(normal_angles(record.palms, guess.x[:, 0]))
     assert score_outline(directions(), sharp.support(directions(), guess.p), touched, run.truth.h).e_h < 5e-5
     residuals = Residuals(sharp.library_for(1), record)
     wider = narrowed(guess, record, ride.palm, 2.0 * math.exp(guess.p[sharp.WIDTH]))
     assert np.abs(residuals.contacts(wider) - residuals.contacts(guess)).max() < 0.5
-    assert np.abs(guess.x - turning(record, ride.palm))[:, 0].max() < 0.01
-    assert abs(math.remainder(guess.p[sharp.NORMALS] - normal_at_first(record, ride.palm), math.tau)) < 0.01
+    assert np.abs(guess.x - palm_turn(record, ride.palm))[:, 0].max() < 0.01
+    assert abs(math.remainder(guess.p[sharp.NORMALS] - initial_normal(record, ride.palm), math.tau)) < 0.01
 
 
 def test_what_other_nodes_tell_otherwise_is_in_the_band():
     run = hexagon()
     search = Search(longest_segment(run.events), run.rig)
-    sided = SidedSearch(search)
-    ride = same(rides_of(sided.record))[0][0]
+    sided = FlatSideSearch(search)
+    ride = group_by_mode(find_mode_segments(sided.record))[0][0]
     best = sided.fits.along(WAYS[0], [replace(ride, end=3.0)])
     larger, other_way_round = best.fit.guess.p.copy(), best.fit.guess.p.copy()
     larger[C.SHAPE] += 1e-5
@@ -275,23 +279,23 @@ def test_what_other_nodes_tell_otherwise_is_in_the_band():
         replace(best, fit=replace(best.fit, guess=Guess(best.fit.guess.x, p))) for p in (larger, other_way_round)
     )
     coarser = replace(finer, record=best.record.until(1.0))
-    alone, *others = (_told(best, other, sided, search, 0.0) for other in (None, finer, finer_too, coarser))
+    alone, *others = (_result(best, other, sided, search, 0.0) for other in (None, finer, finer_too, coarser))
     off = score_outline(alone.theta, alone.h, alone.touched, sharp.support(alone.theta, larger)).e_h
     assert off > 5e-6
-    for told, share in zip(others, (1.0, 1.0, LEFT), strict=True):
+    for told, share in zip(others, (1.0, 1.0, NODE_ERROR_LEFT), strict=True):
         more = np.mean((told.h_sd**2 - alone.h_sd**2)[alone.touched])
         assert math.sqrt(more) == pytest.approx(share * off, rel=0.1)
 
 
 def test_what_rocks_in_a_ride_is_left_out_of_it():
     run = hexagon()
-    search = SidedSearch(Search(longest_segment(run.events), run.rig))
+    search = FlatSideSearch(Search(longest_segment(run.events), run.rig))
     record = search.record
     at = record.t[record.contact_step] + record.contact_offset
     quiet = np.random.default_rng(1).normal(size=len(at))
-    assert calm(record, quiet) == record.spans
+    assert explained_spans(record, quiet) == record.spans
     rocks = np.where((record.contact_pad == 2.0) & (at > 2.0) & (at < 2.15), 6.0, quiet)
-    (start, gone), (back, end) = calm(record, rocks)
+    (start, gone), (back, end) = explained_spans(record, rocks)
     assert (start, end) == record.spans[0]
     assert gone == pytest.approx(2.0 - 2.0 * TRIM_S, abs=TRIM_S)
     assert back == pytest.approx(2.15 + 2.0 * TRIM_S, abs=TRIM_S)
@@ -299,7 +303,7 @@ def test_what_rocks_in_a_ride_is_left_out_of_it():
 
 def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
     run = hexagon()
-    record = SidedSearch(Search(longest_segment(run.events), run.rig)).record
+    record = FlatSideSearch(Search(longest_segment(run.events), run.rig)).record
     p = np.zeros(sharp.CONSTANTS)
     p[C.SHAPE : sharp.NORMALS] = 0.017, *np.random.default_rng(2).normal(0.0, 2e-4, sharp.FOURIER - 1)
     p[C.LN_RHO], p[C.DRAG], p[C.SATURATION] = math.log(0.012), 10.0, 1e4
@@ -307,7 +311,7 @@ def test_what_is_left_of_a_fit_is_the_same_outline_and_motion():
     p[sharp.LENGTHS], p[sharp.WIDTH] = 0.015, math.log(1e-3)
     guess = Guess(np.stack([np.sin(record.t), np.cos(record.t)], axis=1), p)
     part = record.within([(1.0, 2.0), (3.0, 4.0)])
-    left = kept(guess, record.t, part.t)
+    left = on_nodes(guess, record.t, part.t)
     assert left.x[0, 0] == 0.0
     ends = np.searchsorted(record.t, np.array(part.spans) - 1e-9)
     inside = np.logical_or.reduce([(record.contact_step >= i) & (record.contact_step < j) for i, j in ends])
@@ -338,7 +342,7 @@ def torn_apart(run: Run) -> list[Search]:
 
 
 def test_rides_in_other_segments_tell_of_the_same_side(monkeypatch):
-    for module in ("sided", "sharp_reconstruct"):
+    for module in ("flat_side_search", "sharp_reconstruct"):
         monkeypatch.setattr(f"palmd.observer.{module}.LEAST_S", 3.0)
     run = hexagon()
     main, *others = torn_apart(run)
@@ -353,8 +357,10 @@ def test_rides_in_other_segments_tell_of_the_same_side(monkeypatch):
 @pytest.mark.parametrize(("start", "times"), [(0.1, 1), (3.8, 0)])
 def test_what_rides_in_another_segment_alone_is_not_told(monkeypatch, start, times):
     main, *others = torn_apart(hexagon())
-    search = SidedSearch(main, 0, others)
-    ride = Ride(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
-    monkeypatch.setattr("palmd.observer.sided.rides_of", lambda record: [ride] if record.t[0] < 1.0 else [])
+    search = FlatSideSearch(main, 0, others)
+    ride = ModeSegment(0, start, start + 5.5, np.array([0.016, 0.002]), 1e-10 * np.eye(2), True)
+    monkeypatch.setattr(
+        "palmd.observer.flat_side_search.find_mode_segments", lambda record: [ride] if record.t[0] < 1.0 else []
+    )
     monkeypatch.setattr(search.fits, "on_one_side", lambda _: [SimpleNamespace(explains=True)])
-    assert len(list(search.ridden())) == times
+    assert len(list(search.segment_fits())) == times

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from palmd.observer import places
-from palmd.observer.lying import Carried, RideReadings, balance
-from palmd.observer.rides import Ride
+from palmd.observer import data_association
+from palmd.observer.mode_model import SegmentReadings, SupportFrame, balance
+from palmd.observer.mode_segments import ModeSegment
 
 RIG = np.array([9.81, 0.12, 0.12, 0.0, 0.0, 0.0, 0.0])
 SEAT, SHARED = np.array([17e-3, 3e-3, -6e-3, 14e-3]), np.array([math.log(11e-3), 0.2, math.log(0.012)])
@@ -37,7 +37,7 @@ def world(t, palm):
 @pytest.mark.parametrize("palm", [0, 1])
 def test_forces_and_torques_balance_in_the_world(palm):
     t = 0.7
-    carried = Carried.by(palm, palms(np.array([t])), RIG)
+    carried = SupportFrame.by(palm, palms(np.array([t])), RIG)
     there = balance(SEAT, SHARED, carried, "averaged")
     com, hinge, ridden, other, normal, other_normal, touched = world(t, palm)
     assert there.other[0] == pytest.approx(abs(touched - hinge), abs=1e-12)
@@ -54,12 +54,12 @@ def test_forces_and_torques_balance_in_the_world(palm):
         assert abs(np.exp(1j * turned) - direction) < 1e-12
         return ((body - h - 1j * rate * (point - hinge)) * np.conj(direction)).real
 
-    stands = hinge + there.ridden[0] * ridden
+    stands = hinge + there.support[0] * ridden
     mu, dither = SHARED[1], math.exp(SHARED[2])
     force = 0j
     torque = 0.0
     for pressed, direction, joint, push, point in (
-        (there.ridden_force[0], ridden, palm, normal, stands),
+        (there.support_force[0], ridden, palm, normal, stands),
         (there.other_force[0], other, 1 - palm, other_normal, touched),
     ):
         u = slip(direction, joint, point)
@@ -74,13 +74,13 @@ def test_forces_and_torques_balance_in_the_world(palm):
 def test_what_rocks_is_left_out_and_nothing_else():
     t = np.arange(0.0, 3.0, 0.01)
     on_ridden = np.arange(len(t)) % 2 == 0
-    carried = Carried.by(0, palms(t), RIG)
+    carried = SupportFrame.by(0, palms(t), RIG)
     there = balance(SEAT, SHARED, carried)
-    s = np.where(on_ridden, there.ridden, there.other) + 1e-4 * np.random.default_rng(1).normal(size=len(t))
+    s = np.where(on_ridden, there.support, there.other) + 1e-4 * np.random.default_rng(1).normal(size=len(t))
     rocks = on_ridden & (t < 0.4)
     s[rocks] += 1e-3 * np.sin(60 * t[rocks])
-    ride = Ride(0, 0.0, 3.0, SEAT[:2], 1e-10 * np.eye(2), rolls=True)
-    lying = RideReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
+    ride = ModeSegment(0, 0.0, 3.0, SEAT[:2], 1e-10 * np.eye(2), excludes_disc=True)
+    lying = SegmentReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
     kept = lying.still(SEAT, SHARED)
     assert not kept[t < 0.35].any()
     assert kept[t > 0.7].all()
@@ -88,12 +88,12 @@ def test_what_rocks_is_left_out_and_nothing_else():
 
 
 def test_a_ride_of_which_nothing_lies_still_in_the_end_tells_no_seat(monkeypatch):
-    monkeypatch.setattr(places, "MOST_ROCKS", 1)
+    monkeypatch.setattr(data_association, "ROUNDS", 1)
     t = np.arange(0.0, 1.0, 0.01)
     on_ridden = np.arange(len(t)) % 2 == 0
-    carried = Carried.by(0, palms(t), RIG)
+    carried = SupportFrame.by(0, palms(t), RIG)
     there = balance(SEAT, SHARED, carried)
-    s = np.where(on_ridden, there.ridden, there.other) + 4e-3 * np.sin(60 * t)
-    ride = Ride(0, 0.0, 1.0, SEAT[:2], 1e-10 * np.eye(2), rolls=True)
-    rocking = RideReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
-    assert places.seat_of(rocking, SHARED, np.array([0.2, 0.1, 0.4])) is None
+    s = np.where(on_ridden, there.support, there.other) + 4e-3 * np.sin(60 * t)
+    ride = ModeSegment(0, 0.0, 1.0, SEAT[:2], 1e-10 * np.eye(2), excludes_disc=True)
+    rocking = SegmentReadings(ride, t, s, np.full(len(t), 1e-4), on_ridden, carried)
+    assert data_association.mode_estimate(rocking, SHARED, np.array([0.2, 0.1, 0.4])) is None

@@ -1,7 +1,8 @@
-"""The beginning of a record, sought last: from what the rest of it tells of the object, back to its first node. Pure.
+"""Extend the fit of a record backwards to the record's first node. Pure.
 
-How an object moves at first nothing foretells, and where it is let go in haste a search that begins there ends in a
-valley next to the right one. What is known already is found again in short windows, one before the other.
+How an object moves at first cannot be predicted. Where it is released in haste, a search that starts there often ends
+in a wrong minimum next to the right one. So the constants are determined from the rest of the record first; the motion
+before it is then fitted in short windows, each before the last one.
 """
 
 from __future__ import annotations
@@ -19,32 +20,35 @@ from palmd.observer.normal_equations import LOOSENED, Guess
 from palmd.observer.record import Record
 from palmd.observer.smoother import Fit, Smoother
 
-FIRST_STEPS, LEAST_STEPS = 20, 5  # by which a window grows at first: more where that was right, fewer where it was not
-OVERLAP = 50  # steps of what is known already, at a window's end
-ITERATIONS = 12  # of a window: what is right is near
-ANYWHERE_RAD, ANY_SPIN = 10.0, 10.0  # one-sigmas of a window's first node (rad, rad/s): it has no part in the gauge
+# steps of the first window, doubled after each success; least steps, to which a failing window is halved
+FIRST_STEPS, LEAST_STEPS = 20, 5
+OVERLAP = 50  # steps of the motion known already, at a window's end
+ITERATIONS = 12  # of each fit of a window: its minimum is near
+ANYWHERE_RAD, ANY_SPIN = 10.0, 10.0  # 1σ of a window's first node (rad, rad/s): it is not part of the gauge
 
 
-def with_beginning(
+def extended_backwards(
     library: Library,
     whole: Record,
     rest: Fit,
     known: Factor,
     explained: Callable[[Fit, Record], bool],
 ) -> Guess | None:
-    """The fit of the last nodes of `whole`, carried back to its first node; None where nothing explains what was there.
+    """Extend `rest`, the fit of the last nodes of `whole`, to its first node; None where a window is not explained.
 
-    `known`: what the rest tells of the constants. The motion is noisier at first only if nothing is found otherwise,
-    since a loose one may settle in the valley next to the right one.
+    known: knowledge of the constants from the rest of the record.
+    explained: whether a fit explains the readings of its record.
+    Higher process noise in the first iterations (`LOOSENED`) is tried second only: with it the fit may settle in a
+    wrong minimum next to the right one.
     """
     for loosened in ((), LOOSENED):
-        guess = _carried_back(library, whole, rest, known, explained, loosened)
+        guess = _extended(library, whole, rest, known, explained, loosened)
         if guess is not None:
             return guess
     return None
 
 
-def _carried_back(
+def _extended(
     library: Library,
     whole: Record,
     rest: Fit,
@@ -58,7 +62,7 @@ def _carried_back(
     while first > 0:
         begin = max(first - more, 0)
         window = whole.between(begin, end)
-        start = Guess(_before(x[: end - first + 1], window, first - begin), p)
+        start = Guess(_prepended(x[: end - first + 1], window, first - begin), p)
         smoother = Smoother(library, window, known)
         for times in loosened:
             start = smoother.fit(start, rest.noise.noisier(times), ITERATIONS).guess
@@ -70,27 +74,27 @@ def _carried_back(
             more //= 2
         else:
             return None
-    return from_zero(Guess(x, p))
+    return with_zero_orientation(Guess(x, p))
 
 
-def from_zero(guess: Guess) -> Guess:
-    """The same with ψ = 0 at the first node: that is gauge, and the outline is turned instead."""
+def with_zero_orientation(guess: Guess) -> Guess:
+    """The same fit with ψ = 0 at the first node; ψ is gauge, so the outline is rotated instead."""
     psi, p = float(guess.x[0, 0]), guess.p.copy()
     p[C.SHAPE :] = shape.turned(-psi, ORDER) @ p[C.SHAPE :]
     return Guess(guess.x - [psi, 0.0], p)
 
 
-def known_of(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor:
-    """Constants that are told so, the node before them anywhere; raises LinAlgError as `np.linalg.inv`.
+def knowledge_of_constants(p: FloatArray, covariance: FloatArray, scale: FloatArray) -> Factor:
+    """Knowledge of the constants from an estimate `p` and its covariance; the node after them is free.
 
-    `scale` as in `Knowledge`.
+    scale: as in `Knowledge`. Raises LinAlgError as `np.linalg.inv`.
     """
     matrix = np.zeros((CONSTANTS, CONSTANTS))
     matrix[:] = np.linalg.inv(covariance[:CONSTANTS, :CONSTANTS])
-    return with_any_node(Factor(p, 0.0, matrix, np.zeros(CONSTANTS), scale))
+    return with_free_node(Factor(p, 0.0, matrix, np.zeros(CONSTANTS), scale))
 
 
-def with_any_node(known: Factor) -> Factor:
+def with_free_node(known: Factor) -> Factor:
     """Knowledge of the constants, extended by a node of unknown state (`ANYWHERE_RAD`, `ANY_SPIN`)."""
     matrix, side = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     matrix[:CONSTANTS, :CONSTANTS], side[:CONSTANTS] = known.matrix, known.side
@@ -98,8 +102,8 @@ def with_any_node(known: Factor) -> Factor:
     return Factor(np.concatenate([known.about, np.zeros(NODE)]), known.cost, matrix, side, known.scale)
 
 
-def _before(x: FloatArray, window: Record, more: int) -> FloatArray:
-    """Nodes `x` with so many before them, turning as at the first that is known."""
+def _prepended(x: FloatArray, window: Record, more: int) -> FloatArray:
+    """Nodes `x`, preceded by `more` nodes that turn at the rate of the first one."""
     psi, omega0 = x[0]
     earlier = np.stack([psi + omega0 * (window.t[:more] - window.t[more]), np.full(more, omega0)], axis=1)
     return np.concatenate([earlier, x])

@@ -11,7 +11,7 @@ from simulated import simulated
 from palmd import observer
 from palmd.events import PadSample, PalmMotion, PalmSample
 from palmd.observer import Simulated
-from palmd.observer.riding import Riding
+from palmd.observer.fixed_mode_test import FixedModeTest
 from palmd.record.replay import replay
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.mechanism import PALMS
@@ -24,9 +24,9 @@ NOISE_M, NEVER = float(np.sqrt(EXACT.reading_variances[0])), 100.0
 
 def told(
     readings: dict[int, np.ndarray], openings: np.ndarray, rig: RigDescription = EXACT, force: np.ndarray = NO_FORCE
-) -> Riding:
+) -> FixedModeTest:
     """After these readings (m) of each pad, with noise."""
-    random, riding = np.random.default_rng(1), Riding(rig)
+    random, riding = np.random.default_rng(1), FixedModeTest(rig)
     rates = np.gradient(openings, DT_S)
     for k, (opening, rate) in enumerate(zip(openings.tolist(), rates.tolist(), strict=True)):
         palms = PalmMotion((0.7, opening), (0.0, rate), (0.0, 0.0))
@@ -62,7 +62,7 @@ def test_a_corner_is_felt_and_not_forgotten():
 def test_nothing_that_rests_excludes_a_ride_or_allows_for_one():
     still = np.full(200, 15e-3)
     assert not told({1: still, 2: still}, np.full(200, 1.6)).excluded
-    assert not Riding(EXACT).excluded
+    assert not FixedModeTest(EXACT).excluded
     rolled = told({1: ROLLING, 2: ROLLING}, OPENINGS)
     for k in range(100_000):
         rolled.read(PadSample(3.0, 1 + k % 2, 20e-3), PalmMotion.at_rest((0.7, 1.6)))
@@ -82,7 +82,7 @@ def test_arcs_about_one_centre_are_as_a_disc_and_others_are_not_by_both_palms_to
     def about(over_other, radius):
         return (over_other + radius * np.cos(OPENINGS)) / np.sin(OPENINGS)
 
-    assert Riding(EXACT).concentric
+    assert FixedModeTest(EXACT).concentric
     assert told({1: about(18e-3, 18e-3), 2: about(18e-3, 18e-3)}, OPENINGS).concentric
     assert told({1: about(12e-3, 18e-3), 2: about(18e-3, 12e-3)}, OPENINGS).concentric
     other = told({1: about(18e-3, 18e-3), 2: about(18e-3, 16e-3)}, OPENINGS)
@@ -146,11 +146,11 @@ def watched(run, smoother_takes_s: float) -> int:
 )  # fmt: skip
 def test_only_what_is_known_to_roll_is_vouched_for(monkeypatch, smoother_takes_s, excluded, disc, sharp, ticks):
     """By both pads, or by one and a smoother that has weighed its answer against a ride."""
-    monkeypatch.setattr(Riding, "excluded", excluded)
-    monkeypatch.setattr(Riding, "disc", disc)
-    monkeypatch.setattr(Riding, "concentric", disc)
-    monkeypatch.setattr(Riding, "_sharp", lambda *_: sharp)
-    monkeypatch.setattr("palmd.observer.riding.TELLING_RAD", 0.0)
+    monkeypatch.setattr(FixedModeTest, "excluded", excluded)
+    monkeypatch.setattr(FixedModeTest, "disc", disc)
+    monkeypatch.setattr(FixedModeTest, "concentric", disc)
+    monkeypatch.setattr(FixedModeTest, "_touches_corner", lambda *_: sharp)
+    monkeypatch.setattr("palmd.observer.fixed_mode_test.LEAST_RANGE_RAD", 0.0)
     valid = watched(simulated("nominal", 9500, 2.0), smoother_takes_s)
     assert (valid > ticks) if ticks else (valid == 0)
 
