@@ -33,7 +33,7 @@ from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import read_run
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
-from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, said_off, shown
+from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, shown
 
 FORMAT = 1
 Sections = dict[str, dict[str, float]]
@@ -93,22 +93,22 @@ def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
 def table(fit: RigFit, runs: int) -> str:
     """What the runs have told, and what not, in a few lines for a terminal."""
     found = [
-        f"  {constant.what:26} {shown(constant, value, sd)} {constant.off}"
+        f"  {constant.subject:26} {shown(constant, value, sd)} {constant.error_text}"
         for constant, value, sd, is_told in zip(RIG_TABLE, fit.values, fit.sds, fit.told, strict=True)
         if is_told
     ]
-    rest = [constant.what for constant, is_told in zip(RIG_TABLE, fit.told, strict=True) if not is_told]
+    rest = [constant.subject for constant, is_told in zip(RIG_TABLE, fit.told, strict=True) if not is_told]
     return "\n".join([f"self: {runs} run{'s' * (runs > 1)}", *found, f"  not told: {', '.join(rest) or 'nothing'}"])
 
 
 def remarks(fit: RigFit, answers: Mapping[Path, Reconstruction]) -> Iterator[str]:
     """What a person should look into: what no key can mend, and runs that contradict the others."""
     proposed = np.isin(np.arange(len(fit.values)), [*range(R.ZERO, R.SAGITTA), R.TILT])
-    yield from said_off(np.where(proposed, 0.0, fit.values), fit.sds, fit.priors, np.zeros_like(fit.sds))
+    yield from describe_rig_errors(np.where(proposed, 0.0, fit.values), fit.sds, fit.priors, np.zeros_like(fit.sds))
     for path, answer in answers.items():
         for i in np.flatnonzero(fit.told & (np.abs(answer.rig - fit.values) > _DISAGREES * answer.rig_sd)):
             said = shown(RIG_TABLE[i], float(answer.rig[i]), float(answer.rig_sd[i]))
-            yield f"{path}: alone it says {said} of {RIG_TABLE[i].what}: was something changed between the runs?"
+            yield f"{path}: alone it says {said} of {RIG_TABLE[i].subject}: was something changed between the runs?"
 
 
 def called_for(fit: RigFit, config: Config) -> Sections:

@@ -463,7 +463,7 @@ def minima(
 
 def noise_on(rig: RigDescription) -> ProcessNoise:
     """What the model leaves out, how unevenly the palms of this rig turn included."""
-    return replace(NOISE, omega0=NOISE.omega0 + rig.uneven_spin)
+    return replace(NOISE, omega0=NOISE.omega0 + rig.rounding_spin_density)
 
 
 def astray(residuals: FloatArray) -> npt.NDArray[np.bool_]:

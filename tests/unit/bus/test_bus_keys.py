@@ -275,7 +275,7 @@ def test_who_proves_no_key_is_counted_and_logged(rig, caplog, what):
 
 
 def test_without_its_doorkeeper_the_bus_lets_nobody_in(rig):
-    rig.bus._door.close()
+    rig.bus._authenticator.close()
     client = rig.client(zmq.SUB, rig.credentials("ann"))
     with client.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL) as monitor:
         rig.until(lambda: monitor.poll(0))

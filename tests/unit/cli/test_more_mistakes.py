@@ -204,7 +204,7 @@ MISTAKES = {
     "a decimal comma": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:3:23: rig: a comma begins another entry: for 9,81 write 9.81",
+        "my.yaml:3:23: rig: a comma begins another entry; for 9,81 write 9.81",
         {"my.yaml": PORTS + "rig: {gravity_m_s2: 9,81}\n"},
     ),
     "not a number at all": Mistake(

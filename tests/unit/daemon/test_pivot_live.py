@@ -61,7 +61,7 @@ def test_nothing_jams_and_the_force_stays_below_its_limit(lived):
     world = lived.rig.world
     assert world.jams == 0
     assert world.most_force < CONFIG.limits.force_n
-    assert lived.rig.core.exploring.told()["coverage"] == 1.0
+    assert lived.rig.core.exploring.summary()["coverage"] == 1.0
 
 
 @pytest.mark.parametrize("seed", [728, 816])  # 3.3 and 2.8 N: set down on the way back, lifted off after the force

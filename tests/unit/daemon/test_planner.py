@@ -120,5 +120,5 @@ def test_of_bytes_that_are_no_text_nothing_is_told(etc):
 def test_a_text_that_was_sent_is_no_secret_to_who_sent_it():
     with pytest.raises(ConfigError) as caught:
         plan_in("name: x\nsegmets: 1\n", "mine.yaml", LIMITS, None)
-    assert "mine.yaml:2:1: segmets: unknown key; is segments meant?" in caught.value.errors
+    assert "mine.yaml:2:1: segmets: unknown key; did you mean segments?" in caught.value.errors
     assert plan_in(PLAN, str(Path("/nobody/here.yaml")), LIMITS, None).name == "rock"
