@@ -20,9 +20,7 @@ _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def one_thread_from_here() -> None:
-    """Use one thread in this process and in the processes it starts; call in palmd's own processes, before an array
-    library is loaded.
-    """
+    """Use one thread in this process and its children; call in palmd's own processes before loading array libraries."""
     global _own_process
     _own_process = True
     os.environ.update(dict.fromkeys(_VARIABLES, "1"))

@@ -143,10 +143,9 @@ class Estimate(LiveEstimate):
 
 @dataclass(frozen=True, slots=True)
 class ShapeEstimate:
-    """The outline as a support function about the centre of mass: h and its standard deviation (m) on normals theta
-    (rad).
+    """The outline as support function h (m) about the centre of mass, on normals theta (rad).
 
-    For a body in space theta are unit vectors (n, 3).
+    For a body in space theta are unit vectors (n, 3). h_sd is the standard deviation of h.
 
     theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused measurement,
     or that of the stored outline used; `touched` marks the normals at which a palm has been in contact.

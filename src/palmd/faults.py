@@ -429,7 +429,7 @@ class FaultMonitor:
         self._since: dict[str, float] = {}
         self._latched: set[str] = set()
         self._active_codes: set[str] = set()
-        self._with_evidence: dict[str, Fault] = {}  # with what spoke for them when they came up
+        self._with_evidence: dict[str, Fault] = {}  # texts extended by the evidence at their occurrence
 
     def update(
         self,

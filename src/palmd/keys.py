@@ -171,7 +171,7 @@ def revoke(folder: Path, name: str) -> None:
     try:
         path.unlink()
     except FileNotFoundError:
-        raise KeysError(f"{path}: no such file; the clients are {_client_names(folder)}") from None
+        raise KeysError(f"{path}: no such file; listed clients: {_client_names(folder)}") from None
     except OSError as error:
         raise KeysError(f"{path}: cannot be removed ({error.strerror})") from None
 

@@ -198,9 +198,7 @@ events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 
 
 class AnswerCodec(Generic[Answer]):
-    """Converts a smoother's answer to fields of a topic, and back: the `source` of a quantity is the answer's
-    attribute.
-    """
+    """Converts a smoother's answer to fields of a topic and back; a quantity's `source` is the attribute's name."""
 
     def __init__(
         self,

@@ -66,10 +66,11 @@ def read_outline(path: Path) -> Outline:
 
     JSON: `theta_rad`, evenly spaced over the full circle from any start, and `h_m`; optional `h_sd_m`, `rho_m`,
     `rho_sd_m`, `mass_kg`, `mass_sd_kg`, `name`. Other keys are ignored, so that a reconstruction's result and a
-    simulator's truth are valid outlines; a result with `converged: false` is not. CSV: a line `x_mm,y_mm`, then points
-    in order round the object, in either direction; further columns are ignored. Comment lines `# com_mm: x, y`, `#
-    rho_mm: …`, `# mass_kg: …` give what the points do not; without them the body is a uniform lamina. Noise is averaged
-    by a least-squares fit (`polygon.fitted`).
+    simulator's truth are valid outlines; a result with `converged: false` is not.
+
+    CSV: a line `x_mm,y_mm`, then points in order round the object, in either direction; further columns are ignored.
+    The comment lines `# com_mm: x, y`, `# rho_mm: …` and `# mass_kg: …` are optional; without them the body is a
+    uniform lamina. Noise is averaged by a least-squares fit (`polygon.fitted`).
     """
     try:
         text = _text(path)
@@ -325,7 +326,7 @@ def _closed(table: _Table) -> FloatArray:
 
 
 def _check_unit(size: float, key: str, in_m: float, unit: str) -> None:
-    """Reject a mean radius `size` in the file's `unit`, which is `in_m` metres, that is not that of a hand-held object."""
+    """Reject a mean radius `size` outside the range of hand-held objects; `unit` is the file's, `in_m` metres."""
     low, high = MEAN_RADIUS_M
     if low <= size * in_m <= high:
         return

@@ -25,9 +25,7 @@ ARM_NEAREST_MM = 150.0
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """A value in another unit than the key's: multiplied by `factor`, or dividing it if `inverted`, it is in the key's
-    unit.
-    """
+    """A value in another unit than the key's: the key's value is `factor` × value, or factor/value if `inverted`."""
 
     factor: float
     inverted: bool = False
@@ -87,7 +85,7 @@ def _plausible(field: FieldInfo) -> Plausible | None:
 
 
 def describe_implausible(key: str, value: Value, plausible_range: Plausible, default: Value) -> str:
-    """What is implausible about a key's value, and the value probably meant: of all slips the closest to the default."""
+    """What is implausible about a key's value, and the value probably meant: the slip closest to the default."""
     unit = unit_of(key)
     text = f"{_formatted(value, unit)} is implausible: {plausible_range}{f' {unit}' if unit else ''} is usual"
     converted = (slip.in_key_unit(value) for slip in UNIT_SLIPS.get(unit, ()))

@@ -29,9 +29,7 @@ class Lamina:
 
 @dataclass(frozen=True, slots=True)
 class PolygonFit:
-    """A support function h (360,) in m on the normals of 0, 1, …, 359 degrees, and the points' RMS distance from it
-    (m).
-    """
+    """A support function h (360,) in m on the normals 0, 1, …, 359 degrees, and the points' RMS distance (m)."""
 
     h: FloatArray
     rms: float

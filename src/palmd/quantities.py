@@ -77,7 +77,7 @@ CHARTS = (
     Chart("rates", "state", "Palm rates", 4.0, group=_PALMS),
     Chart("turn", "state", "Turn of the object"),
     Chart("nis", "trust", "Normalised innovation squared: 1 when readings and model agree", 1.0, 0.0, _TRUST, NIS_BAND),
-    Chart("observability", "trust", "Observability: above 1 if the last second alone determines the state", 1.0, 0.0, _TRUST,
+    Chart("observability", "trust", "Observability: above 1 if the last second determines the state", 1.0, 0.0, _TRUST,
           (1.0, math.inf)),
     Chart("touched", "trust", "Touched, valid"),
     Chart("object", "trust", "Number of the object"),
@@ -178,7 +178,7 @@ def following(unit: str) -> tuple[Quantity, Quantity]:
     return (
         Quantity(f"following_error_{unit}", "numbers", unit,
                  "actual minus delayed set-point of each joint at the last report; NaN where not judged"),
-        Quantity(f"following_limit_{unit}", "numbers", unit, "limit of each joint, at which the arm is stopped; NaN where not judged"),
+        Quantity(f"following_limit_{unit}", "numbers", unit, "limit of each joint; NaN where not judged"),
     )  # fmt: skip
 
 
@@ -207,7 +207,7 @@ ESTIMATE = Topic(
     (
         Quantity("invalid_reasons", "texts", "", "codes of the reasons why it is invalid, empty when valid",
                  source="invalid_reasons"),
-        Quantity("valid", "bool", "", "whether the estimate passed all tests: settled, consistent, finite", "valid", "touched",
+        Quantity("valid", "bool", "", "whether it passed all tests: settled, consistent, finite", "valid", "touched",
                  source="valid"),
         Quantity("observer", "text", "", "the observer that made the estimate", source="observer"),
         Quantity("object", "number", "", "increases when a new object is started", "object", "object",
@@ -448,7 +448,7 @@ IMPROVEMENT = Topic(
         Quantity("covariance", "numbers", "SI", "covariance of that state given `rig`, row by row", source="P"),
         Quantity("frame", "number", "", "changes when the outline's gauge changes",
                  source="frame"),
-        Quantity("established", "bool", "", "whether it has been confirmed for so long that no rival hypothesis is kept",
+        Quantity("established", "bool", "", "whether it is confirmed for so long that no rival hypothesis is kept",
                  source="established"),
         Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0",
                  source="touched"),
@@ -492,7 +492,7 @@ LOG = Topic(
     "and with each new entry, 10 Hz at most",
     (
         Quantity("number", "numbers", "",
-                 f"number of each of the last {LOG_ENTRIES} entries, in order, counted from 0 since the daemon's start"),
+                 f"number of each of the last {LOG_ENTRIES} entries, in order, from 0 since the daemon's start"),
         Quantity("t_s", "numbers", "s", "time of the event, CLOCK_MONOTONIC"),
         Quantity(
             "kind",
@@ -584,7 +584,9 @@ STALL = Topic(
     "when it has stalled for more than 20 ms for lack of processor time",
     (
         Quantity("t_s", "number", "s", "end of the stall, CLOCK_MONOTONIC"),
-        Quantity("lasted_s", "number", "s", "duration in which the emulated rig sent nothing, unlike a real one"),
+        Quantity(
+            "lasted_s", "number", "s", "duration in which the emulated rig sent nothing; a real one does not stall"
+        ),
         Quantity("count", "number", "", "number of stalls since its start"),
     ),
 )

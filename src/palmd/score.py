@@ -1,6 +1,4 @@
-"""Errors of estimates with respect to the truth, as used throughout the project. Outlines: COM-centred, best rotation.
-Pure.
-"""
+"""Errors of estimates against the truth, as used throughout the project. Outlines: COM-centred, best rotation. Pure."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def test_list_and_revoke(folders, capsys):
     assert "restart palmd" in capsys.readouterr().out
     assert main(["keys", "list"]) == 0
     assert "nobody may come in" in capsys.readouterr().out
-    assert fails(capsys, "keys", "revoke", "desk") == "keys/clients/desk.key: no such file; there are none"
+    assert fails(capsys, "keys", "revoke", "desk") == "keys/clients/desk.key: no such file; listed clients: none"
 
 
 @pytest.mark.parametrize("bits", [0o640, 0o604, 0o610, 0o602, 0o666])

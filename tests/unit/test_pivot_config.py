@@ -59,7 +59,7 @@ def test_who_knows_two_palms_only_says_so():
         ("rig: {system: pivot, hinge: arc}\n" + PADS, "rig.hinge: unknown key"),
         (
             "rig: {system: pivott}\n" + PADS,
-            r"^\S+:1:15: rig.system: there is no system 'pivott'; there is pivot[^\n]*$",
+            r"^\S+:1:15: rig.system: there is no system 'pivott'; the systems are pivot[^\n]*$",
         ),
     ],
 )

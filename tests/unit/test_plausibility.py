@@ -8,7 +8,7 @@ import pytest
 
 from palmd.config.fields import Plausible, Strict
 from palmd.motion.check import check_files
-from palmd.plausibility import implausible, odd
+from palmd.plausibility import describe_implausible, implausible
 from palmd.yamlfile import load_any_config, load_config, read_document
 
 ROOT = Path(__file__).parents[2]
@@ -109,4 +109,4 @@ def test_every_default_is_plausible() -> None:
 
 
 def test_what_nobody_can_guess_is_only_asked_about() -> None:
-    assert odd("palm1_length_mm", 1500.0, Plausible(20, 21), 20.5).endswith("20 to 21 mm is usual")
+    assert describe_implausible("palm1_length_mm", 1500.0, Plausible(20, 21), 20.5).endswith("20 to 21 mm is usual")

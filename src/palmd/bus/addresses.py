@@ -24,15 +24,12 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def publish_address(given: str | None, config: Path | None = None) -> str:
-    """The address to subscribe to: the given one, else that of the configuration; raises CliError for an invalid file.
-    """
+    """The address to subscribe to: the given one, else the configured one; raises CliError for an invalid file."""
     return given or _configured(config).get("publish", PUBLISH)
 
 
 def command_address(given: str | None, config: Path | None = None) -> str:
-    """The address to send commands to: the one given, else that of the configuration; raises CliError for an invalid
-    file.
-    """
+    """The address for commands: the given one, else the configured one; raises CliError for an invalid file."""
     return given or _configured(config).get("command", COMMAND)
 
 
@@ -58,9 +55,7 @@ def _reason(error: Exception) -> str:
 
 
 def _bus_of(config: Path) -> dict[str, str]:
-    """The bus addresses, read without the configuration models: loading these takes a third of a second, too long for a
-    `stop`.
-    """
+    """The bus addresses, read without the configuration models, whose loading (1/3 s) would delay a `stop`."""
     import yaml
 
     from palmd.config.addresses import from_here

@@ -112,7 +112,7 @@ class CommandClient(Link):
 def own_client() -> str:
     """Identity of this process for a daemon: the user at the terminal, so that all commands of a shell are one client.
 
-    Without a terminal all palmd commands of the user are one client; any other program is a client of its own.
+    Without a terminal all palmd commands of the user are one client; any other program is a separate client.
     """
     terminal = _terminal()
     if not terminal and not own_name().startswith("palmd"):

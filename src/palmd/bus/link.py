@@ -32,7 +32,7 @@ def add_key(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=os.environ.get(KEY_VARIABLE) or None,
         metavar="FILE",
-        help=f"file of our secret key, the daemon's server.key beside it; for daemons with keys (default: ${KEY_VARIABLE})",
+        help=f"our secret key file, with the daemon's server.key beside it; if it has keys (default: ${KEY_VARIABLE})",
     )
 
 

@@ -38,8 +38,7 @@ log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
 RECORDER_START_S = 2.0
-"""Longest time that the first messages are buffered until a recorder that we start is ready: an observer's run can be
-replayed only from its first event."""
+"""Longest buffering of messages until our recorder is ready: a replay needs all events from the first one."""
 EXTERNAL_RECORDER_S = 0.5
 """The same for a recorder that was started separately: it is already listening and finds an open bus within 0.1 s."""
 
@@ -179,9 +178,7 @@ class _Signals:
             signal.signal(number, handler)
 
     def hand_over(self, stop: Callable[[], None]) -> None:
-        """From now on call `stop` on a signal; call it at once if a signal has already come and foreign code swallowed
-        its exception.
-        """
+        """From now on call `stop` on a signal; at once if one has come whose exception foreign code swallowed."""
         self._stop = stop
         if self._requested:
             stop()

@@ -48,9 +48,7 @@ class AsyncLog(logging.Handler):
 
 
 def start_async_log() -> AsyncLog:
-    """Send this process's log, from level INFO on, to standard error; the caller closes the returned handler at the
-    end.
-    """
+    """Send this process's log (level INFO) to standard error; the caller closes the returned handler at the end."""
     journal = AsyncLog()
     root = logging.getLogger()
     root.handlers[:] = [journal]

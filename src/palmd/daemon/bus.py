@@ -34,8 +34,7 @@ LINGER_MS = 100
 BACKLOG_PER_PUBLISH = 8
 """Buffered messages sent with each new one: a backlog of half a second is sent within about ten ticks."""
 SUBSCRIBE_GRACE_S = 0.1
-"""How long messages are still buffered after the awaited command: its sender's subscription uses another connection and
-may arrive later."""
+"""Buffering after the awaited command: the sender's subscription, on another connection, may arrive later."""
 MESSAGES_PER_TICK = 128
 """Messages read from the command socket in a tick. More than the number of clients that can connect, send and
 disconnect in a tick: each closed connection keeps some 30 kB in ZeroMQ until its message is read. Reading that many
@@ -128,9 +127,7 @@ class Bus:
                 self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
 
     def receive(self, owner: Key = NOBODY_KEY) -> list[Request]:
-        """Return the valid commands to execute in this tick while the client `owner` has control; reject the others
-        here.
-        """
+        """The valid commands to execute in this tick while the client `owner` has control; rejects the others."""
         self._enqueue_received(owner)
         requests, refused = self._queue.take(owner) if len(self._queue) else ([], [])
         for request, reason in refused:
@@ -150,7 +147,7 @@ class Bus:
         unless more than `MESSAGES_PER_TICK` clients send at once.
         """
         self._frames_left = FRAMES_PER_TICK
-        heard: set[tuple[bytes, ...]] = set()
+        served: set[tuple[bytes, ...]] = set()
         before = len(self._queue)
         for number in range(MESSAGES_PER_TICK):
             frames = self._receive_message()
@@ -162,9 +159,9 @@ class Bus:
             refused = None if request is None else self._queue.add(request, owner)
             if refused is not None:
                 self._reject_busy(*refused)
-            if before + number >= PER_TICK and route in heard:
+            if before + number >= PER_TICK and route in served:
                 return
-            heard.add(route)
+            served.add(route)
 
     def _authorised(self, route: tuple[bytes, ...], payloads: list[bytes], frame: zmq.Frame) -> Request | None:
         """The command in a message; answers invalid and forbidden ones and returns None for them."""
@@ -190,8 +187,7 @@ class Bus:
         self._send(request.route or (), reply_fields(request.id, f"{request.name} refused: {reason}"))
 
     def _receive_message(self) -> list[zmq.Frame] | None:
-        """The next message that has arrived, truncated if it is oversized; None when there is none or the tick's limit
-        is reached.
+        """The next message, truncated if oversized; None if there is none or the tick's limit is reached.
 
         The limit counts frames, because a client may put any number of them into one message; the rest of such a
         message is discarded in later ticks.

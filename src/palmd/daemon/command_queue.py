@@ -38,8 +38,9 @@ class CommandQueue:
         return len(self._waiting)
 
     def add(self, request: Request, owner: Key) -> Refusal | None:
-        """Queue a command; returns the command that is rejected instead with the reason, this one or one that had to
-        make room, or None.
+        """Queue a command; returns a rejected command and the reason, or None.
+
+        If the queue is full, the rejected command is this one or one that had to make room.
         """
         key = client_of(request).key
         if len(self._waiting) >= MAX_WAITING:
@@ -58,9 +59,7 @@ class CommandQueue:
         return None
 
     def take(self, owner: Key) -> tuple[list[Request], list[Refusal]]:
-        """The commands to execute in this tick, and those rejected: a moving command must not follow a stop that
-        overtook it.
-        """
+        """The commands to execute in this tick, and rejected ones: no moving command follows a stop that overtook it."""
         if len(self._waiting) <= PER_TICK:
             served = [request for request, _ in self._waiting]
             self._keep([])
@@ -79,8 +78,9 @@ class CommandQueue:
         return urgent + [left[number][0] for number in turns[:PER_TICK]], refused
 
     def _victim(self, request: Request, key: Key, owner: Key) -> Waiting | None:
-        """The waiting command to reject for this one: the newest of the lowest priority from the client with most
-        waiting, or None.
+        """The waiting command to reject in favour of this one, or None.
+
+        The newest one of the lowest priority, from the client with most waiting commands.
         """
         rank, mine = _rank(request, key, owner), self._count[key]
         if rank == _QUESTION and mine:
@@ -114,9 +114,7 @@ def _rank(request: Request, key: Key, owner: Key) -> int:
 
 
 def _by_turns(waiting: list[Waiting], owner: Key) -> list[int]:
-    """Indices in order of execution: the owner's in order of arrival, then each client's first before any client's
-    second.
-    """
+    """Indices in order of execution: the owner's first, then each other client's first before any second one."""
     turns: Counter[Key] = Counter()
     order = []
     for number, (request, key) in enumerate(waiting):

@@ -21,9 +21,7 @@ _KEYS = ("id", "cmd", "args", "from", "client", "lease_s")
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument of a command; `low` and `high` bound a number, `longest` is the largest number of characters of a
-    text.
-    """
+    """One argument of a command; `low` and `high` bound a number, `longest` the number of characters of a text."""
 
     name: str
     kind: Literal["number", "text", "flag"]

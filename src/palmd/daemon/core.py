@@ -156,7 +156,7 @@ class Core:
         """The estimate of the last tick."""
         return self._estimate
 
-    # ---- the lines ---------------------------------------------------------------------------------------
+    # ---- ports -------------------------------------------------------------------------------------------
 
     def ports(self) -> dict[EndName, DevicePort]:
         """The closed ports of all devices."""
@@ -404,7 +404,7 @@ class Core:
         self.decide(t)
         return self.report(t)
 
-    # ---- beside the ticks --------------------------------------------------------------------------------
+    # ---- outside of ticks --------------------------------------------------------------------------------
 
     def overran(self, t: float, late_s: float, why: str = "") -> None:
         """The tick that ended at `t` (s) was `late_s` after its deadline, so later ticks were skipped."""

@@ -79,9 +79,7 @@ class ArmDiagnostics:
 
 
 class LoopDiagnostics:
-    """Missed deadlines, the last one late by `late_s` with the reason `why` if known, and samples that arrived too
-    late.
-    """
+    """Missed deadlines, the last by `late_s` with the reason `why` if known, and samples that arrived too late."""
 
     def __init__(self) -> None:
         self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)

@@ -1,6 +1,4 @@
-"""In-loop exploration by dragging or rolling: the policy is evaluated at every tick, because it depends on the
-contacts. Pure.
-"""
+"""In-loop exploration by dragging or rolling; the policy runs every tick, since it depends on the contacts. Pure."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ class DragExploration(ExplorationControl):
             self._exploration, self._ever_started, self._halting = exploration, True, False
             self._drags = (Rolls if limits.slides else Drags)(limits, exploration.goal)
             self._coverage, self._goal = self._drags.coverage, exploration.goal.coverage
-            self._reason = "it has just begun"
+            self._reason = "it has just started"
         drags, self._seconds = self._drags, tau
         if self._halting or not inputs.tracking:
             if not self._setpoints.moving:

@@ -26,12 +26,11 @@ class ExplorationTask:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Request for the move after the one that is under way at `t` (s); without a belief, for a move that makes the
-    object observable.
+    """Request for the move after the one under way at `t` (s).
 
-    `belief`: the observer's belief for planning. `choose`: False if the question is only whether the move under way is
-    still safe. `sticking`: contact positions (m) of an object that sticks, else None. `cornered`: whether a corner of
-    the object was detected.
+    `belief`: the observer's belief for planning; None asks for a move that makes the object observable. `choose`: False
+    if the question is only whether the move under way is still safe. `sticking`: contact positions (m) of an object
+    that sticks, else None. `cornered`: whether a corner of the object was detected.
     """
 
     t: float
@@ -75,8 +74,7 @@ class DecisionSource(Protocol):
 
 
 class Decider:
-    """Decides for two palms: explores, rocks an object that is not known yet, makes a sticking one slip, tips one with
-    corners.
+    """Decides for two palms: explores, rocks unknown objects, makes sticking ones slip, tips those with corners.
 
     Not for the loop.
     """
@@ -116,12 +114,10 @@ class Decider:
         return ExplorationAnswer(question.t, task.run, move, None if belief is None else belief.object_count, decision)
 
     def _provoke_slip(self, contacts: tuple[float, ...], last: Move, limits: MotionLimits, choose: bool) -> Decision:
-        """The move after `last` for an object that sticks with contacts at `contacts` (m); no belief predicts its
-        motion.
-        """
+        """The move after `last` for an object that sticks at `contacts` (m); no belief predicts its motion."""
         if not choose:
             return Decision("safe")
-        from palmd.motion.provocation import provoke, rounds  # as above
+        from palmd.motion.provocation import provoke, rounds  # here for the same reason
 
         here = last.end
         if self._slip_poses and here == self._slip_poses[0]:

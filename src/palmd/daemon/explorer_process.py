@@ -17,14 +17,10 @@ NICENESS = 2  # the palms wait for its decisions: priority below the loop, above
 
 
 class ExplorerProcess:
-    """The loop's side, a `daemon.exploration_requests.DecisionSource`; the process starts, in 3 ms, when a plan first
-    needs it.
-    """
+    """The loop's side, a `DecisionSource`; the process starts, in 3 ms, when a plan first needs it."""
 
     def __init__(self, rig: object, decider: str = DECIDER) -> None:
-        """`decider` names the class that answers questions in the process; it is constructed from the `rig`
-        description.
-        """
+        """`decider` names the class that answers questions in the process, constructed from the `rig` description."""
         self._rig, self._decider = rig, decider
         self._process: WorkerProcess | None = None
         self._failed = False

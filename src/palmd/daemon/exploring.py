@@ -29,7 +29,7 @@ ASK_S, AHEAD_S = (
 )  # period of requests for the next move, and how long before the end of the current one they begin
 AHEAD_MOST_S = 3.0  # largest value of the latter, for slow decisions
 CHECK_S = 1.0  # before that, period of requests whether the current move is still safe
-MORE_S = 0.5  # waiting for a decision, beyond which a decision yields two moves
+MORE_S = 0.5  # if a decision takes this much longer than its move, two moves are executed per decision
 STALE_S = 10.0  # age beyond which an answer is dropped, even if the move it follows is still the last
 LEAD_S = 0.05  # before the end of a move, when the next one is fixed
 LOST_S = 0.5  # without an estimate, after which a move is stopped

@@ -45,8 +45,7 @@ class Jog:
         check_way(tuple(self._goal), end, self._limits)
 
     def step(self, steps: Joints, t: float) -> list[str]:
-        """Shift the goal by `steps` (rad) at `t` (s) as far as the limits allow; returns the limits that clipped the
-        step.
+        """Shift the goal by `steps` (rad) at `t` (s) as far as the limits allow; returns the limits that clipped it.
 
         A step that the limits block entirely changes nothing.
         """

@@ -1,5 +1,4 @@
-"""The journal behind `palm/log`: a bounded list of entries, and the classes that write them. Pure, and safe in the
-loop.
+"""The journal behind `palm/log`: a bounded list of entries, and the classes that write them. Pure, safe in the loop.
 
 State and faults are polled; only changes are recorded, with their cause, including conditions that ended before the
 next poll.
@@ -134,8 +133,9 @@ class RigNotes:
         self._before: npt.NDArray[np.bool_] = np.zeros(len(RIG_NAMES), dtype=np.bool_)
 
     def look(self, contradicted: FloatArray, findings: Callable[[], Sequence[str]]) -> None:
-        """Update with a smoother's answer. contradicted: number of σ by which each constant is contradicted; `findings`
-        describes the errors.
+        """Update with a smoother's answer.
+
+        contradicted: number of σ by which each constant is contradicted. `findings` returns descriptions of the errors.
         """
         now = contradicted != 0.0
         if np.array_equal(now, self._before):
@@ -158,8 +158,9 @@ class MotionNotes:
         self._over = False
 
     def look(self, exploration: Exploration | None, reason: str, plan: str, over: bool, t: float) -> None:
-        """Update at `t` (s): the exploration under way, the reason why the last one ended, the plan, and whether that
-        is `over`.
+        """Update at `t` (s).
+
+        exploration: the one under way. reason: why the last one ended. over: whether the plan is complete.
         """
         if exploration is not self._exploration:
             if self._exploration is not None:

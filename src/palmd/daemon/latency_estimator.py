@@ -64,8 +64,9 @@ class LatencyEstimator:
         return [max(max(each), -min(each)) for each in zip(*rates, strict=True)] if rates else [0.0] * joints
 
     def extremes(self, t_sample: float, within_s: float) -> tuple[Joints, Joints]:
-        """Least and largest angle of each joint commanded for `t_sample` (s), for a lag wrong by up to `within_s`; only
-        where `motion` is not None.
+        """Least and largest commanded angle of each joint at `t_sample` (s), for lag errors up to `within_s`.
+
+        Call only where `motion` is not None.
         """
         at = t_sample - self.lag_s
         ends = self._commanded(at - within_s), self._commanded(at + within_s)

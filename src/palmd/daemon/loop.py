@@ -35,8 +35,7 @@ STOPPING_S = 1.5
 SLOW_TOPIC_S = 1.0 / LOOP.rate_hz
 
 QUIET_S = 0.3e-3
-"""In this interval before a tick no work is begun that could delay it; arriving bytes are time-stamped and processed in
-the tick."""
+"""In this interval before a tick no work is begun; arriving bytes are time-stamped and processed in the tick."""
 
 OBSERVING_SHARE = 0.5
 """Share of a period after which the observer takes no further event in a tick."""
@@ -83,12 +82,11 @@ class Loop:
         processor: ProcessorTime | None = None,
         tend: Sequence[Callable[[float], None]] = (),
     ) -> None:
-        """`info` are the fields of `info_topic`, `config` those of `palm/config`; `counters` gives further fields of
-        `palm/loop`.
+        """`info` are the fields of `info_topic`, `config` those of `palm/config`.
 
-        `clock` gives the time (s) of everything that happens, `wall` the calendar time; `waiter` waits on the ports;
-        `processor`, if given, explains why a tick was late. `tend` are called with the time (s) a few times a second:
-        each checks one process beside the loop and takes 1 ms at most.
+        `counters` gives further fields of `palm/loop`. `clock` gives the time (s) of everything that happens, `wall`
+        the calendar time; `waiter` waits on the ports; `processor`, if given, explains why a tick was late. `tend` are
+        called with the time (s) a few times a second: each checks one process beside the loop and takes 1 ms at most.
         """
         self.statistics = LoopStatistics(rate_hz)
         self._core = core

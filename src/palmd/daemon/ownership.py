@@ -34,9 +34,7 @@ NOBODY_KEY = ("", "", "")
 
 
 def client_of(request: Request) -> Client:
-    """The client that sent a request: identified by its `client` text, else by its connection, always within one CURVE
-    key.
-    """
+    """The client that sent a request: given by its `client` text, else its connection, within one CURVE key."""
     member, name = request.member, request.client
     if name:
         return Client((member, "client", name), f"{member}, {name}" if member else name)
@@ -56,7 +54,7 @@ class _Lease:
 
 
 class Control:
-    """The client in control. Times are seconds on one clock; call `expire` before `hear` for each request."""
+    """The client in control. Times are seconds on one clock; call `expire` before `renew` for each request."""
 
     def __init__(self) -> None:
         self._owner: Client | None = None
@@ -83,7 +81,7 @@ class Control:
         """Whether the client in control has declared a lease."""
         return self._owner is not None and self._owner.key in self._declared
 
-    def hear(self, client: Client, t: float, lease_s: float | None = None) -> None:
+    def renew(self, client: Client, t: float, lease_s: float | None = None) -> None:
         """Renew the lease of a client whose request arrived at `t` (s), with the lease that it declares, if any."""
         lease = self._declared.get(client.key)
         if lease is not None and lease_s is None and t <= lease.t_end:

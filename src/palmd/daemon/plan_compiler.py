@@ -51,9 +51,9 @@ class _PolledFuture(Future[T]):
 
 
 class PlanCompiler(Executor):
-    """The loop's end; what is submitted is a picklable call that gives a plan. Safe inside the loop.
+    """The loop's side: an executor for picklable calls that return a plan. Safe inside the loop.
 
-    One plan at a time: whatever was submitted before is given up.
+    One plan at a time: a call submitted before is abandoned.
     """
 
     def __init__(self) -> None:

@@ -37,9 +37,7 @@ class Plan:
         return isinstance(self.spec.segments[-1], ExploreSpec)
 
     def is_valid_for(self, limits: MotionLimits, start: Angles) -> bool:
-        """Whether the trajectory can be used for these limits and this start; that of an exploration can be used only
-        once.
-        """
+        """Whether the trajectory fits these limits and this start; that of an exploration can be used only once."""
         if self.explores:
             return False
         return limits is self.limits and (start == self.start or _independent_of_start(self.spec))
@@ -62,8 +60,7 @@ def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
 
 
 def plan_in(text: str, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
-    """The plan in `text`, `name` being its file on the sender's machine; not for the loop. Raises ConfigError as
-    `read_plan` does.
+    """The plan in `text`; `name` is its file on the sender's machine. Not for the loop. Raises as `read_plan`.
 
     Errors may quote the text, since it is the sender's own.
     """

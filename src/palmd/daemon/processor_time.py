@@ -1,6 +1,4 @@
-"""What used the processor while a tick was late, as far as Linux reports it: other programs, or a virtual machine's
-host.
-"""
+"""What used the processor while a tick was late, as reported by Linux: other programs, or a virtual machine's host."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ class ProcessorTime:
         self.forget()
         parts = (
             (self._waited_s - waited_s, "it waited for a processor while other programs ran"),
-            (self._stolen_s - stolen_s, "this virtual machine's host used its processors"),
+            (self._stolen_s - stolen_s, "this virtual machine's host withheld its processors"),
         )
         return " and ".join(f"{what} for {seconds * 1e3:.0f} ms" for seconds, what in parts if seconds >= _LEAST_S)
 

@@ -22,8 +22,7 @@ SWITCH_INTERVAL_S = 0.05e-3
 """Longest time that a helper thread keeps the interpreter from the loop."""
 
 LARGEST_CODE = 12 << 20
-"""Bytes of a library's code up to which all of it is read into memory; of larger ones (linear algebra) only used pages
-are."""
+"""Bytes of a library's code up to which all of it is read in; of larger ones (linear algebra) only used pages."""
 
 SLICE_S = 0.1e-3
 """Smallest time slice of an ordinary thread that the kernel accepts (from Linux 6.12 on)."""
@@ -38,9 +37,7 @@ _CAP_IPC_LOCK = 14
 
 
 def prepare(priority: int = PRIORITY) -> list[str]:
-    """Apply what the system allows, from the thread that will run the loop; returns descriptions of what it does not
-    allow.
-    """
+    """Apply what the system allows, from the thread that will run the loop; returns what it does not allow."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     missing = [_prioritise(priority), _lock_memory(), _tighten_timers()]
     return [text for text in missing if text is not None]
@@ -109,8 +106,7 @@ def _request_short_slices() -> None:
 
 
 def _lock_memory() -> str | None:
-    """Lock present and future memory; without the right to lock any amount nothing is locked, since a later page could
-    fail.
+    """Lock present and future memory, if any amount may be locked; otherwise a later page could fail.
 
     Pages are locked when they are first touched: untouched thread stacks, library reserves and unused code amount to
     about 100 MB, and the first touch costs a microsecond. The loop's code must never wait for a disk, so it is read in

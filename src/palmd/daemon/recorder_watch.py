@@ -27,7 +27,7 @@ class RecorderWatch:
         if before is not None and number is not None and before != number:
             gap = t - self._t
             file = self._report.get("path", "no file")
-            text = f"recorder {before:.0f} has ended and {number:.0f} continues: up to {gap:.1f} s between them are missing"
+            text = f"recorder {before:.0f} ended, {number:.0f} continues: up to {gap:.1f} s are missing between them"
             self._journal.add("recorder", "gap", f"{text}, after {file}", lasted_s=gap)
         self._report, self._t = report, t
 

@@ -28,8 +28,7 @@ LONGEST_STEP_S = 2 * CYCLE_S
 
 CATCH_UP_SHARE = 0.25
 NEAR_M, NEAR_RAD = 0.005, math.radians(3.0)
-"""A retreat leaves the set-point this far from an arm that does not follow: the distance from which a controller
-resumes."""
+"""Distance of the set-point from a blocked arm after a retreat: the one from which a controller resumes."""
 
 RETREAT_S = 0.2
 """Time for the set-point's retreat and standstill, in which the controller's own path comes to rest behind it."""

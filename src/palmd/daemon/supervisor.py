@@ -166,7 +166,7 @@ class Supervisor:
         self._t = t
         self._expire_control(t)
         client = client_of(request)
-        self.control.hear(client, t, request.lease_s)
+        self.control.renew(client, t, request.lease_s)
         try:
             self._check_control(request, client)
             result = self._commands[request.name](request, t)

@@ -15,8 +15,7 @@ FRESH_S = 0.05
 
 
 class SwapWatch:
-    """Regresses ln(F1/F2) as measured on its value at rest, ln(sin φ12 / sin φ1), the ratio of the static contact
-    forces.
+    """Regresses the measured ln(F1/F2) on the ratio of static contact forces, ln(sin φ12 / sin φ1).
 
     Gains of the pads shift the former by a constant; the object's shape and motion disturb it little; neither changes
     its sign. The slope is about +1 for correct pads and −1 for swapped ones.

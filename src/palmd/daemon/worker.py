@@ -77,9 +77,7 @@ class WorkerProcess:
         return True
 
     def tend(self, t: float) -> None:
-        """Check for heartbeats at `t` (s, monotonic clock), a few times a second; restart the process if there are
-        none.
-        """
+        """Check for heartbeats at `t` (s, monotonic clock), a few times a second; restarts a dead process."""
         self._ended = [each for each in self._ended if each.poll() is None]
         with contextlib.suppress(BlockingIOError):
             if os.read(self._heartbeat_fd, 4096):

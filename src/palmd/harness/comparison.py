@@ -215,7 +215,7 @@ class Comparison(AnyComparison):
 
 
 class Punctuality:
-    """Number of ticks that began late or were skipped, judged by their times only; the grid is fitted to most of them."""
+    """Counts ticks that began late or were skipped, judged by their times only; most of them define the grid."""
 
     def __init__(self) -> None:
         self._first: list[float] = []
@@ -235,7 +235,7 @@ class Punctuality:
             self._late = sum(map(self._is_late, self._first))
 
     def late_share(self, ticks: int) -> float:
-        """Fraction of ticks later than `LATE_S` or skipped, given the number of ticks; NaN before `GRID_TICKS` of them."""
+        """Fraction of ticks later than `LATE_S` or skipped, given their number; NaN before `GRID_TICKS` of them."""
         if math.isnan(self._grid):
             return math.nan
         due = round((self._latest - self._first[0]) / PERIOD_S) + 1

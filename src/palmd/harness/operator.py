@@ -146,10 +146,10 @@ class PlanRun:
             raise
 
     def watch(self, stop: StopRequest, progress: Callable[[Status, float], str]) -> Status:
-        """Monitor until the plan is complete or `stop` is made; returns the status. `progress(status, seconds)` is
-        printed now and then.
+        """Monitor until the plan is complete or `stop` is made; returns the status.
 
-        CliError if another client or a fault has ended it, or it stays held.
+        `progress(status, seconds)` is printed now and then. CliError if another client or a fault has ended the plan,
+        or it stays held.
         """
         t_begin = time.monotonic()
         t_progress = t_tracking = t_begin

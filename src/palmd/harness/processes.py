@@ -59,7 +59,7 @@ class Child:
     """
 
     def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
-        """`arguments` begin with the command's name, which its files are named after; `environment` is added to ours."""
+        """`arguments` begin with the command's name, also used for its files; `environment` is added to ours."""
         self.name = arguments[0]
         self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
@@ -91,9 +91,7 @@ class Child:
         return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
 
     def first_line(self, timeout_s: float, give_up: Callable[[], bool] = _never) -> str | None:
-        """The first line of its standard output; None if it ends without one, takes too long, or `give_up` returns
-        True.
-        """
+        """The first line of its standard output; None if it ends without one, at a time-out, or if `give_up()`."""
         t_end = time.monotonic() + timeout_s
         while True:
             ended = self.status is not None

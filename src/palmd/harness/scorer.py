@@ -32,9 +32,7 @@ class Scorer:
         self._errors: deque[tuple[float, ...]] = deque()  # t and the errors of `COMPARED`, the last `LAST_S`
 
     def take(self, t: float, estimate: Mapping[str, Any]) -> bool:
-        """Process a palm/estimate at t (s); returns whether its truth is needed: it is valid and the palms have begun
-        to move.
-        """
+        """Process a palm/estimate at t (s); returns whether its truth is needed: valid, and the palms have moved."""
         self.estimate = estimate
         while self._errors and self._errors[0][0] <= t - LAST_S:
             self._errors.popleft()

@@ -14,7 +14,7 @@ NEAR_S = 6e-3  # largest time difference of an estimate and the truth that it is
 
 
 class OutlineFigures(NamedTuple):
-    """Of the estimated shape on touched normals: RMS error (m), RMS standard deviation (m), and the fraction touched."""
+    """Of the estimated shape on touched normals: RMS error (m), RMS standard deviation (m), fraction touched."""
 
     error_m: float
     sd_m: float

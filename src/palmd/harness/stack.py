@@ -114,8 +114,7 @@ class Stack:
         return True
 
     def start(self, *, record: bool, page: bool = False) -> bool:
-        """Start the daemon at free addresses, and its recorder; False if given up, CliError if the daemon does not
-        start.
+        """Start the daemon at free addresses, and its recorder; False if given up, CliError if the daemon fails.
 
         The process of a `page` is started with them; `start_page` waits for it. If another process takes the addresses
         meanwhile, other addresses are tried.
@@ -136,9 +135,7 @@ class Stack:
         raise not_started(self.children["daemon"])
 
     def configure(self, config: AnyConfig, ports: Mapping[str, str] | None = None) -> None:
-        """Write the configuration for `begin_daemon`: at free addresses, and on other `ports` (by pad1, pad2, arm) if
-        given.
-        """
+        """Write the daemon's configuration: with free addresses, and other `ports` (by pad1, pad2, arm) if given."""
         self.bus = free_addresses(config.bus)
         self.path = self._folder / "palmd.yaml"
         self.path.write_text(as_yaml(config, self.bus, ports, self._runs), encoding="utf-8")
@@ -151,15 +148,13 @@ class Stack:
         self.subscriber = exit_stack.enter_context(Subscriber(self.bus.publish, *self._truth(), topics=self.topics))
         self.client = exit_stack.enter_context(CommandClient(self.bus.command, ANSWER_S))
 
-    def wait_for_daemon(self, hear: Callable[[Message], None] = lambda _message: None) -> bool:
-        """Wait for the daemon's first message; returns whether it came. `hear` gets the rig's messages meanwhile, and
-        this one.
-        """
+    def wait_for_daemon(self, on_message: Callable[[Message], None] = lambda _message: None) -> bool:
+        """Wait for the daemon's first message; returns whether it came. `on_message` gets all messages until then."""
         daemon, t_begin = self.children["daemon"], time.monotonic()
         notified = False
         while daemon.status is None and not self._give_up() and time.monotonic() < t_begin + START_S:
             for message in self.subscriber.until(time.monotonic() + LOOK_S):
-                hear(message)
+                on_message(message)
                 if message.topic.startswith("palm"):
                     return True
             if "page" in self.children:

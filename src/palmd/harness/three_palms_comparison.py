@@ -77,10 +77,10 @@ def matrix(quaternion: tuple[float, ...]) -> FloatArray:
 
 
 def surface_error(shape: Mapping[str, Any], true: FloatArray, rotation: FloatArray) -> tuple[float, float, float]:
-    """(RMS error of h on touched directions (m) after the best rotation near `rotation`, RMS of its standard deviation,
-    fraction touched).
+    """(RMS error of h (m), RMS of its standard deviation, fraction touched), on touched directions.
 
-    At most `MAX_DIRECTIONS` of the touched directions are used, evenly chosen.
+    The error is that after the best rotation near `rotation`. At most `MAX_DIRECTIONS` directions are used, evenly
+    chosen.
 
     true: h in the directions of the icosphere, in a frame to which `rotation` maps the estimate's.
     """

@@ -1,5 +1,4 @@
-"""Palms that are circular arcs through the hinge: positions of their points, and what readings on them say of an
-object's size.
+"""Palms that are circular arcs through the hinge: points on them, and an object's size from readings.
 
 φ1, φ12 are their directions at the hinge, κ their signed curvatures (1/m, > 0 concave, 0 flat), s arc lengths (m). Each
 function takes floats or arrays. Pure, safe in the loop.
@@ -25,12 +24,11 @@ FLAT = (0.0,) * len(SIDES)
 _ITERATIONS, _TOLERANCE_M = 12, 1e-12
 
 MOST_LYING = 0.95
-"""κv above which an object sits inside a concave palm rather than on it: the contact runs away, and no estimate is
-valid."""
+"""κv above which an object sits inside a concave palm: the contact runs away, and no estimate is valid."""
 
 
 def tangents(joints: Iterable[Value], contacts: Iterable[Value], curvatures: Sequence[float]) -> tuple[Value, ...]:
-    """Joint angles of flat palms in place of the palms' tangents at the contacts: β1 and β2 − β1 (rad)."""
+    """Joint angles of flat palms that coincide with the palms' tangents at the contacts: β1 and β2 − β1 (rad)."""
     if not any(curvatures):
         return tuple(joints)
     angles: tuple[Any, ...] = directions(joints)
@@ -70,9 +68,7 @@ def _angle_from_palm(radius: float, s: float, kappa: float) -> float:
 
 
 def joints_of(radius: float, touching: Sequence[float], curvatures: Sequence[float] = FLAT) -> tuple[float, float]:
-    """φ1, φ2 at which the tangents of a circle of that radius (m) at the contacts are at β1 and β2 = β1 + an opening
-    (rad).
-    """
+    """φ1, φ2 at which a circle of that radius (m) has contact tangents at β1 and β2 = β1 + an opening (rad)."""
     beta1, opening = touching
     s = arc_lengths(np.full(2, radius), np.zeros(2), np.asarray(opening), curvatures)
     turn1, turn2 = (np.array(curvatures) * s).tolist()

@@ -28,7 +28,9 @@ def fault_of(points_mm: Sequence[tuple[float, float]]) -> str:
         if next_position < position + CLOSEST_MM:
             return f"must be in order of position, {CLOSEST_MM:g} mm apart or more; {next_position:g} mm is not"
         if abs(next_correction - correction) > STEEPEST * (next_position - position):
-            return f"must change by at most {STEEPEST:.0%} of the distance; from {position:g} to {next_position:g} mm it changes by more"
+            return (
+                f"must have a slope of {STEEPEST:.0%} at most; from {position:g} to {next_position:g} mm it is steeper"
+            )
     return ""
 
 

@@ -52,7 +52,7 @@ _BEHIND = (
 
 
 def directions(joints: Iterable[Value]) -> tuple[Value, ...]:
-    """The palms' angles from the world X axis (rad): φ1 and φ12 = φ1 + φ2; applies to rates and accelerations as well."""
+    """The palms' angles from the world X axis (rad): φ1 and φ12 = φ1 + φ2; the same for rates and accelerations."""
     return tuple(accumulate(joints))
 
 

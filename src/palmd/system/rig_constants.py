@@ -103,7 +103,7 @@ def prior_sds(rig: RigDescription) -> FloatArray:
 
 
 def declared_exact(rig: RigDescription) -> bool:
-    """Whether every constant that calibration measures is declared exact; the asymmetry of friction is not calibrated."""
+    """Whether every constant that calibration measures is declared exact (all but the asymmetry of friction)."""
     return not prior_sds(rig)[: RIG_NAMES.index("friction_asymmetry")].any()
 
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 Relation = Literal["independent", "in_phase", "antiphase", "unknown", "none"]
-"""Phase relation of the palms: `in_phase` moves both away from the hinge at the same time; `none`: palms do not
-vibrate."""
+"""Phase relation of the palms; `in_phase`: both move away from the hinge at once; `none`: they do not vibrate."""
 VibrationLaw = Literal["sign_pairs", "averaged"]
-"""`sign_pairs`: contact equations averaged over the signs of slip; `averaged`: only friction averaged, the law of old
-logs."""
+"""`sign_pairs`: contact equations averaged over slip signs; `averaged`: only friction averaged (old logs)."""
 
 SPEED_M_S, LN_SPEED_SD = 0.014, 0.35
 """Default speed V of a shaker, and standard deviation of its logarithm."""

@@ -142,8 +142,8 @@ MISTAKES = {
     "millimetres a count for counts a millimetre": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:45: pads.palm1.counts_per_mm: 0.127 counts/mm is implausible: 0.5 to 150 counts/mm is usual; did you mean"
-        " 7.874 counts/mm?",
+        "my.yaml:1:45: pads.palm1.counts_per_mm: 0.127 counts/mm is implausible: 0.5 to 150 counts/mm is usual; did"
+        " you mean 7.874 counts/mm?",
         {"my.yaml": PORTS.replace("/dev/a", "/dev/a, counts_per_mm: 0.127")},
     ),
     "a plan that does not exist": Mistake(

@@ -222,8 +222,8 @@ MISTAKES = {
     "a system that there is not": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:15: rig.system: there is no system 'three'; there is pivot, three_palms, and "
-        "without this key two palms",
+        "my.yaml:1:15: rig.system: there is no system 'three'; the systems are pivot, three_palms, and "
+        "two palms without this key",
         {"my.yaml": "rig: {system: three}\n" + PORTS},
     ),
     "a zero beyond the pad": Mistake(

@@ -109,7 +109,7 @@ def without_granted(command):
 
 
 @pytest.mark.parametrize(
-    ("command", "told"), [("arm", "from ready to tracking though nobody armed"), ("start", "though nobody gave start")]
+    ("command", "told"), [("arm", "from ready to tracking without a granted arm"), ("start", "without a granted start")]
 )
 def test_what_nobody_granted_breaks_a_rule(tmp_path, capsys, command, told):
     path = rewritten(tmp_path / "a.mcap", without_granted(command))

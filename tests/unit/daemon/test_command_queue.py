@@ -87,7 +87,7 @@ def test_each_request_comes_out_once_and_stop_and_hold_are_never_in_vain(story):
         refused = queue.add(request, OWNER)
         if refused is not None:
             out.append(refused[0].id)
-            assert refused[0].name not in ALWAYS_OBEYED or "waits already" in refused[1]
+            assert refused[0].name not in ALWAYS_OBEYED or "is already waiting" in refused[1]
         if tick:
             waited = any(each.name in ALWAYS_OBEYED for each, _ in queue._waiting)
             served, late = queue.take(OWNER)

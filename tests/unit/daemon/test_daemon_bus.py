@@ -167,7 +167,7 @@ def test_a_stop_overtakes_the_crowd_and_nothing_that_moves_of_it_follows(rig):
 def test_of_stop_and_hold_none_costs_the_other_its_turn(rig, waits, comes):
     clients, given = crowded(rig, [waits] * MAX_WAITING + [comes, waits])
     assert given == [*((number, waits) for number in range(MAX_WAITING)), (MAX_WAITING, comes)]
-    assert refusal(clients[-1]) == f"{waits} refused: a {waits} waits already"
+    assert refusal(clients[-1]) == f"{waits} refused: a {waits} is already waiting"
 
 
 def test_who_sends_without_end_does_not_keep_others_waiting(rig):

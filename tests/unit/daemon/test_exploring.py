@@ -334,7 +334,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     stage.source.answers = [left]
     list(stage.go(0.4))
     assert stage.setpoints.moving
-    assert stage.reason() == "it has just begun"
+    assert stage.reason() == "it has just started"
 
 
 def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed() -> None:

@@ -148,7 +148,7 @@ def test_jogging_is_refused_in_words(lived):
     request = {"id": 1, "cmd": "jog", "args": {"phi1_deg": 0.5}}
     core.handle(parse(msgpack.packb(request)), lived.rig.t)
     (reply,) = core.replies()
-    assert "there are none: load a plan with a move" in reply.error
+    assert "load a plan with a move" in reply.error
 
 
 def test_the_status_tells_where_the_pivot_is(lived):

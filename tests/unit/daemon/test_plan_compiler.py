@@ -74,7 +74,7 @@ def spin():
 
 def test_time_and_size_are_bounded(monkeypatch):
     monkeypatch.setattr(plan_compiler, "MAX_CPU_S", 0.05)
-    before = signal.signal(signal.SIGPROF, plan_compiler._give_up)
+    before = signal.signal(signal.SIGPROF, plan_compiler._raise_timeout)
     try:
         number, packed, error = compiled(pickle.dumps((7, spin, (), {})))
     finally:

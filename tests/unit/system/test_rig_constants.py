@@ -51,13 +51,13 @@ def test_a_constant_that_the_configuration_knows_is_never_told():
 
 def test_what_contradicts_the_configuration_is_said_however_wide_its_band():
     (said,) = off("pad1_scale", 2.0, 10.0, contradicted=True)
-    assert said.startswith("pad 1's scale may be what is off, and seems +6 ± 3 %")
+    assert said.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
 
 
 def test_it_is_said_with_as_many_digits_as_are_known():
     assert off("pad2_zero_m", 10.3, 0.31) == [
         "pad 2's zero seems +0.32 ± 0.03 mm off: palmd calibrate self finds its zero_mm"
     ]
-    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: see to its adapter's latency timer"]
+    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: check its adapter's latency timer"]
     (said,) = off("friction_asymmetry", 30.0, 0.04)
     assert said.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")

@@ -91,9 +91,7 @@ class ArmGuards:
         return True
 
     def _tool_error(self, pose: object, angles: Joints, planned: PalmMotion) -> tuple[float, float | None]:
-        """Distance of the tool from its set-point (m), and its twist against the angle that follows from its position
-        (rad).
-        """
+        """Distance of the tool from its set-point (m), its twist against the angle implied by its position (rad)."""
         if self._limits.following.tool is None or not isinstance(pose, Pose):
             return 0.0, None
         try:

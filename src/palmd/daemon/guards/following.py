@@ -25,8 +25,7 @@ IN_A_ROW = 2
 """Consecutive reports that must fail: a single one may be a corrupted line whose checksum matched by chance."""
 
 SETTLE_S = 0.15
-"""No judgement for this time after the controller paused or answers were late: set-points and arm differ for a known
-reason."""
+"""No judgement for this time after the controller paused or answers were late: arm and set-points then differ."""
 
 
 FALSE_ALARM_SIGMAS = 6.0
@@ -34,9 +33,7 @@ FALSE_ALARM_SIGMAS = 6.0
 
 
 def noise_of_difference(sigma: float) -> float:
-    """Largest difference due to noise between two reports of a joint at rest, each with standard deviation `sigma` (rad
-    or m).
-    """
+    """Largest noise in the difference of two reports of a joint at rest; `sigma` is that of one report (rad or m)."""
     return FALSE_ALARM_SIGMAS * math.sqrt(2.0) * sigma
 
 

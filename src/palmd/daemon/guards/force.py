@@ -58,7 +58,7 @@ class ForceGuard:
             force = self._force[pad]
             if self._saturated[pad] > SATURATED_SHARE:
                 found.append(
-                    f"pad {pad} is saturated: full scale {self._full_scale[pad]:.2f} N, its limit is {limit:.2f} N"
+                    f"pad {pad} is saturated: at least {self._full_scale[pad]:.2f} N, its limit is {limit:.2f} N"
                 )
             elif force > limit:
                 found.append(f"pad {pad} measures {force:.2f} N, its limit is {limit:.2f} N")

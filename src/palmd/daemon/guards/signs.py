@@ -36,9 +36,7 @@ class SignWatch:
     """`wrong` are the numbers of the pads with a wrong sign, empty unless the evidence exceeds `LOG_ODDS`."""
 
     def __init__(self, zeros_m: Sequence[float], middles_m: Sequence[float]) -> None:
-        """`zeros_m`: position of each pad's count 0; `middles_m`: its middle. A wrong sign mirrors readings at one of
-        them.
-        """
+        """`zeros_m`: position of each pad's count 0; `middles_m`: its middle. A wrong sign mirrors at one of them."""
         self.wrong: tuple[int, ...] = ()
         self.log_odds = 0.0
         self._mirrors = (tuple(zeros_m), tuple(middles_m))
@@ -79,9 +77,7 @@ class SignWatch:
             self.wrong = ()
 
     def _evidence(self, signs: Signs, mirrors: Sequence[float]) -> float:
-        """Log evidence, up to a common constant, of a line fitted to readings mirrored at `mirrors` where `signs` are
-        −1.
-        """
+        """Log evidence, up to a constant, of a line through readings mirrored at `mirrors` where `signs` are −1."""
         mirrored = sum(2.0 * mirror for mirror, sign in zip(mirrors, signs, strict=True) if sign < 0)
         row = (0.0, mirrored, *signs)  # coefficients of y in x, 1 and both contact positions
         sums = dict(zip(_PRODUCTS, self._sums, strict=True))
