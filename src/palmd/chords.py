@@ -47,9 +47,7 @@ def chords_of(theta: FloatArray, h: FloatArray, touched: npt.NDArray[np.bool_]) 
     straight = edge > STRAIGHT * float(np.mean(h)) * step
     if straight.all() or not straight.any():
         return ()
-    slope = (after - h * math.cos(step)) / math.sin(
-        step
-    )  # position along tangent i of its intersection with tangent i + 1
+    slope = (after - h * math.cos(step)) / math.sin(step)  # along tangent i to where it meets tangent i + 1
     corner = np.stack(
         [h * np.cos(theta) - slope * np.sin(theta), h * np.sin(theta) + slope * np.cos(theta)], axis=1
     ).tolist()

@@ -318,7 +318,7 @@ STATE = Topic(
             "unattended",
             "bool",
             "",
-            "whether a plan moves the palms and the client in control has declared no lease",
+            "whether a plan moves the palms while no client with a declared lease has control",
         ),
         Quantity("since_s", "number", "s", "time in this state"),
         Quantity("running", "bool", "", "whether a plan is running; false if it is held or complete"),
@@ -584,9 +584,7 @@ STALL = Topic(
     "when it has stalled for more than 20 ms for lack of processor time",
     (
         Quantity("t_s", "number", "s", "end of the stall, CLOCK_MONOTONIC"),
-        Quantity(
-            "lasted_s", "number", "s", "duration in which the emulated rig sent nothing; a real one does not stall"
-        ),
+        Quantity("lasted_s", "number", "s", "duration in which the emulated rig sent nothing; real rigs do not stall"),
         Quantity("count", "number", "", "number of stalls since its start"),
     ),
 )

@@ -90,10 +90,7 @@ class Bus:
         self._pack = FieldsPacker()
         self._outbox: deque[tuple[bytes, ...]] = deque()
         self._frames = frames
-        self._awaited_command, self._t_buffer_end = (
-            "",
-            -math.inf,
-        )  # command that ends buffering, and when (s) it ends anyway
+        self._awaited_command, self._t_buffer_end = "", -math.inf  # end of buffering: command, time (s)
         self._queue = CommandQueue()
         self._dropping = False  # whether the rest of an oversized message is being discarded
         self._frames_left = FRAMES_PER_TICK

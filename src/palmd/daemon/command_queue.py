@@ -59,7 +59,7 @@ class CommandQueue:
         return None
 
     def take(self, owner: Key) -> tuple[list[Request], list[Refusal]]:
-        """The commands to execute in this tick, and rejected ones: no moving command follows a stop that overtook it."""
+        """The commands to execute in this tick, and rejected ones: moving commands that a stop has overtaken."""
         if len(self._waiting) <= PER_TICK:
             served = [request for request, _ in self._waiting]
             self._keep([])

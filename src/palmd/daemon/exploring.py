@@ -23,10 +23,7 @@ from palmd.motion.segments import Move
 
 log = logging.getLogger(__name__)
 
-ASK_S, AHEAD_S = (
-    0.3,
-    0.7,
-)  # period of requests for the next move, and how long before the end of the current one they begin
+ASK_S, AHEAD_S = 0.3, 0.7  # period of requests for the next move, and their begin before the end of the current one
 AHEAD_MOST_S = 3.0  # largest value of the latter, for slow decisions
 CHECK_S = 1.0  # before that, period of requests whether the current move is still safe
 MORE_S = 0.5  # if a decision takes this much longer than its move, two moves are executed per decision

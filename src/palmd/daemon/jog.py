@@ -91,9 +91,7 @@ class Jog:
     def _advance_one(self, i: int, dt: float, alive: bool) -> None:
         max_change = self._acceleration * dt
         distance = self._goal[i] - self._q[i] if alive else 0.0
-        brakes_from = math.sqrt(
-            self._acceleration * abs(distance)
-        )  # half the braking rate leaves room for one cycle of delay
+        brakes_from = math.sqrt(self._acceleration * abs(distance))  # half the braking rate allows a cycle's delay
         wanted = math.copysign(min(brakes_from, self._rate), distance) if distance else 0.0
         self._v[i] += min(max(wanted - self._v[i], -max_change), max_change)
         step = self._v[i] * dt

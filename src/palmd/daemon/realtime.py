@@ -119,9 +119,7 @@ def _lock_memory() -> str | None:
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
         return f"memory is not locked ({os.strerror(ctypes.get_errno())})"
     for begin, size in _code():
-        libc.madvise(
-            ctypes.c_void_p(begin), ctypes.c_size_t(size), _MADV_POPULATE_READ
-        )  # fails on older kernels, which is harmless
+        libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(size), _MADV_POPULATE_READ)  # may fail on older kernels
     return None
 
 

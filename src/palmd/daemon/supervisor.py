@@ -158,7 +158,7 @@ class Supervisor:
 
     @property
     def unattended(self) -> bool:
-        """Whether a plan moves the palms and the client in control has declared no lease."""
+        """Whether a plan moves the palms while no client with a declared lease has control."""
         return self.state is State.TRACKING and self._setpoints.running and not self.control.attended
 
     def handle(self, request: Request, t: float) -> None:
@@ -184,9 +184,7 @@ class Supervisor:
         self._finish_job()
         self._finish_arming(t)
         self._finish_reset(t)
-        if (
-            up and self.state is State.IDLE
-        ):  # before the faults: otherwise a latched fault would keep it from becoming ready
+        if up and self.state is State.IDLE:  # before the faults: a latched one would prevent it
             self._change(Trigger.RIG_UP, str(Trigger.RIG_UP))
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):

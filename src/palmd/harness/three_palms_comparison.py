@@ -31,9 +31,7 @@ class ThreePalmsComparison(SettlingComparison):
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
         self._rotation: FloatArray | None = None  # from the estimate's frame to the true one, at the time of the shape
-        self._deviations: deque[tuple[FloatArray, FloatArray]] = deque(
-            maxlen=6000
-        )  # of spin and centre, with standard deviations
+        self._deviations: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # of spin and centre, with sds
 
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
         if topic == PALM3.name:

@@ -28,9 +28,7 @@ def fault_of(points_mm: Sequence[tuple[float, float]]) -> str:
         if next_position < position + CLOSEST_MM:
             return f"must be in order of position, {CLOSEST_MM:g} mm apart or more; {next_position:g} mm is not"
         if abs(next_correction - correction) > STEEPEST * (next_position - position):
-            return (
-                f"must have a slope of {STEEPEST:.0%} at most; from {position:g} to {next_position:g} mm it is steeper"
-            )
+            return f"must have a slope of {STEEPEST:.0%} at most; {position:g} to {next_position:g} mm is steeper"
     return ""
 
 

@@ -45,10 +45,7 @@ JOINT_RATES = tuple(f"omega{palm}" for palm in PALMS)
 ENDS = (*(f"pad{palm}" for palm in PALMS), "arm")
 """Devices with a port of their own: each palm's pad, and the arm."""
 
-_BEHIND = (
-    0.5 * math.pi,
-    1.5 * math.pi,
-)  # angle by which the outward normal of the object at a palm lies behind the palm's direction
+_BEHIND = (0.5 * math.pi, 1.5 * math.pi)  # each palm's direction minus the outward normal at its contact (rad)
 
 
 def directions(joints: Iterable[Value]) -> tuple[Value, ...]:
