@@ -20,7 +20,7 @@ from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.daemon.body_decider import BodyDecider
 from palmd.daemon.commands import parse
 from palmd.daemon.core import Core
-from palmd.daemon.exploration_requests import Decider, Decides, ExplorationAnswer, Question, Source
+from palmd.daemon.exploration_requests import Decider, DecisionSource, ExplorationAnswer, ExplorationDecider, Question
 from palmd.daemon.lifecycle import State
 from palmd.daemon.planner import Plan
 from palmd.faults import Severity
@@ -169,7 +169,7 @@ class Wireless(ClosedLoop[World]):
         options: PlantOptions = AS_ASSUMED,
         pad_options: PadOptions = GOOD_PADS,
         smoothing: Smoothing | None = None,
-        explorer: Source | None = None,
+        explorer: DecisionSource | None = None,
         estimator: Observer | None = None,
         body: Body | None = None,
         surface: FrictionSurface | None = None,
@@ -217,7 +217,7 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
         spec: TiltPlanSpec,
         seed: int,
         smoothing: SmoothingOfOne[BodyAnswer] | None = None,
-        explorer: Source | None = None,
+        explorer: DecisionSource | None = None,
     ) -> None:
         """`seed` draws body and noise. `smoothing` takes the place of the smoother that knows nothing beforehand, and
         `explorer` of the one whose decisions come after a fixed time.
@@ -249,7 +249,7 @@ class InlineExplorer:
     A question that comes while another is being answered is dropped.
     """
 
-    def __init__(self, decider: Decides, latency_s: float = LATENCY_S) -> None:
+    def __init__(self, decider: ExplorationDecider, latency_s: float = LATENCY_S) -> None:
         self._decider = decider
         self._latency = latency_s
         self._ready: ExplorationAnswer | None = None

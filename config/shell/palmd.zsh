@@ -57,16 +57,16 @@ _shtab_palmd_calibrate_commands() {
 
 _shtab_palmd_ctl_commands() {
   local _commands=(
-    arm:'from ready: starts tracking and stands at the present pose'
+    arm:'from ready: starts tracking and holds the present pose'
     explore:'have a running daemon touch the whole outline of the object'
     hold:'stops the motion along its path; tracking goes on'
-    jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
-    new_object:'begins a new object: the observer forgets the one on the palms (two palms only)'
-    note:'writes a note about this time into the recording'
-    plan:'loads another plan, validated first; not while moving'
-    reset:'clears latched faults that are gone, and a faulted controller; never an e-stop'
-    start:'blends to the plan'"'"'s start and runs it; goes on after a hold'
-    status:'tells state, faults, plan, angles and estimate'
+    jog:'turns the palms by small steps; they stop if the next step does not arrive within 200 ms'
+    new_object:'starts a new object: the observer forgets the present one (two palms only)'
+    note:'writes a note with the present time into the recording'
+    plan:'validates and loads another plan; not while moving'
+    reset:'clears latched faults whose cause is gone, and a faulted controller; never an e-stop'
+    start:'moves smoothly to the plan'"'"'s start and runs it; resumes after a hold'
+    status:'returns state, faults, plan, angles and estimate'
     stop:'planned stop, back to ready'
   )
   _describe 'palmd ctl commands' _commands
@@ -137,7 +137,7 @@ _shtab_palmd_calibrate_curvature_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for curvature.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -148,7 +148,7 @@ _shtab_palmd_calibrate_force_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for force.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--mass-g[of the cylinder]:M:"
   "--rounds[through all poses (default\: 8)]:N:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
@@ -165,7 +165,7 @@ _shtab_palmd_calibrate_gravity_options=(
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   {-o,--output}"[for gravity.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the configuration that the daemon runs with, palmd.yaml:_files"
 )
 
@@ -198,7 +198,7 @@ _shtab_palmd_calibrate_pads_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for pads.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--curve[the readings are not proportional\: find curve_mm too]"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
@@ -221,7 +221,7 @@ _shtab_palmd_calibrate_standoff_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for standoff.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--second-radius-mm[of the other one]:R:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
@@ -281,7 +281,7 @@ _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
 
@@ -292,7 +292,7 @@ _shtab_palmd_ctl_arm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "--take[take control from the client that has it]"
   "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
@@ -309,7 +309,7 @@ _shtab_palmd_ctl_explore_options=(
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -319,7 +319,7 @@ _shtab_palmd_ctl_hold_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
 
@@ -330,7 +330,7 @@ _shtab_palmd_ctl_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "--take[take control from the client that has it]"
   "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
@@ -345,7 +345,7 @@ _shtab_palmd_ctl_new_object_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
 
@@ -356,7 +356,7 @@ _shtab_palmd_ctl_note_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "(*):what to write about this time of the run:"
 )
@@ -368,7 +368,7 @@ _shtab_palmd_ctl_plan_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "--take[take control from the client that has it]"
   "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
@@ -382,7 +382,7 @@ _shtab_palmd_ctl_reset_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "--take[take control from the client that has it]"
   "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
@@ -395,7 +395,7 @@ _shtab_palmd_ctl_start_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
   "--take[take control from the client that has it]"
   "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
@@ -408,7 +408,7 @@ _shtab_palmd_ctl_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
 
@@ -419,7 +419,7 @@ _shtab_palmd_ctl_stop_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--json[print the answer as it came]"
 )
 
@@ -675,7 +675,7 @@ _shtab_palmd_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--once[print one frame and end]"
 )
 
@@ -687,7 +687,7 @@ _shtab_palmd_view_options=(
   "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--command[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:command:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--truth[where an emulated rig publishes its truth]:ADDRESS:"
   "--runs[of the recordings (default\: the configuration\'s)]:FOLDER:_files"
   "--port[of the page\; 0\: any free one (default\: 8787)]:port:"

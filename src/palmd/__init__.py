@@ -1,11 +1,11 @@
-"""palmd: an unknown planar object on two touchpad palms, reconstructed live.
+"""palmd: live reconstruction of an unknown planar object on two touchpad palms.
 
     run = palmd.open("run.mcap")      # a recorded run or an event log, as NumPy arrays
-    palmd.estimate(run)               # what the daemon's observer says of it, tick by tick
-    palmd.reconstruct(run)            # what the whole of it tells, seen from its end
-    palmd.connect()                   # a running daemon: its estimates, and commands to it
+    palmd.estimate(run)               # the daemon's observer over the run, tick by tick
+    palmd.reconstruct(run)            # smoothed estimate from the whole run
+    palmd.connect()                   # client of a running daemon: its estimates, and commands to it
 
-`import palmd` loads nothing else; each name loads what it needs when it is first used (see docs/start/library.md).
+`import palmd` loads nothing else; each name is loaded when it is first used (see docs/start/library.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""One thread for the linear algebra: palmd's matrices are small, and more threads only wait for one another.
+"""Limits linear algebra to one thread: palmd's matrices are small, and further threads only wait for one another.
 
-OpenBLAS's threads spin while they wait, so that beside anything else that runs they take the time that they should
-save; and the order of their sums changes the last bits.
+OpenBLAS's threads spin while they wait and so take processor time from everything else; and the order of their sums
+changes the last bits of results.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-_alone = False  # whether this is a process of palmd's own, which begins with one thread and keeps to it
+_own_process = False  # whether this process belongs to palmd and has used one thread from its start
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def one_thread_from_here() -> None:
-    """For a process of palmd's own, before it loads an array library: no other threads, nor in what it starts."""
-    global _alone
-    _alone = True
+    """Use one thread in this process and its children; call in palmd's own processes before loading array libraries."""
+    global _own_process
+    _own_process = True
     os.environ.update(dict.fromkeys(_VARIABLES, "1"))
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread meanwhile, and then as many as before: for what is called from somebody else's program.
+    """One thread inside the context, as many as before afterwards; for functions called from other programs.
 
-    Takes 30 µs. OpenBLAS's threads are the whole process's: where several of Python's threads are in here at once, the
-    first one takes them away and gives them back.
+    Takes 30 µs. OpenBLAS's threads belong to the whole process: if several Python threads are inside at once, the first
+    to enter removes them and restores them.
     """
-    if _alone:
+    if _own_process:
         yield
         return
     with _libraries().limit(limits=1):
@@ -42,7 +42,7 @@ def one_thread() -> Iterator[None]:
 
 @functools.cache
 def _libraries() -> ThreadpoolController:
-    import numpy  # noqa: F401  # it brings a library of its own, which can be limited once it is loaded
+    import numpy  # noqa: F401    # its bundled library can be limited once it is loaded
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")

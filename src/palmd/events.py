@@ -1,7 +1,7 @@
-"""What flows: measured events into an observer, estimates out of it.
+"""Data types of the estimation: measured events into an observer, estimates out of it.
 
-Everything here is an immutable value in SI units. Times are seconds on one monotonic clock (on a live rig)
-or the log's own clock (on a replay); no code below the rim ever asks what time it is.
+All are immutable values in SI units. Times are seconds on one monotonic clock (on a live rig) or the log's clock (in a
+replay); no pure code reads a clock.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 Joints = tuple[float, ...]
-"""One value for each joint, in their order."""
+"""One value per joint, in their order."""
 ObserverName = Literal["shape", "extended", "quasistatic"]
-"""What observers there are, the usual one first."""
+"""The observers, the default one first."""
 
 
 @dataclass(frozen=True, slots=True)
 class PadSample:
     """One contact reading: the object touches palm `pad` at distance `s` (m, > 0) from the hinge.
 
-    `force` is the contact's normal force in N, None when the pad gives none. `across` is the contact's other coordinate
-    (m), None from pads of which one is read. `at_least`: the pad's full scale (N) where the reading is saturated:
-    the force is no less, and `force` is None.
+    `force` is the contact's normal force (N), None if the pad measures none. `across` is the contact's other coordinate
+    (m), None for pads that read one. `at_least`: the pad's full scale (N) if the reading is saturated; the force is at
+    least that, and `force` is None.
     """
 
     t_sample: float
@@ -39,7 +39,7 @@ class PadSample:
 
 @dataclass(frozen=True, slots=True)
 class PadLift:
-    """The object has left palm `pad`: no reading is valid until the next `PadSample` of that pad."""
+    """The object has left palm `pad`; the contact is unknown until the next `PadSample` of that pad."""
 
     t_sample: float
     pad: int
@@ -47,10 +47,10 @@ class PadLift:
 
 @dataclass(frozen=True, slots=True)
 class PalmSample:
-    """The joint angles as measured (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
+    """Measured joint angles (rad), with the motion plan's rates (rad/s) and accelerations (rad/s²).
 
-    In the order of `system.mechanism.JOINTS`. Rates and accelerations are None where no plan is known, of all joints;
-    the observer then estimates the rates from the angles alone.
+    In the order of `system.mechanism.JOINTS`. Rates and accelerations of all joints are None if no plan is known; the
+    observer then estimates the rates from the angles.
     """
 
     t_sample: float
@@ -59,8 +59,8 @@ class PalmSample:
     accelerations: Joints | None = None
 
     @property
-    def told(self) -> Joints:
-        """Every number that it tells of the joints."""
+    def values(self) -> Joints:
+        """All numbers of the sample."""
         return (*self.angles, *(self.rates or ()), *(self.accelerations or ()))
 
 
@@ -70,7 +70,8 @@ Event = PadSample | PadLift | PalmSample
 class PalmMotion(NamedTuple):
     """Joint angles (rad), rates (rad/s) and accelerations (rad/s²) at one instant of a motion.
 
-    A tuple, as simulations make thousands of them for each second: a frozen dataclass takes thrice as long to make.
+    A tuple, because simulations make thousands of them per second: a frozen dataclass takes three times as long to
+    construct.
     """
 
     angles: Joints
@@ -79,16 +80,16 @@ class PalmMotion(NamedTuple):
 
     @classmethod
     def at_rest(cls, angles: Joints) -> PalmMotion:
-        """Standing at these joint angles (rad)."""
-        still = (0.0,) * len(angles)
-        return cls(angles, still, still)
+        """At rest at these joint angles (rad)."""
+        zeros = (0.0,) * len(angles)
+        return cls(angles, zeros, zeros)
 
 
 @dataclass(frozen=True)
 class LiveEstimate:
-    """An observer's answer for one instant `t`, of whichever system, and how far to trust it.
+    """An observer's estimate for one instant `t`, of any system, with its uncertainty.
 
-    SI units; NaN means "no value". `sd` holds the one-sigma of each field it names, under the same names as here.
+    SI units; NaN means "no value". `sd` holds the standard deviation of each field that it names.
     """
 
     t: float
@@ -98,14 +99,14 @@ class LiveEstimate:
     nis: float
     sd: dict[str, float] = field(default_factory=dict, kw_only=True)
     invalid_reasons: tuple[str, ...] = field(default=(), kw_only=True)
-    """Codes of what speaks against it, empty when it is valid."""
+    """Codes of the reasons why it is invalid, empty if it is valid."""
 
 
 @dataclass(frozen=True)
 class Estimate(LiveEstimate):
-    """That of two palms: the named state and what follows from it.
+    """The estimate for two palms: the named state and quantities derived from it.
 
-    With `valid` True the named state, psi and their sd are finite. Without slots, for `of`.
+    If `valid`, the named state, psi and their standard deviations are finite. Without slots, for `of`.
     """
 
     r1: float
@@ -134,21 +135,20 @@ class Estimate(LiveEstimate):
 
     @classmethod
     def of(cls, fields: dict[str, Any]) -> Self:
-        """With all these fields, `e_f` and `e_c` aside: a tenth of the time that a frozen dataclass's own way takes."""
-        made = object.__new__(cls)
-        made.__dict__.update(fields)
-        return made
+        """Construct from all fields but `e_f` and `e_c`, in a tenth of the time of the dataclass constructor."""
+        estimate = object.__new__(cls)
+        estimate.__dict__.update(fields)
+        return estimate
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeEstimate:
-    """The outline as a support function about the centre of mass: h and its one-sigma (m) on normals theta (rad).
+    """The outline as support function h (m) about the centre of mass, on normals theta (rad).
 
-    Of a body in space theta are unit vectors (n, 3).
+    For a body in space theta are unit vectors (n, 3). h_sd is the standard deviation of h.
 
-    theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused
-    measurement, or that of the stored outline it began from; `touched` marks the normals that a palm has been in
-    contact with.
+    theta is the outward normal's direction in the object frame, whose gauge is psi = 0 at the first fused measurement,
+    or that of the stored outline used; `touched` marks the normals at which a palm has been in contact.
     """
 
     t: float
@@ -160,14 +160,14 @@ class ShapeEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """A smoother's belief about the shape map's state at time `t` (s): mean x, and covariance P were `rig` right.
+    """A smoother's estimate of the shape map's state at time `t` (s): mean x, and covariance P given `rig`.
 
-    rig, rig_sd: (15,) the rig's constants as in `model.smoothing.R` and their one-sigma. spread: (n + 15, 15), what is
-    not known of them as independent one-sigma steps: what each moves of the state, so that spread·spreadᵀ adds to P,
-    and then of the constants themselves. contradicted: (15,) by how many sigmas each is not what it was taken for,
-    0 where nothing speaks against it. The outline has the smoother's harmonics. `frame` is another when it has another
-    gauge than before. `established`: what was found has proved true for so long that no rival needs to be kept.
-    touched: (72,) as in `PlanningBelief`.
+    rig, rig_sd: (15,) the rig constants as in `model.smoothing.R` and their standard deviations. spread: (n + 15, 15),
+    their uncertainty as independent 1σ steps: the change of the state due to each step, so that spread·spreadᵀ adds to
+    P, followed by the change of the constants. contradicted: (15,) number of σ by which each constant deviates from its
+    description, 0 where nothing contradicts it. The outline has the smoother's harmonics. `frame` changes with the
+    gauge. `established`: confirmed for so long that no rival hypothesis needs to be kept. touched: (72,) as in
+    `PlanningBelief`.
     """
 
     t: float
@@ -184,20 +184,20 @@ class Improvement:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """A smoother's word that no smooth outline explains the readings of an object up to time `t` (s)."""
+    """A smoother's result that no smooth outline explains the readings of an object up to time `t` (s)."""
 
     t: float
 
 
 DECIDED = 0.95
-"""The probability from which on it is said which object it is."""
+"""Probability above which the object is reported as identified."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectEstimate:
-    """Which of the stored outlines `names` the object is: the probability of each, and of none of them.
+    """Probability that the object is each of the stored outlines `names`, and that it is none of them; they sum to 1.
 
-    They sum to 1. `object_count` is that of the estimate at the same time `t` (s).
+    `object_count` is that of the estimate at the same time `t` (s).
     """
 
     t: float
@@ -208,22 +208,22 @@ class ObjectEstimate:
 
     @property
     def best(self) -> str:
-        """The name whose probability is at least `DECIDED`, empty when there is none."""
+        """The name whose probability is at least `DECIDED`, empty if there is none."""
         likeliest = int(np.argmax(self.probability))
         return self.names[likeliest] if self.probability[likeliest] >= DECIDED else ""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanningBelief:
-    """What is known of the object at time `t` (s), for choosing motions.
+    """Belief about the object at time `t` (s), for planning motions.
 
-    states: (K, 21) of `model.shape_map`, SI, the likeliest first, then samples of what the object may be besides, all
-    in the first one's gauge. touched, h_sd: (72,) for the bins of outward normals, bin 0 beginning at θ = 0, whether a
-    palm has been there and the outline's one-sigma (m) at the bin's middle. `object_count` as in the estimate.
-    rig: what the rig's constants are off by, in the order of `model.smoothing.R`; None: nothing is known of it.
-    rig_spread: (40, 15) what is not known of them, as of `Improvement`: what each step moves of the outline's 25
-    coefficients, then of the constants; None until a smoother vouches for the outline.
-    mass, mass_sd: as the pads feel it (kg), NaN while they do not say.
+    states: (K, 21) of `model.shape_map`, SI, the likeliest first, then samples of the posterior, all in the gauge of
+    the first. touched, h_sd: (72,) for bins of outward normals, bin 0 beginning at θ = 0: whether a palm has been in
+    contact, and the outline's standard deviation (m) at the bin's middle. `object_count` as in the estimate. rig:
+    errors of the rig constants, in the order of `model.smoothing.R`; None: unknown. rig_spread: (40, 15) their
+    uncertainty as in `Improvement`: the change of the outline's 25 coefficients due to each step, then of the
+    constants; None until a smoother has confirmed the outline. mass, mass_sd: as measured by the pads (kg), NaN if
+    unknown.
     """
 
     t: float
@@ -238,5 +238,5 @@ class PlanningBelief:
 
     @property
     def confirmed(self) -> bool:
-        """Whether what is said to be touched stays so: not before a smoother beside the observer has found it too."""
+        """Whether `touched` is final: not before a smoother beside the observer has confirmed the outline."""
         return self.rig is None or self.rig_spread is not None

@@ -1,4 +1,4 @@
-"""What JSON has no form for: numbers that are none."""
+"""JSON values for numbers that JSON cannot represent."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 
 def or_none(value: Any) -> Any:
-    """The same value with None for every number that is not finite, in lists, tuples (as lists) and maps too."""
+    """The same value with None for every number that is not finite, also within lists, tuples (as lists) and maps."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, dict):  # a plain number needs no call: most are
+    if isinstance(value, dict):  # most values are plain numbers and need no recursive call
         return {
             name: each if type(each) is float and math.isfinite(each) else or_none(each) for name, each in value.items()
         }

@@ -1,4 +1,4 @@
-"""How log lines look: plain on a terminal, with the journal's priorities where it is the journal that reads them."""
+"""Format of log lines: plain on a terminal, with priorities if the journal reads them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _DEBUG_PRIORITY = 7
 
 
 def formatter(fd: int = STDERR) -> logging.Formatter:
-    """What formats the lines that go to this file descriptor."""
+    """The formatter for lines to this file descriptor."""
     if is_journal(os.environ, fd):
         return JournalFormatter()
     return logging.Formatter("%(levelname)s %(message)s")
 
 
 def is_journal(environment: Mapping[str, str], fd: int) -> bool:
-    """Whether the file descriptor leads to the journal, as JOURNAL_STREAM (device:inode) tells."""
+    """Whether the file descriptor leads to the journal, according to JOURNAL_STREAM (device:inode)."""
     try:
         status = os.fstat(fd)
     except OSError:
@@ -29,7 +29,7 @@ def is_journal(environment: Mapping[str, str], fd: int) -> bool:
 
 
 class JournalFormatter(logging.Formatter):
-    """Each line begins with its priority in angle brackets, as sd-daemon(3) has it."""
+    """Begins each line with its priority in angle brackets, as specified in sd-daemon(3)."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The record as lines for the journal."""

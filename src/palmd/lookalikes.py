@@ -1,4 +1,4 @@
-"""Characters that look like those of a keyboard and are others: minus signs, no-break spaces, smart quotes. Pure."""
+"""Characters that look like ASCII characters but are not: minus signs, no-break spaces, smart quotes. Pure."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from dataclasses import dataclass
 
 _QUOTES = {"\u2018": "'", "\u2019": "'", "\u201a": "'", "\u2032": "'", "\u00b4": "'", "\u02bc": "'"}
 _OTHERS = _QUOTES | {"\u2212": "-", "\u02d7": "-", "\u066b": ".", "\u00b7": ".", "\u2044": "/", "\u066c": ","}
-_ODD = re.compile(r"[^\t\n\r -~]")
-_LONGEST = 30  # of a number that somebody has written
+_NON_ASCII = re.compile(r"[^\t\n\r -~]")
+_LONGEST = 30  # longest text that is considered a number
 _INVISIBLE = ("Cf", "Zl", "Zp", "Cc")
 _GROUPED = re.compile(r"(?<=\d)[ '_](?=\d{3}(\D|$))")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
-class Odd:
-    """A character that is not one of ASCII, its index in the text, and whether it stands in quotes."""
+class NonAsciiCharacter:
+    """A non-ASCII character, its index in the text, and whether it is inside quotes."""
 
     index: int
     character: str
     quoted: bool
 
     @property
-    def unseen(self) -> bool:
-        """Whether nothing, or a space, is seen where it stands."""
+    def is_invisible(self) -> bool:
+        """Whether it is displayed as nothing or as a space."""
         return unicodedata.category(self.character) in (*_INVISIBLE, "Zs")
 
 
-def odd_characters(text: str) -> Iterator[Odd]:
-    """Those of a YAML text, but for those in comments."""
-    if not _ODD.search(text):
+def non_ascii_characters(text: str) -> Iterator[NonAsciiCharacter]:
+    """The non-ASCII characters of a YAML text outside of comments."""
+    if not _NON_ASCII.search(text):
         return
     quote, before, comment = "", "\n", False
     for index, character in enumerate(text):
@@ -44,18 +44,18 @@ def odd_characters(text: str) -> Iterator[Odd]:
             comment = True
         elif not comment and character in "\"'" and (before.isspace() or before in "[{,:-"):
             quote = character
-        if not comment and _ODD.match(character):
-            yield Odd(index, character, bool(quote))
+        if not comment and _NON_ASCII.match(character):
+            yield NonAsciiCharacter(index, character, bool(quote))
         before = character
 
 
 def is_letter(character: str) -> bool:
-    """Whether it is a letter of its own, and no accented one of ASCII."""
-    return meant(character) is None and not unicodedata.normalize("NFKD", character)[0].isascii()
+    """Whether it is a letter other than an accented ASCII letter."""
+    return ascii_equivalent(character) is None and not unicodedata.normalize("NFKD", character)[0].isascii()
 
 
-def meant(character: str) -> str | None:
-    """The ASCII character that it looks like; empty for one that is not seen, None for one that looks like none."""
+def ascii_equivalent(character: str) -> str | None:
+    """The ASCII character that it looks like; empty if invisible, None if it looks like none."""
     if character.isascii():
         return character if character.isprintable() else ""
     category = unicodedata.category(character)
@@ -75,17 +75,17 @@ def meant(character: str) -> str | None:
     return plain if len(plain) == 1 and plain.isascii() else None
 
 
-def named(character: str) -> str:
-    """The character by code point and name, and what to write instead."""
+def describe_character(character: str) -> str:
+    """The character's code point and name, and what to write instead."""
     name = unicodedata.name(character, "a control character")
-    instead = meant(character)
-    advice = {None: "write a letter or sign of ASCII", "": "it is not seen: delete it", " ": "write a space"}
-    return f"U+{ord(character):04X} {name}: {advice.get(instead, f'write {instead}')}"
+    replacement = ascii_equivalent(character)
+    advice = {None: "write an ASCII character", "": "it is invisible: delete it", " ": "write a space"}
+    return f"U+{ord(character):04X} {name}: {advice.get(replacement, f'write {replacement}')}"
 
 
-def number_meant(text: str) -> str:
-    """The number that a text means to be, as YAML takes it; empty where none is meant."""
-    plain = "".join(each if (other := meant(each)) is None else other for each in text).strip(" '\"")
+def intended_number(text: str) -> str:
+    """The number that a text probably means, in YAML notation; empty if it means none."""
+    plain = "".join(each if (other := ascii_equivalent(each)) is None else other for each in text).strip(" '\"")
     plain = _GROUPED.sub("", plain)
     octal = re.fullmatch(r"([-+]?)0o([0-7]+)", plain)
     if octal:

@@ -1,8 +1,7 @@
-"""Builders of what palmd publishes: SI values of `palmd.events` become the fields of `palmd.quantities`.
+"""Builders of published messages: SI values of `palmd.events` become the fields of `palmd.quantities`.
 
-A message is a flat map with string keys; values are numbers, booleans, strings and lists of these, and the one
-nested map `sd`. NaN means "no value". Every map gets `v timestamp mono_ns seq` from `stamp`. Builders are safe in the
-loop.
+A message is a flat map with string keys; values are numbers, booleans, strings and lists of these, and one nested map
+`sd`. NaN means "no value". `stamp` adds `v timestamp mono_ns seq` to every map. Builders are safe in the loop.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from palmd.jsonvalues import or_none
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, SCHEMA, TICK, UNITS, Topic
 from palmd.system.mechanism import JOINTS, NAMING, PALMS, SIDES
 from palmd.system.naming import Naming
-from palmd.system.rig_constants import RIG_NAMES, said_off
+from palmd.system.rig_constants import RIG_NAMES, describe_rig_errors
 
 if TYPE_CHECKING:
     from palmd.config.any_config import AnyConfig
@@ -48,38 +47,38 @@ if TYPE_CHECKING:
 Fields = dict[str, Any]
 Answer = TypeVar("Answer")
 
-_TOLD = {q.name: q.source for q in ESTIMATE.quantities if q.source and not q.uncertain}
+_PLAIN = {q.name: q.source for q in ESTIMATE.quantities if q.source and not q.uncertain}
 _UNCERTAIN = {q.name: q.source for q in ESTIMATE.quantities if q.uncertain}
-_told_of, _uncertain_of = attrgetter(*_TOLD.values()), attrgetter(*_UNCERTAIN.values())
+_plain_values, _uncertain_values = attrgetter(*_PLAIN.values()), attrgetter(*_UNCERTAIN.values())
 NAMED_STATE = tuple(q.source for q in ESTIMATE.quantities if q.role == "named")
-"""What must be finite, one-sigma included, in an estimate that says `valid`."""
+"""Fields that must be finite, with their standard deviations, in a valid estimate."""
 
 _SD_NAMES = {source: name for name, source in _UNCERTAIN.items()}
 
 
 class MessageCodec(Protocol):
-    """A system's module of messages: what every system publishes, as fields, and its events read back."""
+    """A system's module of messages: builders of the messages of every system, and the inverse for its events."""
 
     @property
     def events_fields(self) -> Callable[[float, Sequence[Event]], Fields]:
-        """Of the events that an observer was fed in the tick at a time (s)."""
+        """Fields of the events that an observer was fed in the tick at a time (s)."""
 
     @property
     def events_of(self) -> Callable[[Mapping[str, Any]], tuple[Event, ...]]:
-        """And back."""
+        """The inverse of `events_fields`."""
 
     def estimate_fields(self, estimate: Any, /) -> Fields:
-        """Of an estimate."""
+        """Fields of an estimate."""
 
-    def estimate_at_a_glance(self, estimate: Any, /) -> Fields:
-        """What a status tells of it."""
+    def estimate_summary(self, estimate: Any, /) -> Fields:
+        """Fields of an estimate in the status."""
 
     def info_fields(self, version: str, observer: str, config: Any, plans: Iterable[str], /) -> Fields:
-        """Of the rig as configured."""
+        """Fields about the configured rig."""
 
 
 def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
-    """Add to `fields` what every message carries; `timestamp` is Unix time, `t` the tick's time (s)."""
+    """Add to `fields` what every message contains; `timestamp` is Unix time, `t` the tick's time (s)."""
     fields["v"] = SCHEMA
     fields["timestamp"] = timestamp
     fields["mono_ns"] = round(t * 1e9)
@@ -87,45 +86,45 @@ def stamp(fields: Fields, timestamp: float, t: float, seq: int) -> Fields:
     return fields
 
 
-def sound(estimate: LiveEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
-    """Whether everything `named` is finite, as it must be when an estimate says `valid`."""
+def named_state_is_finite(estimate: LiveEstimate, named: Iterable[str] = NAMED_STATE) -> bool:
+    """Whether all fields `named` and their standard deviations are finite, as they must be in a valid estimate."""
     sds = estimate.sd
-    told = [value for each in named for value in (getattr(estimate, each), sds.get(each, math.nan))]
-    return all(map(math.isfinite, told))
+    values = [value for each in named for value in (getattr(estimate, each), sds.get(each, math.nan))]
+    return all(map(math.isfinite, values))
 
 
 def estimate_fields(estimate: Estimate) -> Fields:
     """`palm/estimate`."""
-    fields: Fields = dict(zip(_TOLD, _told_of(estimate), strict=True))
+    fields: Fields = dict(zip(_PLAIN, _plain_values(estimate), strict=True))
     fields["valid"] = bool(estimate.valid)
     fields["invalid_reasons"] = invalid_reasons(estimate)
     fields["sd"] = {_SD_NAMES[source]: sd for source, sd in estimate.sd.items()}
-    fields.update(zip(_UNCERTAIN, _uncertain_of(estimate), strict=True))
+    fields.update(zip(_UNCERTAIN, _uncertain_values(estimate), strict=True))
     return fields
 
 
 def invalid_reasons(estimate: LiveEstimate, reason: str = "") -> list[str]:
-    """Codes of what speaks against an estimate: its own, else one made of its `reason` in words."""
+    """Codes of the reasons why an estimate is invalid: its own, else one made from its `reason` in words."""
     if estimate.valid:
         return []
     code = "-".join(re.findall("[a-z]+", reason.lower()))
     return [*estimate.invalid_reasons] or [code or "no-answer"]
 
 
-def estimate_at_a_glance(estimate: Estimate) -> Fields:
-    """Of `palm/estimate` what people look at first, as the status tells it; None for what has no value."""
-    return at_a_glance(ESTIMATE, estimate_fields(estimate), "touched", "nis", "observability")
+def estimate_summary(estimate: Estimate) -> Fields:
+    """The main fields of `palm/estimate`, as in the status; None for fields without a value."""
+    return summary_fields(ESTIMATE, estimate_fields(estimate), "touched", "nis", "observability")
 
 
-def at_a_glance(topic: Topic, fields: Fields, *names: str) -> Fields:
-    """Of an estimate's `fields` those that its `topic` has for the first look, and `names` before them."""
+def summary_fields(topic: Topic, fields: Fields, *names: str) -> Fields:
+    """The fields `names` of an estimate, and those marked `glance` in its `topic`."""
     shown = ("valid", "observer", "object", *names, *(each.name for each in topic.quantities if each.glance))
-    told = {name: or_none(fields[name]) for name in shown}
-    return told | {"sd": {name: sd for name, sd in fields["sd"].items() if name in told and math.isfinite(sd)}}
+    summary = {name: or_none(fields[name]) for name in shown}
+    return summary | {"sd": {name: sd for name, sd in fields["sd"].items() if name in summary and math.isfinite(sd)}}
 
 
 def shape_fields(shape: ShapeEstimate, h: str = "h") -> Fields:
-    """`palm/shape`, or that of another system, whose support function is called `h`."""
+    """`palm/shape`, or that of another system whose support function is named `h`."""
     return {
         "theta_rad": shape.theta.tolist(),
         f"{h}_m": shape.h.tolist(),
@@ -145,78 +144,83 @@ def object_fields(estimate: ObjectEstimate) -> Fields:
     }
 
 
-class EventsForm:
-    """A system's topic of what the observer was fed in a tick, there and back."""
+class EventsCodec:
+    """Converts the events fed to a system's observer in a tick to fields of its topic, and back."""
 
     def __init__(self, topic: Topic, naming: Naming) -> None:
         self._columns = tuple(quantity.name for quantity in topic.quantities if quantity is not TICK)
         self._joints, self._pads = len(naming.joints), naming.pads
-        self._none, self._both = (math.nan,) * self._joints, bool(naming.across)
+        self._no_joints, self._reads_across = (math.nan,) * self._joints, bool(naming.across)
 
     def fields_of(self, t: float, events: Iterable[Event]) -> Fields:
-        """What the observer was fed in the tick at `t` (s), in this order; None becomes NaN."""
+        """Fields of the events fed to the observer in the tick at `t` (s), in their order; None becomes NaN."""
         rows = [self._row(event) for event in events]
         columns = zip(*rows, strict=True) if rows else ((),) * len(self._columns)
         return {"t_tick_s": t} | dict(zip(self._columns, map(list, columns), strict=True))
 
     def events_of(self, fields: Mapping[str, Any]) -> tuple[Event, ...]:
-        """The events that `fields_of` was given, bit for bit; raises KeyError, ValueError for other fields."""
+        """The events that `fields_of` was given, bit for bit; raises KeyError, ValueError for invalid fields."""
         return tuple(self._event(*row) for row in zip(*(fields[name] for name in self._columns), strict=True))
 
     def _row(self, event: Event) -> tuple[float, ...]:
-        none = self._none
-        nowhere = (math.nan,) * (2 + self._both)
+        no_joints = self._no_joints
+        no_reading = (math.nan,) * (2 + self._reads_across)
         if isinstance(event, PadSample):
-            told = (event.s, *((event.across,) if self._both else ()), event.force)
-            return (event.pad, event.t_sample, *(math.nan if each is None else each for each in told), *none * 3)
+            reading = (event.s, *((event.across,) if self._reads_across else ()), event.force)
+            return (
+                event.pad,
+                event.t_sample,
+                *(math.nan if each is None else each for each in reading),
+                *no_joints * 3,
+            )
         if isinstance(event, PadLift):
-            return (-event.pad, event.t_sample, *nowhere, *none * 3)
-        planned = (*(event.rates or none), *(event.accelerations or none))
-        return (0, event.t_sample, *nowhere, *event.angles, *planned)
+            return (-event.pad, event.t_sample, *no_reading, *no_joints * 3)
+        planned = (*(event.rates or no_joints), *(event.accelerations or no_joints))
+        return (0, event.t_sample, *no_reading, *event.angles, *planned)
 
-    def _event(self, source: int, t: float, s: float, *told: float) -> Event:
-        (*beside, force), palms = told[: 1 + self._both], told[1 + self._both :]
+    def _event(self, source: int, t: float, s: float, *values: float) -> Event:
+        (*across, force), joint_values = values[: 1 + self._reads_across], values[1 + self._reads_across :]
         if source == 0:
-            angles, *planned = (palms[i : i + self._joints] for i in range(0, len(palms), self._joints))
+            angles, *planned = (joint_values[i : i + self._joints] for i in range(0, len(joint_values), self._joints))
             return PalmSample(t, angles, *(None if any(map(math.isnan, each)) else each for each in planned))
         pad = abs(source)
         if pad not in self._pads:
             raise ValueError(
-                f"source is {source}; it is 0, or the number of a palm, negative where its contact has ended"
+                f"source is {source}; it must be 0, or the number of a palm, negative if its contact has ended"
             )
         if source < 0:
             return PadLift(t, pad)
-        return PadSample(t, pad, s, *(None if math.isnan(each) else each for each in (force, *beside)))
+        return PadSample(t, pad, s, *(None if math.isnan(each) else each for each in (force, *across)))
 
 
-_EVENTS = EventsForm(EVENTS, NAMING)
+_EVENTS = EventsCodec(EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 
 
-class AnswerForm(Generic[Answer]):
-    """A smoother's answer as a topic, there and back: the `source` of a quantity is the attribute that it has."""
+class AnswerCodec(Generic[Answer]):
+    """Converts a smoother's answer to fields of a topic and back; a quantity's `source` is the attribute's name."""
 
     def __init__(
         self,
         topic: Topic,
-        made: Callable[..., Answer],
+        construct: Callable[..., Answer],
         *,
         absent: Mapping[str, Any] = MappingProxyType({}),
         plain_first: bool = False,
         vectors: bool = False,
     ) -> None:
-        """`made` makes an answer of its attributes, arrays laid flat.
+        """`construct` constructs an answer from its attributes, with flattened arrays.
 
-        absent: what a field is where older recordings have none. plain_first: the fields are not in the topic's order,
-        but arrays follow the others. vectors: arrays stay arrays, which are packed sooner, else they become lists, and
-        `touched` whole numbers.
+        absent: default values of fields that older recordings do not have. plain_first: arrays follow the other fields,
+        instead of the topic's order. vectors: arrays remain arrays, which are packed faster; otherwise they become
+        lists, and `touched` integers.
         """
         columns = [(each.name, each.source, each.kind == "numbers") for each in topic.quantities if each.source]
         self._columns = sorted(columns, key=itemgetter(2)) if plain_first else columns
-        self._made, self._absent, self._vectors = made, absent, vectors
+        self._construct, self._absent, self._vectors = construct, absent, vectors
 
     def fields_of(self, t: float, answer: Answer) -> Fields:
-        """Of an answer heard in the tick at `t` (s)."""
+        """Fields of an answer received in the tick at `t` (s)."""
         fields: Fields = {TICK.name: t}
         for name, source, is_array in self._columns:
             value = getattr(answer, source)
@@ -224,10 +228,10 @@ class AnswerForm(Generic[Answer]):
         return fields
 
     def answer_of(self, fields: Mapping[str, Any]) -> Answer:
-        """The answer that `fields_of` was given, bit for bit; raises KeyError, ValueError for other fields."""
+        """The answer that `fields_of` was given, bit for bit; raises KeyError, ValueError for invalid fields."""
         known = {**self._absent, **fields}
         values = ((source, known[name], is_array) for name, source, is_array in self._columns)
-        return self._made(**{source: _array(value) if is_array else value for source, value, is_array in values})
+        return self._construct(**{source: _array(value) if is_array else value for source, value, is_array in values})
 
     def _listed(self, name: str, value: npt.NDArray[Any]) -> Any:
         flat = value.ravel()
@@ -238,7 +242,7 @@ class AnswerForm(Generic[Answer]):
 
 def _improvement(
     *,
-    P: FloatArray,  # noqa: N803 -- as the attribute is called
+    P: FloatArray,  # noqa: N803 -- the attribute's name
     touched: FloatArray,
     spread: FloatArray,
     **others: Any,
@@ -251,9 +255,9 @@ def _improvement(
     )
 
 
-_IMPROVEMENT = AnswerForm(IMPROVEMENT, _improvement, absent={"rig_sd": (), "contradicted": ()})
+_IMPROVEMENT = AnswerCodec(IMPROVEMENT, _improvement, absent={"rig_sd": (), "contradicted": ()})
 improvement_fields, improvement_of = _IMPROVEMENT.fields_of, _IMPROVEMENT.answer_of
-"""`palm/improvement`, there and back."""
+"""`palm/improvement`, and the inverse."""
 
 
 def _array(values: Sequence[float]) -> FloatArray:
@@ -261,25 +265,25 @@ def _array(values: Sequence[float]) -> FloatArray:
 
 
 def unexplained_fields(t_tick: float, answer: Unexplained) -> Fields:
-    """`palm/unexplained`, heard in the tick at `t_tick` (s)."""
+    """`palm/unexplained`, received in the tick at `t_tick` (s)."""
     return {"t_tick_s": t_tick, "t_s": answer.t}
 
 
 def rig_fields(values: FloatArray, sds: FloatArray, priors: FloatArray, contradicted: FloatArray) -> Fields:
-    """`palm/rig` of the rig's constants, each in the order of `RIG_TABLE`.
+    """`palm/rig` of the rig constants, each in the order of `RIG_TABLE`.
 
-    Their estimates, one-sigma now and beforehand, and by how many sigmas they contradict what was believed.
+    Their estimates, posterior and prior standard deviations, and by how many σ they contradict the description.
     """
     return {
         **dict(zip(RIG_NAMES, values.tolist(), strict=True)),
         "sd": dict(zip(RIG_NAMES, sds.tolist(), strict=True)),
         "prior_sd": priors.tolist(),
-        "off": said_off(values, sds, priors, contradicted),
+        "off": describe_rig_errors(values, sds, priors, contradicted),
     }
 
 
 class PadView(NamedTuple):
-    """What is to be told of one pad: s, across (m) and age (s), NaN for none."""
+    """Published state of a pad: s, across (m) and age (s), NaN for none."""
 
     s: float = math.nan
     pressure: float = math.nan
@@ -291,7 +295,7 @@ class PadView(NamedTuple):
 
 def contact_fields(pads: Sequence[PadView], arm_age: float, naming: Naming = NAMING) -> Fields:
     """`palm/contact` of a system's pads; `arm_age` in s, NaN for none."""
-    told = [
+    values = [
         *[view.s for view in pads],
         *([view.across for view in pads] if naming.across else ()),
         *[view.pressure for view in pads],
@@ -300,12 +304,12 @@ def contact_fields(pads: Sequence[PadView], arm_age: float, naming: Naming = NAM
         *[view.touch for view in pads],
         *[view.batch for view in pads],
     ]
-    return dict(zip(_contact_names(naming), told, strict=True))
+    return dict(zip(_contact_names(naming), values, strict=True))
 
 
 @cache
 def _contact_names(naming: Naming) -> tuple[str, ...]:
-    """In the order in which `contact_fields` has the values."""
+    """Names in the order of the values in `contact_fields`."""
     across = [f"{naming.across}{pad}_m" for pad in naming.pads] if naming.across else []
     return (
         *(f"{naming.along}{pad}_m" for pad in naming.pads),
@@ -329,7 +333,7 @@ def motion_fields(
     following_errors: Sequence[float] = (),
     following_limits: Sequence[float] = (),
 ) -> Fields:
-    """`palm/motion` of a system's joints; following errors and their limits are unknown (NaN) where left out."""
+    """`palm/motion` of a system's joints; following errors and their limits are NaN if not given."""
     none = (math.nan,) * len(naming.joints)
     error, limit = naming.following
     angles = (none if each is None else each.angles for each in (commanded, actual))
@@ -350,13 +354,13 @@ def _joint_names(naming: Naming) -> tuple[str, ...]:
 
 
 def note_fields(t: float, text: str) -> Fields:
-    """`palm/note`, given at `t` (s)."""
+    """`palm/note`, written at `t` (s)."""
     return {"t_s": t, "text": text}
 
 
 @dataclass(frozen=True, slots=True)
 class Explored:
-    """How far an exploration is, or has come: shares of normals as in `palm/state`, NaN for none."""
+    """Progress of an exploration: fractions of normals as in `palm/state`, NaN for none."""
 
     running: bool = False
     seconds: float = math.nan
@@ -370,14 +374,14 @@ def state_fields(
     state: str,
     faults: Iterable[Fault],
     cause: str = "",
-    wish: str = "",
+    requested_state: str = "",
     since_s: float = 0.0,
     running: bool = False,
     explored: Explored = Explored(),
     control: str = "",
     unattended: bool = False,
 ) -> Fields:
-    """`palm/state`; what `cause` brought the state about `since_s` seconds ago, and the client that has `control`."""
+    """`palm/state`; `cause` led to the state `since_s` seconds ago; `control` is the client in control."""
     faults = tuple(faults)
     return {
         "state": state,
@@ -386,7 +390,7 @@ def state_fields(
         "hints": [fault.hint for fault in faults],
         "texts": [fault.text for fault in faults],
         "cause": cause,
-        "wish": wish,
+        "wish": requested_state,
         "control": control,
         "unattended": unattended,
         "since_s": since_s,
@@ -405,7 +409,7 @@ LogKind = Literal["palmd", "state", "fault", "command", "control", "plan", "expl
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One thing that happened at `t_s` (s), by the columns of `palm/log`; `lasted_s` is NaN for what is not over."""
+    """One event at `t_s` (s), with the columns of `palm/log`; `lasted_s` is NaN for events without duration."""
 
     number: int
     t_s: float
@@ -418,7 +422,7 @@ class LogEntry:
 
     @property
     def line(self) -> str:
-        """It in one line, without its time."""
+        """The entry in one line, without its time."""
         head = {"state": "", "fault": f"{self.name}: ", "command": f"{self.name}, by {self.who}: "}
         return head.get(self.kind, f"{self.kind}: ") + self.text
 
@@ -433,13 +437,13 @@ def log_fields(entries: Iterable[LogEntry]) -> Fields:
 
 
 def entries_of(fields: Mapping[str, Any]) -> tuple[LogEntry, ...]:
-    """The entries that `log_fields` was given; raises KeyError, ValueError for other fields."""
+    """The entries that `log_fields` was given; raises KeyError, ValueError for invalid fields."""
     return tuple(LogEntry(*row) for row in zip(*(fields[name] for name in _LOG_COLUMNS), strict=True))
 
 
-def who_runs(version: str, observer: str, config: AnyConfig, system: str = "") -> Fields:
-    """What a system's info begins with; `system` is its name, which two palms leave out."""
-    from palmd.config.any_config import config_hash  # of the pydantic models, which nothing else here needs
+def runtime_fields(version: str, observer: str, config: AnyConfig, system: str = "") -> Fields:
+    """The first fields of a system's info; `system` is its name, which two palms omit."""
+    from palmd.config.any_config import config_hash  # imported here: it needs the pydantic models
 
     return {
         "version": version,
@@ -453,14 +457,14 @@ def who_runs(version: str, observer: str, config: AnyConfig, system: str = "") -
 
 
 def info_fields(version: str, observer: str, config: Config, plans: Iterable[str] = ()) -> Fields:
-    """`palm/info`: who runs, and the rig as configured, lengths and limits included, for whoever draws it."""
+    """`palm/info`: version and observer, and the configured rig, with lengths and limits for displays."""
     from palmd.config.guards import pad_force_limits
 
     rig, limits = config.rig, config.limits
     lengths_mm = {f"palm{palm}": length for palm, length in zip(PALMS, rig.palm_lengths_mm, strict=True)}
     lengths_mm |= {f"pad{palm}": pad.length_mm for palm, pad in zip(PALMS, config.pads.each(), strict=True)}
     ranges_deg = dict(zip(JOINTS, limits.angles_deg, strict=True))
-    return who_runs(version, observer, config) | {
+    return runtime_fields(version, observer, config) | {
         "hinge": rig.hinge,
         "gravity_m_s2": rig.gravity_m_s2,
         "base_m": [place * 1e-3 for place in rig.base_mm],

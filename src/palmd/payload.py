@@ -1,4 +1,4 @@
-"""A message's bytes, as whoever needs no more of palmd reads them."""
+"""Decoding of messages, for programs that need nothing else of palmd."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import msgpack
 
 FRAMES = (3, 2)
-"""How many frames a message may have: topic, payload and the time it was sent; a publisher may leave out the last."""
+"""Number of frames of a message: topic, payload and time of sending; a publisher may omit the last."""
 
 
 def unpacked(payload: bytes) -> dict[str, Any] | None:
     """The msgpack map in a payload; None for anything else."""
     try:
         fields = msgpack.unpackb(payload)
-    except Exception:  # msgpack raises half a dozen kinds for bytes that are not its own
+    except Exception:  # msgpack raises many kinds of exceptions for invalid data
         return None
     return fields if isinstance(fields, dict) else None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from palmd import messages
 from palmd.events import FloatArray, ShapeEstimate
-from palmd.messages import AnswerForm, EventsForm, Fields
+from palmd.messages import AnswerCodec, EventsCodec, Fields
 from palmd.pivot_quantities import PIVOT, PIVOT_ANSWER, PIVOT_EVENTS
 from palmd.system.pivot import AXES, NAMING, SYSTEM, PivotAnswer, PivotEstimate
 
@@ -25,9 +25,9 @@ def estimate_fields(estimate: PivotEstimate) -> Fields:
     return fields | {"sd": {_NAMES[source]: sd for source, sd in estimate.sd.items()}}
 
 
-def estimate_at_a_glance(estimate: PivotEstimate) -> Fields:
+def estimate_summary(estimate: PivotEstimate) -> Fields:
     """Fields of `palm/pivot` for the status display; None for no value."""
-    return messages.at_a_glance(PIVOT, estimate_fields(estimate), "side", "touched", "nis", "reason")
+    return messages.summary_fields(PIVOT, estimate_fields(estimate), "side", "touched", "nis", "reason")
 
 
 def shape_fields(shape: ShapeEstimate) -> Fields:
@@ -35,7 +35,7 @@ def shape_fields(shape: ShapeEstimate) -> Fields:
     return messages.shape_fields(shape, "hP")
 
 
-_EVENTS = EventsForm(PIVOT_EVENTS, NAMING)
+_EVENTS = EventsCodec(PIVOT_EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm/pivot_events`: fields of events, and events of fields."""
 
@@ -45,14 +45,14 @@ def _answer_from_flat(covariance: FloatArray, **others: Any) -> PivotAnswer:
     return PivotAnswer(**others, covariance=covariance.reshape(width, width))
 
 
-_ANSWER = AnswerForm(PIVOT_ANSWER, _answer_from_flat)
+_ANSWER = AnswerCodec(PIVOT_ANSWER, _answer_from_flat)
 answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
 """`palm/pivot_answer`: fields of an answer, and the answer of fields."""
 
 
 def info_fields(version: str, observer: str, config: PivotConfig, plans: Iterable[str]) -> Fields:
     """`palm/pivot_info`: version and observer, and the rig as configured, for displays."""
-    return messages.who_runs(version, observer, config, SYSTEM) | {
+    return messages.runtime_fields(version, observer, config, SYSTEM) | {
         "gravity_m_s2": config.rig.gravity_m_s2,
         "pad1_length_m": config.pads.palm1.length_mm * 1e-3,
         **{

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from palmd.quantities import MOTION, PLANS_BESIDE, TICK, Quantity, SystemTopics, Topic, following, who_runs
+from palmd.quantities import AVAILABLE_PLANS, MOTION, TICK, Quantity, SystemTopics, Topic, following, runtime_quantities
 from palmd.system.pivot import AXES, SYSTEM
 
 PIVOT = Topic(
@@ -118,12 +118,12 @@ PIVOT_INFO = Topic(
     1.0,
     "of a pivoting grasp",
     (
-        *who_runs(SYSTEM),
+        *runtime_quantities(SYSTEM),
         Quantity("gravity_m_s2", "number", "m/s²", "towards the pad"),
         Quantity("pad1_length_m", "number", "m", "the pad, from its zero on"),
         *(Quantity(f"{axis}_limits_m", "numbers", "m", f"smallest and largest {axis} of the pivot") for axis in AXES),
         Quantity("force_limit_n", "number", "N", "limit of the body's force on the pad"),
-        PLANS_BESIDE,
+        AVAILABLE_PLANS,
     ),
 )
 PIVOT_TRUTH = Topic(

@@ -1,7 +1,7 @@
-"""What is published: topics, their quantities, and how people are shown them; those of two palms, and of every system.
+"""Published quantities: topics, their fields, and how they are displayed; for two palms, and common to all systems.
 
 Messages, `palmd top`, the live page, reports, exports, the layouts in `config/` and docs/reference/messages.md take
-names, units, symbols and rates from here. Adding a quantity is adding a row, and filling it in where it is built.
+names, units, symbols and rates from here. To add a quantity, add a row and fill it in where the message is built.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STALE_PERIODS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """How people read a number: its unit, how many of these are one published unit, digits behind the point."""
+    """How a number is displayed: its unit, the factor from the published unit, and the number of decimals."""
 
     unit: str
     factor: float
@@ -46,10 +46,10 @@ _SHOWN = {
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Quantities that are drawn in one picture, those whose `chart` has this name.
+    """Quantities drawn in one chart: those whose `chart` has this name.
 
-    As a strip of the live page, in the `group`, its axis spans at least `span` shown units, from `low` on where that is
-    given; without a span the page has no strip of it. good: from where to where, in shown units, all is well.
+    As a strip of the live page, in the `group`, its axis spans at least `span` displayed units, from `low` on if given;
+    without a span the page has no strip of it. good: range in displayed units in which all is well.
     """
 
     name: str
@@ -62,22 +62,22 @@ class Chart:
 
 
 NIS_BAND = (0.4, 1.5)
-"""Where the mean of an honest observer's NIS lies: 2 % of readings wrong by centimetres bring an honest 1 to 1.3."""
+"""Range of the mean NIS of a consistent observer: 2 % of readings wrong by centimetres raise it from 1 to 1.3."""
 
-_ON_IT, _PALMS, _TRUST = "Object", "Palms", "Trust"
+_OBJECT, _PALMS, _TRUST = "Object", "Palms", "Trust"
 
 
 CHARTS = (
-    Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5, group=_ON_IT),
-    Chart("rate", "state", "Angular rate of the object", 10.0, group=_ON_IT),
-    Chart("place", "state", "Centre of mass from the apex", 2.0, group=_ON_IT),
-    Chart("contact", "state", "Contacts, from the hinge", 2.0, group=_ON_IT),
-    Chart("gyration", "state", "Radius of gyration", 1.0, group=_ON_IT),
+    Chart("distance", "state", "Distance of the palms from the centre of mass", 0.5, group=_OBJECT),
+    Chart("rate", "state", "Angular rate of the object", 10.0, group=_OBJECT),
+    Chart("place", "state", "Centre of mass from the apex", 2.0, group=_OBJECT),
+    Chart("contact", "state", "Contacts, from the hinge", 2.0, group=_OBJECT),
+    Chart("gyration", "state", "Radius of gyration", 1.0, group=_OBJECT),
     Chart("angles", "state", "Palm angles", 4.0, group=_PALMS),
     Chart("rates", "state", "Palm rates", 4.0, group=_PALMS),
     Chart("turn", "state", "Turn of the object"),
     Chart("nis", "trust", "Normalised innovation squared: 1 when readings and model agree", 1.0, 0.0, _TRUST, NIS_BAND),
-    Chart("observability", "trust", "Observability: above 1 when the last second alone tells all", 1.0, 0.0, _TRUST,
+    Chart("observability", "trust", "Observability: above 1 if the last second determines the state", 1.0, 0.0, _TRUST,
           (1.0, math.inf)),
     Chart("touched", "trust", "Touched, valid"),
     Chart("object", "trust", "Number of the object"),
@@ -94,12 +94,12 @@ CHARTS = (
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One published field; a name that ends in `*` stands for every name so begun.
+    """One published field; a name that ends in `*` stands for every name with that prefix.
 
-    unit: as published, empty for what has none. role: `derived` has a one-sigma in the message's `sd`, `named` must
-    besides be finite, one-sigma included, in an estimate that says `valid`. chart: name of the `Chart` it is drawn in.
-    source: the attribute of what it is taken from, SI. glance: whether it is among the few that are shown at a glance.
-    palm: its number for what belongs to one palm, else 0. digits: where its unit's are not enough or too many.
+    unit: as published, empty for none. role: `derived` has a standard deviation in the message's `sd`; `named` must
+    also be finite, with its standard deviation, in a valid estimate. chart: name of its `Chart`. source: the attribute
+    that it is taken from, SI. glance: whether it is in the summary of an estimate. palm: number of its palm, else 0.
+    digits: decimals, if other than the unit's.
     """
 
     name: str
@@ -116,27 +116,26 @@ class Quantity:
 
     @property
     def uncertain(self) -> bool:
-        """Whether it has a one-sigma."""
+        """Whether it has a standard deviation."""
         return self.role != "plain"
 
     @property
     def shown(self) -> Shown:
-        """How people read it."""
+        """How it is displayed."""
         shown = _SHOWN.get(self.unit, Shown(self.unit, 1.0, 3))
         return shown if self.digits is None else replace(shown, digits=self.digits)
 
     @property
     def label(self) -> str:
-        """Symbol and unit shown, as an axis has them."""
+        """Symbol and displayed unit, for an axis."""
         return f"{self.symbol} ({self.shown.unit})" if self.shown.unit else self.symbol
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: how often it comes, and its quantities beyond those of `STAMP`.
+    """One topic: its rate, and its quantities in addition to those of `STAMP`.
 
-    rate_hz: at the default rate of the loop where it is every tick; 0 for what has no rate. when: what the rate leaves
-    unsaid.
+    rate_hz: at the default loop rate if published every tick; 0 for no fixed rate. when: addition to the rate.
     """
 
     name: str
@@ -151,12 +150,12 @@ class Topic:
 
     @property
     def rate(self) -> str:
-        """How often it comes, in words."""
+        """The rate in words."""
         return ", ".join(filter(None, (f"{self.rate_hz:g} Hz" if self.rate_hz else "", self.when)))
 
     @property
     def stale_s(self) -> float:
-        """How old (s) its last message may be before people are told; infinite without a rate."""
+        """Age (s) of the last message above which it is displayed as stale; infinite without a rate."""
         return max(LEAST_STALE_S, STALE_PERIODS / self.rate_hz) if self.rate_hz else math.inf
 
     def __getitem__(self, name: str) -> Quantity:
@@ -178,13 +177,13 @@ def following(unit: str) -> tuple[Quantity, Quantity]:
     """The following error of all joints, and its limit."""
     return (
         Quantity(f"following_error_{unit}", "numbers", unit,
-                 "actual less delayed set-point of each joint at the last report; NaN where not judged"),
-        Quantity(f"following_limit_{unit}", "numbers", unit, "of each joint, where the arm is stopped; NaN likewise"),
+                 "actual minus delayed set-point of each joint at the last report; NaN where not judged"),
+        Quantity(f"following_limit_{unit}", "numbers", unit, "limit of each joint; NaN where not judged"),
     )  # fmt: skip
 
 
 def of_each_palm(*rows: Quantity) -> Iterator[Quantity]:
-    """The rows for one palm after the other: `{}` is its number, `{sub}` a small one, `{angle}` its joint in words."""
+    """The rows for each palm in turn: `{}` is its number, `{sub}` a subscript, `{angle}` its joint in words."""
     for palm, angle in zip(PALMS, JOINT_MEANINGS, strict=True):
         for row in rows:
             texts = {name: getattr(row, name) for name in ("name", "meaning", "symbol", "source")}
@@ -196,9 +195,9 @@ def of_each_palm(*rows: Quantity) -> Iterator[Quantity]:
 
 STAMP = (
     Quantity("v", "number", "", "schema version"),
-    Quantity("timestamp", "number", "s", "Unix time when it was sent"),
-    Quantity("mono_ns", "number", "ns", "CLOCK_MONOTONIC of the tick that the values hold for"),
-    Quantity("seq", "number", "", "counts up by one with every message of the topic"),
+    Quantity("timestamp", "number", "s", "Unix time of sending"),
+    Quantity("mono_ns", "number", "ns", "CLOCK_MONOTONIC of the tick to which the values refer"),
+    Quantity("seq", "number", "", "increases by one with every message of the topic"),
 )
 
 ESTIMATE = Topic(
@@ -206,12 +205,12 @@ ESTIMATE = Topic(
     100.0,
     "every tick",
     (
-        Quantity("invalid_reasons", "texts", "", "codes of what speaks against it, empty when valid",
+        Quantity("invalid_reasons", "texts", "", "codes of the reasons why it is invalid, empty when valid",
                  source="invalid_reasons"),
-        Quantity("valid", "bool", "", "whether to trust it: settled, consistent, finite", "valid", "touched",
+        Quantity("valid", "bool", "", "whether it passed all tests: settled, consistent, finite", "valid", "touched",
                  source="valid"),
-        Quantity("observer", "text", "", "which observer it comes from", source="observer"),
-        Quantity("object", "number", "", "counts up when a new object is begun", "object", "object",
+        Quantity("observer", "text", "", "the observer that made the estimate", source="observer"),
+        Quantity("object", "number", "", "increases when a new object is started", "object", "object",
                  source="object_count"),
         *of_each_palm(Quantity("r{}_m", "number", "m", "distance of palm {} from the centre of mass",
                                "r{sub}", "distance", "named", "r{}", glance=True)),
@@ -225,7 +224,7 @@ ESTIMATE = Topic(
         ),
         Quantity("rho_m", "number", "m", "radius of gyration", "ρ", "gyration", "named", "rho", glance=True),
         Quantity("psi_rad", "number", "rad",
-                 "turn of the object since the first fused measurement, or from a stored outline",
+                 "rotation of the object since the first fused measurement, or relative to a stored outline",
                  "ψ", "turn", "named", "psi", glance=True),
         *of_each_palm(Quantity("v{}_m", "number", "m", "radius of curvature of the outline at contact {}",
                                "v{sub}", "", "derived", "v{}")),
@@ -235,7 +234,7 @@ ESTIMATE = Topic(
                                "f{sub}", "force", "derived", "f{}", glance=True)),
         Quantity("com_x_m", "number", "m", "centre of mass, world frame", "x", "", "derived", "com_x"),
         Quantity("com_y_m", "number", "m", "centre of mass, world frame", "y", "", "derived", "com_y", glance=True),
-        Quantity("sd", "sds", "", "one-sigma of each field that it names, in that field's unit"),
+        Quantity("sd", "sds", "", "standard deviation of each field that it names, in that field's unit"),
         Quantity("nis", "number", "", "normalised innovation squared, running mean", "NIS", "nis", source="nis",
                  digits=2),
         Quantity("observability", "number", "", "smallest singular value, scaled", "observability", "observability",
@@ -253,7 +252,7 @@ SHAPE = Topic(
     (
         Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in the object's frame"),
         Quantity("h_m", "numbers", "m", "support function about the centre of mass"),
-        Quantity("h_sd_m", "numbers", "m", "one-sigma of h"),
+        Quantity("h_sd_m", "numbers", "m", "standard deviation of h"),
         Quantity("touched", "numbers", "", "1 where a palm has been in contact, else 0"),
     ),
 )
@@ -262,10 +261,10 @@ OBJECT = Topic(
     10.0,
     "at most, only with stored outlines",
     (
-        Quantity("names", "texts", "", "of the stored outlines"),
-        Quantity("probability", "numbers", "", "that it is the object of that name, one for each"),
-        Quantity("none", "number", "", "probability that it is none of them"),
-        Quantity("best", "text", "", f"the name whose probability is at least {DECIDED:g}, empty when none is"),
+        Quantity("names", "texts", "", "names of the stored outlines"),
+        Quantity("probability", "numbers", "", "probability of each of them"),
+        Quantity("none", "number", "", "probability of none of them"),
+        Quantity("best", "text", "", f"the name whose probability is at least {DECIDED:g}, empty if there is none"),
         Quantity("object", "number", "", "as in palm/estimate"),
     ),
 )
@@ -274,13 +273,13 @@ CONTACT = Topic(
     100.0,
     "every tick",
     (
-        *of_each_palm(Quantity("s{}_m", "number", "m", "last reading of pad {}, from the hinge; none while untouched",
+        *of_each_palm(Quantity("s{}_m", "number", "m", "last reading of pad {}, from the hinge; NaN while untouched",
                                chart="contact")),
         *of_each_palm(Quantity("pressure{}", "number", "", "last pressure of pad {}, counts", chart="pressure")),
         *of_each_palm(Quantity("age{}_ms", "number", "ms", "age of pad {}'s last packet", "pad {}", "age", digits=0)),
         Quantity("arm_age_ms", "number", "ms", "age of the arm's last report", "arm", "age", digits=0),
         *of_each_palm(Quantity("touch{}", "bool", "", "whether pad {} is touched")),
-        *of_each_palm(Quantity("batch{}", "bool", "", "whether pad {}'s last packet came with others in one read")),
+        *of_each_palm(Quantity("batch{}", "bool", "", "whether pad {}'s last packet was read together with others")),
     ),
 )  # fmt: skip
 FOLLOWING_RAD = following("rad")
@@ -289,13 +288,13 @@ MOTION = Topic(
     100.0,
     "every tick",
     (
-        *of_each_palm(Quantity("phi{}_cmd_rad", "number", "rad", "commanded; none unless tracking",
+        *of_each_palm(Quantity("phi{}_cmd_rad", "number", "rad", "commanded; NaN unless tracking",
                                "φ{sub}", "angles", digits=2)),
         *of_each_palm(Quantity("phi{}_rad", "number", "rad", "actual, from the arm's last report", "φ{sub}", digits=2)),
         Quantity("plan", "text", "", "name of the plan, empty without one"),
         Quantity("segment", "number", "", "number of the plan's segment from 0; -1 when no plan is being run"),
         Quantity("progress", "number", "",
-                 "of the plan, 0 to 1; of the round when it runs forever, of touching when it explores"),
+                 "of the plan, 0 to 1; of the round if it repeats forever, of the coverage if it explores"),
         Quantity("arm_state", "text", "", "the controller's state letter, empty while unknown"),
         *FOLLOWING_RAD,
     ),
@@ -306,33 +305,34 @@ STATE = Topic(
     "and on change",
     (
         Quantity("state", "text", "", "idle, ready, tracking, hold or fault"),
-        Quantity("faults", "texts", "", "codes of the faults that stand, latched ones included"),
+        Quantity("faults", "texts", "", "codes of the active faults, latched ones included"),
         Quantity("severities", "texts", "", "note, degrade, hold or stop, one for each fault"),
         Quantity("hints", "texts", "", "what to do, one for each fault"),
-        Quantity("texts", "texts", "", "what is the matter, one for each fault"),
+        Quantity("texts", "texts", "", "description, one for each fault"),
+        Quantity("cause", "text", "", "what caused the state, in words; empty if it has not changed since the start"),
         Quantity(
-            "cause", "text", "", "what has brought the state about, in words; empty when nothing has since the start"
+            "wish", "text", "", "requested state: hold or stop, from its request until arm, start or reset; else empty"
         ),
-        Quantity(
-            "wish", "text", "", "hold or stop, from when somebody asks for it until arm, start or reset; else empty"
-        ),
-        Quantity("control", "text", "", "the client that has control of the rig; empty for nobody"),
+        Quantity("control", "text", "", "the client that has control of the rig; empty for none"),
         Quantity(
             "unattended",
             "bool",
             "",
-            "whether a plan moves the palms and no client with a declared lease answers for it",
+            "whether a plan moves the palms while no client with a declared lease has control",
         ),
-        Quantity("since_s", "number", "s", "for how long it has been in that state"),
-        Quantity("running", "bool", "", "whether a plan is under way: one that is held or over is not"),
+        Quantity("since_s", "number", "s", "time in this state"),
+        Quantity("running", "bool", "", "whether a plan is running; false if it is held or complete"),
         Quantity(
-            "exploring", "bool", "", "whether an exploration is going on; what follows is about it, else the last"
+            "exploring",
+            "bool",
+            "",
+            "whether an exploration is under way; the following fields refer to it, else to the last one",
         ),
-        Quantity("explored_s", "number", "s", "how long it has taken, holds left out; none before the first"),
-        Quantity("coverage", "number", "", "share touched of the normals that can be reached; none while unknown"),
-        Quantity("coverage_goal", "number", "", "the share at which it is done"),
-        Quantity("reachable", "number", "", "share of all normals that can be reached; none while unknown"),
-        Quantity("reason", "text", "", "why it stands or why it is over, in words; empty while it goes on"),
+        Quantity("explored_s", "number", "s", "its duration without holds; NaN before the first"),
+        Quantity("coverage", "number", "", "fraction touched of the reachable normals; NaN while unknown"),
+        Quantity("coverage_goal", "number", "", "the coverage at which it is complete"),
+        Quantity("reachable", "number", "", "reachable fraction of all normals; NaN while unknown"),
+        Quantity("reason", "text", "", "why it waits or has ended, in words; empty while it proceeds"),
     ),
 )
 LOOP = Topic(
@@ -341,7 +341,7 @@ LOOP = Topic(
     "",
     (
         Quantity("ticks", "number", "", "ticks since the start"),
-        Quantity("overruns", "number", "", "ticks skipped since the start because another one took too long",
+        Quantity("overruns", "number", "", "ticks skipped since the start because another tick took too long",
                  chart="missed"),
         *(
             Quantity(f"{what}_{part}_ms", "number", "ms", f"{meaning}, {words} of the last second", part, what,
@@ -349,27 +349,27 @@ LOOP = Topic(
             for what, meaning in (("lateness", "how late a tick began"), ("work", "how long a tick took"))
             for part, words in (("p50", "median"), ("p99", "99th percentile"), ("max", "largest"))
         ),
-        Quantity("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in their order"),
+        Quantity("lateness_ms", "numbers", "ms", "how late each tick of the last second began, in order"),
         *(
-            Quantity(f"{port}_*", "number", "", f"what has passed on the {port} port since the start, by cause")
+            Quantity(f"{port}_*", "number", "", f"counts on the {port} port since the start, by kind")
             for port in dict.fromkeys((*ENDS, *(f"pad{number}" for number in PAD_NUMBERS)))
         ),
-        Quantity("bus_*", "number", "", "what has passed on the bus since the start"),
-        Quantity("lag_ms", "number", "ms", "by how much the arm follows its set-points, estimated"),
+        Quantity("bus_*", "number", "", "counts on the bus since the start"),
+        Quantity("lag_ms", "number", "ms", "estimated delay of the arm behind its set-points"),
         Quantity("late_dropped", "number", "", "samples too late for the observer since the start", chart="missed"),
         Quantity("smoother_*", "number", "",
-                 "since the start: improvements taken in, starts of its process, readings lost"),
+                 "since the start: improvements used, starts of its process, readings lost"),
         Quantity("explorer_*", "number", "",
                  "since the start: starts of its process, decisions that came too late"),
         Quantity("rss_mb", "number", "MB", "resident memory", digits=0),
-        Quantity("blocks", "number", "", "live blocks of the interpreter's memory: more and more tell a leak"),
-        Quantity("backend", "text", "", "what runs the models: c, vm or numpy"),
+        Quantity("blocks", "number", "", "live memory blocks of the interpreter; steady growth indicates a leak"),
+        Quantity("backend", "text", "", "backend of the models: c, vm or numpy"),
     ),
 )  # fmt: skip
 
 
-def who_runs(system: str = "") -> tuple[Quantity, ...]:
-    """What the info of every system begins with; two palms do not name themselves."""
+def runtime_quantities(system: str = "") -> tuple[Quantity, ...]:
+    """The first fields of every system's info; two palms do not name themselves."""
     return (
         Quantity("version", "text", "", "of palmd"),
         Quantity("schema", "number", "", "of these messages"),
@@ -381,38 +381,41 @@ def who_runs(system: str = "") -> tuple[Quantity, ...]:
     )
 
 
-PLANS_BESIDE = Quantity(
-    "plans", "texts", "", "the plans that lie beside the configured one, as the plan command takes them"
+AVAILABLE_PLANS = Quantity(
+    "plans", "texts", "", "the plans in the folder of the configured one, as the plan command takes them"
 )
 INFO = Topic(
     "palm/info",
     1.0,
     "",
     (
-        *who_runs(),
-        Quantity("hinge", "text", "", "what joins the palms: arc or fixed"),
+        *runtime_quantities(),
+        Quantity("hinge", "text", "", "kind of hinge between the palms: arc or fixed"),
         Quantity("gravity_m_s2", "number", "m/s²", "in the plane of the palms"),
         Quantity(
-            "base_m", "numbers", "m", f"far end of palm {PALMS[0]}, where an arc hinge is fixed: x and y, world frame"
+            "base_m",
+            "numbers",
+            "m",
+            f"far end of palm {PALMS[0]}, at which an arc hinge is fixed: x and y, world frame",
         ),
         *of_each_palm(Quantity("palm{}_length_m", "number", "m", "palm {}, from the hinge to its far end")),
         *of_each_palm(Quantity("pad{}_length_m", "number", "m", "pad {}, from the hinge on")),
         *of_each_palm(Quantity("phi{}_limits_rad", "numbers", "rad", "least and largest phi{}")),
         *of_each_palm(
-            Quantity(
-                "palm{}_curvature_per_m", "number", "1/m", "of the arc that palm {} is: > 0 concave, 0 flat, < 0 convex"
-            )
+            Quantity("palm{}_curvature_per_m", "number", "1/m", "curvature of palm {}: > 0 concave, 0 flat, < 0 convex")
         ),
-        Quantity("palms", "numbers", "", "the palms' numbers, which stand in the names of their quantities"),
-        Quantity("joints", "texts", "", "the joint that turns each palm against the one before, as in <joint>_rad"),
-        Quantity("sides", "numbers", "", "where the object is, seen along each palm from the hinge: 1 left, -1 right"),
-        PLANS_BESIDE,
+        Quantity("palms", "numbers", "", "the palms' numbers, as in the names of their quantities"),
+        Quantity(
+            "joints", "texts", "", "name of the joint that turns each palm against the one before, as in <joint>_rad"
+        ),
+        Quantity("sides", "numbers", "", "side of the object, seen along each palm from the hinge: 1 left, -1 right"),
+        AVAILABLE_PLANS,
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each palm angle"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each palm angle"),
-        Quantity("force_limit_n", "numbers", "N", "what may press on each pad, palm by palm"),
+        Quantity("force_limit_n", "numbers", "N", "largest force allowed on each pad, palm by palm"),
     ),
 )
-TICK = Quantity("t_tick_s", "number", "s", "the tick's time, CLOCK_MONOTONIC, to the last bit")
+TICK = Quantity("t_tick_s", "number", "s", "the tick's time, CLOCK_MONOTONIC, bit for bit")
 EVENTS = Topic(
     "palm/events",
     100.0,
@@ -423,10 +426,10 @@ EVENTS = Topic(
             "source",
             "numbers",
             "",
-            "of each event that the observer was fed, in this order: 1 or 2 a reading of that pad, -1 or -2 the end "
+            "of each event fed to the observer, in this order: 1 or 2 a reading of that pad, -1 or -2 the end "
             "of its contact, 0 the palms",
         ),
-        Quantity("t_sample_s", "numbers", "s", "when it was true, CLOCK_MONOTONIC"),
+        Quantity("t_sample_s", "numbers", "s", "time of measurement, CLOCK_MONOTONIC"),
         Quantity("s_m", "numbers", "m", "of a reading: contact, from the hinge"),
         Quantity("force_n", "numbers", "N", "of a reading: normal force"),
         *of_each_palm(Quantity("phi{}_rad", "numbers", "rad", "of the palms: phi{} as measured")),
@@ -440,29 +443,29 @@ IMPROVEMENT = Topic(
     "when the smoother beside the loop has answered",
     (
         TICK,
-        Quantity("t_s", "number", "s", "what instant the answer is about, CLOCK_MONOTONIC", source="t"),
+        Quantity("t_s", "number", "s", "time to which the answer refers, CLOCK_MONOTONIC", source="t"),
         Quantity("x", "numbers", "SI", "mean of the shape map's state", source="x"),
-        Quantity("covariance", "numbers", "SI", "of that state, were `rig` right, row after row", source="P"),
-        Quantity("frame", "number", "", "another when the outline has another gauge than in the answer before",
+        Quantity("covariance", "numbers", "SI", "covariance of that state given `rig`, row by row", source="P"),
+        Quantity("frame", "number", "", "changes when the outline's gauge changes",
                  source="frame"),
-        Quantity("established", "bool", "", "whether it has proved true for so long that no rival is kept",
+        Quantity("established", "bool", "", "whether it is confirmed for so long that no rival hypothesis is kept",
                  source="established"),
         Quantity("touched", "numbers", "", "0 or 1 for each of 72 bins of outward normals, the first beginning at 0",
                  source="touched"),
-        Quantity("rig", "numbers", "SI", "what the rig's constants are off by, in the order of `palm/rig`",
+        Quantity("rig", "numbers", "SI", "errors of the rig constants, in the order of `palm/rig`",
                  source="rig"),
-        Quantity("rig_sd", "numbers", "SI", "one-sigma of each", source="rig_sd"),
-        Quantity("spread", "numbers", "SI", "what one-sigma steps of what is open of `rig` move: state, then `rig`",
+        Quantity("rig_sd", "numbers", "SI", "standard deviation of each", source="rig_sd"),
+        Quantity("spread", "numbers", "SI", "change due to independent 1σ steps of `rig`: of the state, then of `rig`",
                  source="spread"),
-        Quantity("contradicted", "numbers", "", "by how many sigmas each of `rig` is not what it was taken for, or 0",
+        Quantity("contradicted", "numbers", "", "number of σ by which the readings contradict each of `rig`, or 0",
                  source="contradicted"),
     ),
 )  # fmt: skip
 UNEXPLAINED = Topic(
     "palm/unexplained",
     0.0,
-    "when the smoother beside the loop finds nothing that explains the readings",
-    (TICK, Quantity("t_s", "number", "s", "of the last of those readings, CLOCK_MONOTONIC")),
+    "when the smoother beside the loop finds no outline that explains the readings",
+    (TICK, Quantity("t_s", "number", "s", "time of the last of those readings, CLOCK_MONOTONIC")),
 )
 RIG = Topic(
     "palm/rig",
@@ -470,9 +473,16 @@ RIG = Topic(
     "and when the smoother beside the loop has answered",
     (
         *(Quantity(constant.name, "number", constant.unit, constant.meaning, role="derived") for constant in RIG_TABLE),
-        Quantity("sd", "sds", "", "one-sigma of each of them; until readings have told it, that of the configuration"),
-        Quantity("prior_sd", "numbers", "SI", "one-sigma of each by the configuration, in the order of these rows"),
-        Quantity("off", "texts", "", "in words, what readings have told to be off beyond doubt, and what to do"),
+        Quantity("sd", "sds", "", "standard deviation of each; that of the configuration until readings determine it"),
+        Quantity(
+            "prior_sd",
+            "numbers",
+            "SI",
+            "prior standard deviation of each by the configuration, in the order of these rows",
+        ),
+        Quantity(
+            "off", "texts", "", "in words: errors of the rig that the readings determine beyond doubt, and what to do"
+        ),
     ),
 )
 LOG_ENTRIES = 100
@@ -482,29 +492,29 @@ LOG = Topic(
     "and with each new entry, 10 Hz at most",
     (
         Quantity("number", "numbers", "",
-                 f"of each of the last {LOG_ENTRIES} entries, in their order, counted from 0 since the daemon's start"),
-        Quantity("t_s", "numbers", "s", "when it was, CLOCK_MONOTONIC"),
+                 f"number of each of the last {LOG_ENTRIES} entries, in order, from 0 since the daemon's start"),
+        Quantity("t_s", "numbers", "s", "time of the event, CLOCK_MONOTONIC"),
         Quantity(
             "kind",
             "texts",
             "",
-            "what it is about: palmd, state, fault, command, control, plan, exploration, object, rig, recorder",
+            "its subject: palmd, state, fault, command, control, plan, exploration, object, rig, recorder",
         ),
         Quantity("name", "texts", "",
-                 "the state come to, the code of the fault, the command; else begun, over, stopping, known, lost …"),
+                 "the new state, the code of the fault, the command; else begun, over, stopping, known, lost …"),
         Quantity("severity", "texts", "", "of a fault: note, degrade, hold or stop; else empty"),
-        Quantity("who", "texts", "", "who gave the command that it comes from; else empty"),
-        Quantity("lasted_s", "numbers", "s", "of what is over: how long it had lasted; else none"),
-        Quantity("text", "texts", "", "in plain words, with the cause: which byte, which age, which limit"),
+        Quantity("who", "texts", "", "the client that gave the command; else empty"),
+        Quantity("lasted_s", "numbers", "s", "duration of something that ended; else NaN"),
+        Quantity("text", "texts", "", "in words, with the cause: which byte, which age, which limit"),
     ),
 )  # fmt: skip
 NOTE = Topic(
     "palm/note",
     0.0,
-    "when somebody has given one",
+    "when a note is written",
     (
-        Quantity("t_s", "number", "s", "when it was given, CLOCK_MONOTONIC"),
-        Quantity("text", "text", "", "what somebody has to say about this time of the run"),
+        Quantity("t_s", "number", "s", "when it was written, CLOCK_MONOTONIC"),
+        Quantity("text", "text", "", "the note about this time of the run"),
     ),
 )
 CONFIG = Topic(
@@ -516,7 +526,7 @@ CONFIG = Topic(
         Quantity("yaml", "text", "", "the effective configuration, defaults included"),
     ),
 )
-"""What a recorder keeps, whatever configuration it was started with."""
+"""Kept by a recorder, whatever configuration it was started with."""
 
 TRUTH = Topic(
     "rig/truth",
@@ -535,7 +545,7 @@ TRUTH = Topic(
             )
         ),
         *of_each_palm(Quantity("contact{}", "bool", "", "whether the object touches palm {}")),
-        Quantity("object", "number", "", "counts up when another object is put on the palms"),
+        Quantity("object", "number", "", "increases when another object is put on the palms"),
         Quantity("arm_state", "text", "", "the controller's state letter"),
     ),
 )  # fmt: skip
@@ -545,8 +555,8 @@ BODY = Topic(
     "",
     (
         Quantity("object", "number", "", "as in rig/truth"),
-        Quantity("kind", "text", "", "what kind of object was drawn"),
-        Quantity("shape", "text", "", "what the outline is made of"),
+        Quantity("kind", "text", "", "kind of the object drawn"),
+        Quantity("shape", "text", "", "composition of the outline"),
         Quantity("theta_rad", "numbers", "rad", "direction of the outward normal in a frame that turns by psi_rad"),
         Quantity("h_m", "numbers", "m", "support function about the centre of mass"),
         *(
@@ -554,7 +564,7 @@ BODY = Topic(
             for name in ("rho_m", "mass_kg", "mu")
         ),
         Quantity("dither_m_s", "number", "m/s", "dither speed u_d of the friction law"),
-        Quantity("damping_m2_s", "number", "m²/s", "damping of its turning, per unit mass"),
+        Quantity("damping_m2_s", "number", "m²/s", "viscous damping of its rotation, per unit mass"),
     ),
 )
 REPLAY = Topic(
@@ -566,23 +576,23 @@ REPLAY = Topic(
         Quantity("speed", "number", "", "times the recorded pace"),
     ),
 )
-"""What `palmd replay` publishes besides, so that nobody takes an old run for what is going on."""
+"""Published by `palmd replay` in addition, so that an old run is not mistaken for a live one."""
 
 STALL = Topic(
     "rig/stall",
     0.0,
-    "when it has stood still for more than 20 ms for want of a processor",
+    "when it has stalled for more than 20 ms for lack of processor time",
     (
-        Quantity("t_s", "number", "s", "when it went on, CLOCK_MONOTONIC"),
-        Quantity("lasted_s", "number", "s", "for how long the emulated rig said nothing, which no real one would do"),
-        Quantity("count", "number", "", "of such standstills since its start"),
+        Quantity("t_s", "number", "s", "end of the stall, CLOCK_MONOTONIC"),
+        Quantity("lasted_s", "number", "s", "duration in which the emulated rig sent nothing; real rigs do not stall"),
+        Quantity("count", "number", "", "number of stalls since its start"),
     ),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class SystemTopics:
-    """What every system tells, each in topics of its own, and in `besides` what others have not."""
+    """The topics of a system: those that every system has, and its own in `extra`."""
 
     estimate: Topic
     shape: Topic
@@ -591,14 +601,14 @@ class SystemTopics:
     events: Topic
     info: Topic
     truth: Topic
-    """What its emulated rig says of the motion, and in `body` of the object."""
+    """True motion, published by its emulated rig; `body` is the true object."""
     body: Topic
-    besides: tuple[Topic, ...] = ()
+    extra: tuple[Topic, ...] = ()
 
     @property
     def published(self) -> tuple[Topic, ...]:
-        """Those of the daemon."""
-        return self.estimate, self.shape, self.contact, self.motion, self.events, *self.besides, self.info
+        """Topics of the daemon."""
+        return self.estimate, self.shape, self.contact, self.motion, self.events, *self.extra, self.info
 
 
 TWO_PALMS_TOPICS = SystemTopics(

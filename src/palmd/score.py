@@ -1,4 +1,4 @@
-"""How far estimates are from the truth, as the project scores them. Outlines: COM-centred, best rotation. Pure."""
+"""Errors of estimates against the truth, as used throughout the project. Outlines: COM-centred, best rotation. Pure."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy.typing as npt
 from palmd.events import FloatArray
 
 WRONG_M = 3e-4
-"""A contact's r, or an outline, that is farther off than this is wrong."""
+"""A contact's r, or an outline, with a larger error is wrong."""
 
 LAST_S = 5.0
-"""The end of a run, over which its errors are told."""
+"""The end of a run, over which errors are evaluated."""
 
 _ROTATIONS = 720
-_REFINED = 8  # candidates, since an outline may look much the same several ways round
+_REFINED = 8  # candidates, since an outline may be nearly symmetric
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _ROTATION_RESOLUTION_RAD = 1e-6
 _NEGLIGIBLE_M = 1e-10
@@ -27,7 +27,7 @@ _NEGLIGIBLE_M = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class OutlineScore:
-    """Errors over the touched normals (m), NaN when none is; `relative` is e_h over the true mean radius.
+    """Errors over the touched normals (m), NaN if there are none; `relative` is e_h over the true mean radius.
 
     The estimate's normal θ is the truth's normal θ + `rotation` (rad).
     """
@@ -42,11 +42,11 @@ class OutlineScore:
 def score_outline(
     theta: FloatArray, h: FloatArray, touched: npt.NDArray[np.bool_] | None, true_h: FloatArray
 ) -> OutlineScore:
-    """e_h = RMS over touched normals of ĥ(θ) − h(θ + δ), least over the full circle of rotations δ.
+    """e_h = RMS over touched normals of ĥ(θ) − h(θ + δ), minimised over all rotations δ.
 
     theta, h, touched: the estimate's normals (rad), support function (m) and which were touched, None: all. true_h: the
-    true support function (m) on evenly spaced normals from 0; between them it is taken as band-limited.
-    Raises ValueError when the lengths do not fit.
+    true support function (m) on evenly spaced normals from 0; interpolated as band-limited. Raises ValueError if the
+    lengths differ.
     """
     if touched is None:
         touched = np.ones(len(theta), dtype=np.bool_)
@@ -69,7 +69,7 @@ def score_outline(
 
 
 def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
-    """The support function (m) at any normals, from an even number of evenly spaced ones: taken as band-limited."""
+    """The support function (m) at any normals, band-limited interpolation of an even number of evenly spaced values."""
     coefficients = np.fft.rfft(h) / len(h)
     coefficients[1:-1] *= 2.0
     waves = np.exp(1j * np.outer(theta, np.arange(len(coefficients))))
@@ -77,14 +77,14 @@ def support_at(h: FloatArray, theta: FloatArray) -> FloatArray:
 
 
 def score_shape(shape: Mapping[str, Any], true_h: Sequence[float] | FloatArray, *, all_normals: bool) -> OutlineScore:
-    """A `palm/shape` against the true support function (m): where it was touched, or everywhere."""
+    """Score of a `palm/shape` against the true support function (m): on touched or all normals."""
     theta, h = (np.array(shape[name], dtype=np.float64) for name in ("theta_rad", "h_m"))
     touched = None if all_normals else np.array(shape["touched"], dtype=np.bool_)
     return score_outline(theta, h, touched, np.array(true_h, dtype=np.float64))
 
 
 class _Errors:
-    """ĥ(θ) − h(θ + δ) for any rotation δ, the truth being summed from its Fourier coefficients."""
+    """ĥ(θ) − h(θ + δ) for any rotation δ, the truth being evaluated from its Fourier coefficients."""
 
     def __init__(self, theta: FloatArray, h: FloatArray, true_h: FloatArray) -> None:
         coefficients = np.fft.rfft(true_h) / len(true_h)
@@ -98,7 +98,7 @@ class _Errors:
         return np.asarray(self._h - (self._waves @ np.exp(1j * self._k * rotation)).real)
 
     def mean_square(self, rotations: FloatArray) -> FloatArray:
-        """For each of several rotations."""
+        """For several rotations."""
         turned = (self._waves @ np.exp(1j * np.outer(self._k, rotations))).real
         return np.asarray(np.mean((self._h[:, None] - turned) ** 2, axis=0))
 
@@ -114,7 +114,7 @@ def _best_rotation(cost: Callable[[FloatArray], FloatArray]) -> float:
 
 
 def _golden_section(cost: Callable[[FloatArray], FloatArray], low: float, high: float) -> float:
-    """Where the cost is least between low and high, to `_ROTATION_RESOLUTION_RAD`."""
+    """Position of the minimum between low and high, to `_ROTATION_RESOLUTION_RAD`."""
     while high - low > _ROTATION_RESOLUTION_RAD:
         inner = _GOLDEN * (high - low)
         left, right = high - inner, low + inner

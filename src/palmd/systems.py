@@ -1,7 +1,7 @@
-"""The table of systems: every rig that palmd knows is a row here and has files of its own. Pure names.
+"""The table of systems: each rig that palmd supports is a row here with its own files. Names only, no imports.
 
-A part is told as `module:object` and loaded by `load_part` when somebody asks for it, so that a rig loads nothing of
-another system's. A configuration, the limits of its motion and a recording say by their `system` which row is theirs.
+A part is given as `module:object` and loaded by `load_part` on request, so that a rig loads nothing of another system.
+A configuration, motion limits and a recording name their system in the key `system`.
 """
 
 from __future__ import annotations
@@ -12,57 +12,57 @@ from dataclasses import dataclass
 from typing import Any
 
 TWO_PALMS = "two_palms"
-"""The system that is meant where none is named."""
+"""The default system."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveParts:
-    """What of a system makes it run live."""
+    """The parts of a system that can run live."""
 
     manual: str
-    """Where a user reads of it."""
+    """Documentation for users."""
     demo: str
     """The shipped configuration that `palmd demo` runs."""
     config: str
     """Model of its configuration: a `palmd.config.any_config.AnyConfig`."""
     description: str
-    """What its observers are told of a configured rig: a dataclass of numbers."""
+    """Makes the rig description for its observers: a dataclass of numbers."""
     plans: str
-    """What its plans are, and what limits them: a `palmd.motion.plan.PlanForm`."""
+    """Its plans and their limits: a `palmd.motion.plan.PlanForm`."""
     topics: str
-    """What it publishes: a `palmd.quantities.SystemTopics`."""
+    """Its topics: a `palmd.quantities.SystemTopics`."""
     loop: str
-    """What of the daemon is its own: makes a `palmd.daemon.systems.LiveSystem` of the configuration."""
+    """Its part of the daemon: makes a `palmd.daemon.systems.LiveSystem` from the configuration."""
     rig: str
-    """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made of configuration and seed."""
+    """Its emulated rig: a `palmd.rig.emulated.EmulatedRig`, made from configuration and seed."""
     recording: str
-    """How a recording of it is read, and judged by its observer: a `palmd.record.run.AnyRun`."""
+    """Reader of its recordings, with evaluation by its observer: a `palmd.record.run.AnyRun`."""
     report: str
-    """The report of a recording: makes a `palmd.report.sections.Report` of a `palmd.report.series.Series`."""
+    """The report of a recording: makes a `palmd.report.sections.Report` from a `palmd.report.series.Series`."""
     comparison: str
-    """What an estimate is worth, against its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
+    """Comparison of its estimates with its emulated rig: a `palmd.harness.comparison.AnyComparison`."""
     shows: str
-    """What one sees in the first minute of its demo, in one sentence."""
+    """What the first minute of its demo shows, in one sentence."""
     status: str
-    """What `palmd ctl status` says of where it stands and of its object: the lines, of a status."""
+    """Makes the lines of `palmd ctl status` about joints and object from a status."""
     kernels: str
-    """What is compiled for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
-    odd: str = ""
-    """What in a configuration several keys together make hardly right: see `palmd.plausibility`; empty for nothing."""
+    """The kernels to compile for a configuration, or for any without one: as `palmd.observer.kernels.needed`."""
+    implausible: str = ""
+    """Check for implausible combinations of keys: see `palmd.plausibility`; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
 class SystemParts:
-    """A system: its name as `rig.system` in files, what it is in words, and where its parts are."""
+    """A system: its name as `rig.system` in files, its name in words, and its parts."""
 
     name: str
     words: str
     log: str
-    """How its event logs are read, estimated and reconstructed: a `palmd.record.systems.System`."""
+    """Reader, estimators and reconstruction of its event logs: a `palmd.record.systems.System`."""
     live: LiveParts | None = None
-    """None where there are logs only."""
+    """None if only logs are supported."""
     log_report: str = ""
-    """What makes the report of a reconstructed event log; empty where only recordings have one."""
+    """Makes the report of a reconstructed event log; empty if only recordings have one."""
 
 
 SYSTEMS: Mapping[str, SystemParts] = {
@@ -87,7 +87,7 @@ SYSTEMS: Mapping[str, SystemParts] = {
                 shows="Two palms turn an unknown object between them until its whole outline has been touched.",
                 status="palmd.cli.board:status_lines",
                 kernels="palmd.observer.kernels:needed",
-                odd="palmd.plausibility:odd_rig",
+                implausible="palmd.plausibility:implausible_rig",
             ),
         ),
         SystemParts(
@@ -141,8 +141,8 @@ LIVE: Mapping[str, LiveParts] = {system.name: system.live for system in SYSTEMS.
 
 
 def for_two_palms_only(name: str) -> str:
-    """Why what is made for two palms is not for this system."""
-    return f"is of {SYSTEMS[name].words}, and this is for {SYSTEMS[TWO_PALMS].words} only"
+    """Error text for functions that support two palms only."""
+    return f"is for {SYSTEMS[name].words}, but this supports {SYSTEMS[TWO_PALMS].words} only"
 
 
 def load_part(name: str) -> Any:

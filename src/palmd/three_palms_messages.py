@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from palmd import messages
 from palmd.events import ShapeEstimate
-from palmd.messages import AnswerForm, EventsForm, Fields
+from palmd.messages import AnswerCodec, EventsCodec, Fields
 from palmd.system.three_palms import HALVINGS, JOINTS, MECHANISM, NAMING, PALMS, SYSTEM, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3, PALM3_ANSWER, PALM3_EVENTS
 
@@ -39,9 +39,9 @@ def estimate_fields(estimate: BodyEstimate) -> Fields:
     }
 
 
-def estimate_at_a_glance(estimate: BodyEstimate) -> Fields:
+def estimate_summary(estimate: BodyEstimate) -> Fields:
     """Fields of `palm3/estimate` for the status display; None for no value."""
-    return messages.at_a_glance(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
+    return messages.summary_fields(PALM3, estimate_fields(estimate), "touched", "nis", "hypotheses", "reason")
 
 
 def shape_fields(shape: ShapeEstimate, object_count: int, valid: bool) -> Fields:
@@ -56,7 +56,7 @@ def shape_fields(shape: ShapeEstimate, object_count: int, valid: bool) -> Fields
     }
 
 
-_EVENTS = EventsForm(PALM3_EVENTS, NAMING)
+_EVENTS = EventsCodec(PALM3_EVENTS, NAMING)
 events_fields, events_of = _EVENTS.fields_of, _EVENTS.events_of
 """`palm3/events`: fields of events, and events of fields."""
 
@@ -68,7 +68,7 @@ def answer_from_flat(**values: Any) -> BodyAnswer:
     return BodyAnswer(**values | square)
 
 
-_ANSWER = AnswerForm(PALM3_ANSWER, answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
+_ANSWER = AnswerCodec(PALM3_ANSWER, answer_from_flat, absent={"rough_m": 0.0}, plain_first=True, vectors=True)
 answer_fields, answer_of = _ANSWER.fields_of, _ANSWER.answer_of
 """`palm3/answer`: fields of an answer, and the answer of fields."""
 
@@ -78,7 +78,7 @@ def info_fields(version: str, observer: str, config: ThreePalmsConfig, plans: It
     from palmd.config.guards import pad_force_limits
 
     pads = tuple(zip(PALMS, config.pads.planes, strict=True))
-    return messages.who_runs(version, observer, config, SYSTEM) | {
+    return messages.runtime_fields(version, observer, config, SYSTEM) | {
         "mechanism": MECHANISM,
         "joints": list(JOINTS),
         "palms": list(PALMS),

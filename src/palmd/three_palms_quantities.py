@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from palmd.quantities import MOTION, PLANS_BESIDE, TICK, Quantity, SystemTopics, Topic, who_runs
+from palmd.quantities import AVAILABLE_PLANS, MOTION, TICK, Quantity, SystemTopics, Topic, runtime_quantities
 from palmd.system.three_palms import JOINTS, PALMS, SYSTEM
 
 WORLD_AXES = ("x", "y", "z")
@@ -161,7 +161,7 @@ PALM3_INFO = Topic(
     1.0,
     "of three palms in space",
     (
-        *who_runs(SYSTEM),
+        *runtime_quantities(SYSTEM),
         Quantity("mechanism", "text", "",
                  "edge-axis: with b = (0, cos beta, sin beta), palm normals n1 = (0, −sin beta, cos beta), "
                  "n2 = cos gamma2 X + sin gamma2 b, n3 = −cos gamma3 X + sin gamma3 b, all palms through the apex 0; "
@@ -177,7 +177,7 @@ PALM3_INFO = Topic(
         Quantity("rate_limit_rad_s", "number", "rad/s", "of each joint"),
         Quantity("acceleration_limit_rad_s2", "number", "rad/s²", "of each joint"),
         Quantity("force_limit_n", "numbers", "N", "force limit of each pad, palm by palm"),
-        PLANS_BESIDE,
+        AVAILABLE_PLANS,
     ),
 )  # fmt: skip
 PALM3_TRUTH = Topic(

@@ -1,4 +1,4 @@
-"""All topics of all systems: each tells its own, by its row in `palmd.systems`."""
+"""All topics of all systems; each system lists its own, by its row in `palmd.systems`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ TOPICS: tuple[Topic, ...] = (
     *(topic for own in SYSTEM_TOPICS.values() for topic in own.published),
     *(STATE, LOOP, RIG, NOTE, LOG, CONFIG),
 )
-"""What the daemon publishes."""
+"""Topics that the daemon publishes."""
 
 RIG_TOPICS: tuple[Topic, ...] = (
     *(topic for own in SYSTEM_TOPICS.values() for topic in (own.truth, own.body)),
     STALL,
 )
-"""What an emulated rig publishes besides: what is really there."""
+"""Topics that an emulated rig publishes: the truth."""
 
 
 def truth_of(quantity: Quantity) -> Topic | None:
-    """Which of the emulated rig's topics tells the truth of an estimated quantity, None where neither does."""
+    """The emulated rig's topic with the true value of an estimated quantity, None if there is none."""
     for topic in RIG_TOPICS:
         if quantity.uncertain and any(each.name == quantity.name for each in topic.quantities):
             return topic

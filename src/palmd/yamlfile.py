@@ -1,7 +1,7 @@
-"""Configurations and plans out of YAML files, every error at once and with its place: `file:line:col: what`.
+"""Reader of configurations and plans in YAML; reports all errors at once with their positions: `file:line:col: what`.
 
-Only plain YAML is taken: one document, one meaning per key, no aliases, no merge keys, no tags, and no number
-whose notation means something else than it seems to (octal `010`, sexagesimal `1:30`).
+Only plain YAML is accepted: one document, no duplicate keys, no aliases, no merge keys, no tags, and no numbers in
+misleading notation (octal `010`, sexagesimal `1:30`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pydantic_core import ErrorDetails
 
 from palmd.config.any_config import AnyConfig
 from palmd.config.two_palms import Config, PlanSpec
-from palmd.lookalikes import is_letter, meant, named, number_meant, odd_characters
+from palmd.lookalikes import ascii_equivalent, describe_character, intended_number, is_letter, non_ascii_characters
 from palmd.systems import LIVE, TWO_PALMS, for_two_palms_only, load_part
 
-MAX_BYTES = 256_000  # a real one has a few; parsing a megabyte takes seconds
+MAX_BYTES = 256_000  # real files have a few kB; parsing a megabyte takes seconds
 MAX_DEPTH = 20
 MAX_ERRORS = 100
 
@@ -37,7 +37,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class ConfigError(Exception):
-    """A file that cannot be used; `errors` holds one `file:line:col: what` for each thing wrong with it."""
+    """A file that cannot be used; `errors` holds one `file:line:col: what` per error."""
 
     def __init__(self, errors: list[str]) -> None:
         super().__init__("\n".join(errors))
@@ -54,58 +54,56 @@ class Place:
 
 @dataclass(slots=True)
 class Document:
-    """A YAML file as plain data, with the place of every key and value (by its path from the top)."""
+    """A YAML file as plain data, with the positions of all keys and values (by their path from the top)."""
 
     path: Path
     text: str = ""
     data: Any = None
     values: dict[Loc, Place] = field(default_factory=dict)
     keys: dict[Loc, Place] = field(default_factory=dict)
-    texts: dict[Loc, str] = field(default_factory=dict)  # scalars as they are written
+    texts: dict[Loc, str] = field(default_factory=dict)  # scalars as written in the file
     problems: list[tuple[Place, str]] = field(default_factory=list)
 
     def place(self, loc: Loc) -> Place:
-        """Where the value at `loc` stands, or the innermost thing around it that stands in the file."""
+        """Position of the value at `loc`, or of the innermost enclosing value in the file."""
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc, Place())
 
     def line(self, place: Place, text: str) -> str:
-        """One error line, even where the text quotes a word that runs over several."""
+        """One error line; line breaks in the text are replaced."""
         return f"{self.path}:{place.line}:{place.column}: {' '.join(text.splitlines())}"
 
     def error(self, problems: list[tuple[Place, str]]) -> ConfigError:
-        """All problems in the order of the file, and the characters in their lines that only look like ASCII.
+        """All problems in the order of the file, with the characters in their lines that only look like ASCII.
 
-        Those of one place come in the order in which they were found.
+        Problems at one position keep their order.
         """
         lines = {place.line - before for place, _ in problems for before in (0, 1)}
-        alike = [
-            (place, named(odd.character))
-            for odd in islice(odd_characters(self.text), MAX_ERRORS)
+        lookalikes = [
+            (place, describe_character(odd.character))
+            for odd in islice(non_ascii_characters(self.text), MAX_ERRORS)
             for place in [_place_at(self.text, odd.index)]
-            if place.line in lines and (meant(odd.character) is not None or is_letter(odd.character))
+            if place.line in lines and (ascii_equivalent(odd.character) is not None or is_letter(odd.character))
         ]
-        in_order = sorted(dict.fromkeys(problems + alike), key=lambda problem: problem[0])
+        in_order = sorted(dict.fromkeys(problems + lookalikes), key=lambda problem: problem[0])
         return ConfigError([self.line(place, text) for place, text in in_order])
 
 
 def read_document(path: Path, text: str | None = None) -> Document:
-    """Read a YAML file as plain data; raises ConfigError when it is not readable as YAML at all.
+    """Read a YAML file as plain data; raises ConfigError if it is not valid YAML.
 
-    With `text` that is what the file says, and `path` only its name.
-
-    What can be read but is not allowed (a key twice, an alias) is kept in `problems`, so that it is reported
-    together with what the models find.
+    With `text`, that is the content and `path` only the file's name. Content that is valid but not accepted (a
+    duplicate key, an alias) is kept in `problems`, so that it is reported together with the errors of the models.
     """
     document = Document(path)
     if text is None:
         text = read_text(path)
     document.text = text
     document.problems += [
-        (_place_at(text, odd.index), named(odd.character))
-        for odd in islice(odd_characters(text), MAX_ERRORS)
-        if odd.unseen and not odd.quoted
+        (_place_at(text, odd.index), describe_character(odd.character))
+        for odd in islice(non_ascii_characters(text), MAX_ERRORS)
+        if odd.is_invisible and not odd.quoted
     ]
     try:
         loader = _Loader(text)
@@ -121,12 +119,12 @@ def read_document(path: Path, text: str | None = None) -> Document:
 
 
 def is_plan(document: Document) -> bool:
-    """Whether it means to be a motion plan: what has `segments` does, however wrong it is otherwise."""
+    """Whether it is meant as a motion plan: whether it has the key `segments`."""
     return isinstance(document.data, dict) and "segments" in document.data
 
 
 def parse(document: Document, model: type[Model]) -> Model:
-    """The document as a checked model; raises ConfigError with everything that is wrong with it."""
+    """The document as a validated model; raises ConfigError with all its errors."""
     problems = list(document.problems)
     try:
         spec = model.model_validate(document.data, context={"folder": document.path.parent.absolute()})
@@ -140,27 +138,29 @@ def parse(document: Document, model: type[Model]) -> Model:
     return spec
 
 
-def system_meant(document: Document) -> str:
-    """The live system that a configuration names, two palms where it names none; raises ConfigError for any other."""
+def configured_system(document: Document) -> str:
+    """The live system named in a configuration, two palms if none is named; raises ConfigError for any other."""
     rig = document.data.get("rig") if isinstance(document.data, dict) else None
-    named = rig.get("system") if isinstance(rig, dict) else None
+    system = rig.get("system") if isinstance(rig, dict) else None
     known = [name for name in LIVE if name != TWO_PALMS]
-    if named is None or named in known:
-        return named or TWO_PALMS
-    text = f"rig.system: there is no system {named!r}; there is {', '.join(known)}, and without this key two palms"
+    if system is None or system in known:
+        return system or TWO_PALMS
+    text = (
+        f"rig.system: there is no system {system!r}; the systems are {', '.join(known)}, and two palms without this key"
+    )
     raise document.error([(document.place(("rig", "system")), text)])
 
 
 def parse_config(document: Document) -> AnyConfig:
-    """The document as the configuration of the system that it names; raises ConfigError as `parse` does."""
-    config: AnyConfig = parse(document, load_part(LIVE[system_meant(document)].config))
+    """The document as the configuration of its system; raises ConfigError as `parse` does."""
+    config: AnyConfig = parse(document, load_part(LIVE[configured_system(document)].config))
     return config
 
 
 def recorded_config(values: Any) -> AnyConfig:
-    """A configuration from its values as a daemon told them, its paths those of the daemon's machine.
+    """A configuration from its values as recorded by a daemon; its paths are those of the daemon's machine.
 
-    Raises ConfigError where this palmd cannot have such a one.
+    Raises ConfigError if this version of palmd cannot represent it.
     """
     name = Path("the daemon's configuration")
     try:
@@ -180,40 +180,40 @@ def load_config(path: Path) -> Config:
 
 
 def load_any_config(path: Path) -> AnyConfig:
-    """The configuration in a file, of whichever system; raises ConfigError."""
+    """The configuration in a file, of any system; raises ConfigError."""
     document = read_document(path)
     if is_plan(document):
-        text = "this is a motion plan; wanted is a configuration, which may name it (plan: FILE)"
+        text = "this is a motion plan; expected a configuration, which may name it (plan: FILE)"
         raise document.error([(Place(), text)])
     return parse_config(document)
 
 
 def load_plan(path: Path) -> PlanSpec:
-    """The motion plan in a file, its form checked but not its motion; raises ConfigError."""
+    """The motion plan in a file, validated except for its motion; raises ConfigError."""
     return parse(read_document(path), PlanSpec)
 
 
 # --------------------------------------------------------------------------------------------- bytes to nodes
 
 
-class _Refused(yaml.MarkedYAMLError):
-    """Valid YAML that is not taken here."""
+class _NotAllowed(yaml.MarkedYAMLError):
+    """Valid YAML that is not accepted here."""
 
     def __init__(self, problem: str, event: yaml.Event) -> None:
         super().__init__(problem=problem, problem_mark=event.start_mark)  # type: ignore[arg-type]  # C twin
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's own parser, refusing what lets a short file stand for a huge one."""
+    """PyYAML's parser without constructs by which a short file can expand to a huge one."""
 
     depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
-            raise _Refused(f"aliases (*{event.anchor}) are not taken; write the values out", event)
+            raise _NotAllowed(f"aliases (*{event.anchor}) are not accepted; write the values out", event)
         if self.depth >= MAX_DEPTH:
-            raise _Refused("nested too deeply", event)
+            raise _NotAllowed("nested too deeply", event)
         self.depth += 1
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
@@ -221,7 +221,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_text(path: Path) -> str:
-    """What a file says, before it is taken for YAML; raises ConfigError when it is no text, or too long."""
+    """The content of a file before YAML parsing; raises ConfigError if it is not text, or too long."""
     document = Document(path)
     try:
         with path.open("rb") as file:
@@ -245,7 +245,7 @@ def read_text(path: Path) -> str:
 
 def _forbidden(error: yaml.reader.ReaderError) -> str:
     character = error.character if isinstance(error.character, str) else chr(error.character)
-    return named(character)
+    return describe_character(character)
 
 
 def _place_at(text: str, position: int) -> Place:
@@ -269,7 +269,7 @@ def _syntax_problem(text: str, error: yaml.MarkedYAMLError) -> tuple[Place, str]
     if line[place.column - 1 : place.column] == "\t":
         return place, "a tab: use spaces"
     what = error.problem or "not understood"
-    if isinstance(error, _Refused):
+    if isinstance(error, _NotAllowed):
         return place, what
     return place, f"not valid YAML: {what}" + (f" ({error.context})" if error.context else "")
 
@@ -278,7 +278,7 @@ def _syntax_problem(text: str, error: yaml.MarkedYAMLError) -> tuple[Place, str]
 
 
 class _Reading:
-    """Nodes to plain data, noting places and what is not allowed in the document."""
+    """Converts nodes to plain data, and records positions and what is not allowed."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -292,25 +292,25 @@ class _Reading:
             return [self.plain(child, (*loc, index)) for index, child in enumerate(node.value)]
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node, loc)
-        self._problem(node, f"tags ({node.tag}) are not taken")
+        self._problem(node, f"tags ({node.tag}) are not accepted")
         return None
 
     def _mapping(self, node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 self._problem(key_node, "a key must be a plain word")
                 continue
             key = key_node.value
             if key_node.tag == "tag:yaml.org,2002:merge":
-                self._problem(key_node, "merge keys (<<) are not taken; write the keys out")
-            elif key in found:
+                self._problem(key_node, "merge keys (<<) are not accepted; write the keys out")
+            elif key in values:
                 first = self.document.keys[(*loc, key)]
-                self._problem(key_node, f"{_dotted((*loc, key))}: this key stands already in line {first.line}")
+                self._problem(key_node, f"{_dotted((*loc, key))}: this key is already in line {first.line}")
             else:
                 self.document.keys[(*loc, key)] = _place(key_node.start_mark)
-                found[key] = self.plain(value_node, (*loc, key))
-        return found
+                values[key] = self.plain(value_node, (*loc, key))
+        return values
 
     def _scalar(self, node: yaml.ScalarNode, loc: Loc) -> Any:
         text: str = node.value
@@ -335,13 +335,13 @@ class _Reading:
         except (ValueError, KeyError, OverflowError):
             self._problem(node, f"not a usable number: {_shortened(text)}")
             return text
-        self._problem(node, f"tags ({node.tag}) are not taken")
+        self._problem(node, f"tags ({node.tag}) are not accepted")
         return text
 
     def _refuse_odd_notation(self, node: yaml.ScalarNode, number: float) -> None:
         digits = node.value.lstrip("+-")
         if ":" in digits:
-            self._problem(node, f"{node.value} counts in sixties in YAML; write {number:g} if that is meant")
+            self._problem(node, f"{node.value} is sexagesimal in YAML; write {number:g} if that is meant")
         elif isinstance(number, int) and len(digits) > 1 and digits[0] == "0" and digits[1] in "01234567_":
             decimal = ("-" if node.value.startswith("-") else "") + (digits.lstrip("0_") or "0")
             self._problem(node, f"{node.value} is octal in YAML ({number}); write {decimal} without the zero")
@@ -350,11 +350,11 @@ class _Reading:
         self.document.problems.append((_place(node.start_mark), text))
 
 
-# ------------------------------------------------------------------------ what the models say, in plain words
+# ------------------------------------------------------------------------------- validation errors in plain words
 
 
 def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -> tuple[Place, str]:
-    loc = tuple(part for part in detail["loc"] if not str(part).startswith("<"))  # the tags of segments
+    loc = tuple(part for part in detail["loc"] if not str(part).startswith("<"))  # without the tags of segments
     kind = detail["type"]
     if kind == "missing":
         around = loc[:-1]
@@ -366,7 +366,7 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
         place = document.keys.get(loc, document.place(loc))
         comma = _decimal_comma(document, place, loc)
         return place, comma or f"{_dotted(loc)}: {_unknown_key(model, loc)}"
-    while loc not in document.values:  # a part that only the model knows, as in one number given for two
+    while loc not in document.values:  # a part that exists only in the model, as for one number given in place of two
         loc = loc[:-1]
     place = document.values[loc]
     text = _in_words(document, loc, detail)
@@ -375,26 +375,26 @@ def _problem(document: Document, model: type[BaseModel], detail: ErrorDetails) -
 
 def _unknown_key(model: type[BaseModel], loc: Loc) -> str:
     near = difflib.get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
-    return "unknown key" + (f"; is {near[0]} meant?" if near else "")
+    return "unknown key" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def _decimal_comma(document: Document, place: Place, loc: Loc) -> str:
-    """What to write where a comma in a number has made an entry of its second half; empty for another key."""
+    """What to write if a decimal comma has split a number into two entries; empty for another key."""
     lines = _LINE_END.split(document.text)
     line = lines[place.line - 1] if place.line <= len(lines) else ""
     first, second = _FIRST_HALF.search(line[: place.column - 1]), str(loc[-1])
     if first is None or not _SECOND_HALF.fullmatch(second):
         return ""
     written = f"{first[1]},{second}"
-    number = number_meant(written)
-    ways = [number or f"{first[1]}{second}"]
+    number = intended_number(written)
+    alternatives = [number or f"{first[1]}{second}"]
     if number and len(second) == 3:
-        ways.append(f"{first[1]}{second}")
-    return f"{_dotted(loc[:-1])}: a comma begins another entry: for {written} write {' or '.join(ways)}"
+        alternatives.append(f"{first[1]}{second}")
+    return f"{_dotted(loc[:-1])}: a comma begins another entry; for {written} write {' or '.join(alternatives)}"
 
 
 def _known_keys(model: type[BaseModel], section: Loc) -> list[str]:
-    """What may stand in this section of the model, whichever of several forms it has."""
+    """The keys allowed in this section of the model, in any of its forms."""
     schema = _schema(model)
     forms = list(_forms(schema, schema))
     for part in section:
@@ -409,7 +409,7 @@ def _schema(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def _forms(part: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A part of a JSON schema, or all that it may be: references and alternatives resolved."""
+    """The forms of a part of a JSON schema: references and alternatives resolved."""
     if "$ref" in part:
         yield from _forms(schema["$defs"][part["$ref"].removeprefix("#/$defs/")], schema)
     elif alternatives := part.get("anyOf", part.get("oneOf")):
@@ -435,7 +435,7 @@ _EXPECTED = {
 
 
 def _in_words(document: Document, loc: Loc, detail: ErrorDetails) -> str:
-    """Pydantic's finding for someone who knows the rig and not pydantic: what is allowed, what was found."""
+    """Pydantic's error in words that need no knowledge of pydantic: what is allowed, what was found."""
     kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
     got = _got(document, loc, value)
     if kind in ("value_error", "assertion_error"):
@@ -478,7 +478,7 @@ def _advice(kind: str, value: Any, written: str) -> str:
         return f'; put it in quotes: "{_shortened(written)}"' if not isinstance(value, (dict, list)) else ""
     if not isinstance(value, str) or kind not in ("float_type", "int_type"):
         return ""
-    number = number_meant(value)
+    number = intended_number(value)
     if not number:
         return ""
     if written == f'"{number}"':

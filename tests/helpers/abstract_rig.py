@@ -33,7 +33,7 @@ COMMANDS = {
 }  # fmt: skip
 """Those that change something: the others are tried in `test_refused_moves_nothing`."""
 
-SYSTEM = SimpleNamespace(jogs=True, joints=("phi1_rad", "phi2_rad"), glance=lambda _estimate: {})
+SYSTEM = SimpleNamespace(can_jog=True, joints=("phi1_rad", "phi2_rad"), estimate_summary=lambda _estimate: {})
 
 TICK_S, LONG_S = 0.01, 2.0
 
@@ -135,7 +135,7 @@ class Motion:
     def running(self):
         return self.moving and not self.jogging
 
-    def may_stand(self, _pose):
+    def tracking_problems(self, _pose):
         return []
 
     def nearest(self, pose):
@@ -166,7 +166,7 @@ class Motion:
     def freeze(self, frozen):
         self.frozen = frozen
 
-    def put_away(self):
+    def discard_plan(self):
         self.held, self.plan = False, None
 
     def jog(self, _steps, _t, _whole=None):
@@ -198,7 +198,7 @@ class Arm:
 class Exploring:
     possible = True
 
-    def told(self):
+    def summary(self):
         return None
 
 
@@ -210,13 +210,13 @@ class Plan:
     def __init__(self, fits):
         self.fits = fits
 
-    def serves(self, _limits, _start):
+    def is_valid_for(self, _limits, _start):
         return self.fits
 
     def compiled(self, _limits, _start):
         return Plan(True)
 
-    def within(self, _limits):
+    def with_limits(self, _limits):
         return self
 
 
@@ -297,7 +297,7 @@ class Rig:
         if "following-error" in present or self.motion.left:
             self.motion.retreat()
         host = self.arm.host
-        supervisor.settle(self.t, up=self.arm.is_open and self.pads_open and host.there)
+        supervisor.update(self.t, up=self.arm.is_open and self.pads_open and host.there)
         if host.tracking:
             self.motion.follow()
         self.changes = [entry.text.partition(":")[0] for entry in self.journal.entries if entry.kind == "state"]
@@ -321,7 +321,7 @@ class Rig:
             host.state, host.tracking, host.pending, host.there, self.arm.linked_since_open, self.arm.is_open,
             self.pads_open, self.present, frozenset(self.faults._latched), self.faults.active,
             motion.commanded is None, motion.moving, motion.held, motion.jogging, motion.may_retreat, motion.left,
-            bool(s._autostart) and math.isinf(s._t_up), self.rules.armed, self.rules.told,
+            bool(s._autostart) and math.isinf(s._t_up), self.rules.armed, self.rules.started,
         )  # fmt: skip
 
 

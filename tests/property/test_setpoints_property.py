@@ -86,11 +86,11 @@ def do(setpoints: SetPoints, what: str, how, t: float) -> bool:
             case "freeze" | "thaw":
                 setpoints.freeze(what == "freeze")
             case "put_away":
-                setpoints.put_away()
+                setpoints.discard_plan()
             case "jog":
                 setpoints.jog(how, t)
             case "displaced":
-                setpoints.displaced(motion_of(how), POSES.pose(HERE.angles))
+                setpoints.restart_at(motion_of(how), POSES.pose(HERE.angles))
                 return True
             case "stand":
                 setpoints.stand(motion_of(how), POSES.pose(HERE.angles), t)

@@ -176,7 +176,7 @@ class Bench(Stack):
         settings = self._settings | {"bus": {"publish": publish, "command": command}}
         self.configure(Config.model_validate(merged(settings, changes)))
         self.begin_daemon(record)
-        life = self._lives["daemon"]
+        life = self._exit_stacks["daemon"]
         self.client, self.stranger = (life.enter_context(Client(self.bus.command)) for _ in range(2))
         self.heard = Heard()
 
@@ -307,7 +307,7 @@ class Bench(Stack):
         """What is really there now."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.linger = 0
-            socket.connect(self.told["truth"])
+            socket.connect(self.rig_info["truth"])
             socket.subscribe(b"rig/truth")
             assert socket.poll(GENEROUS_S * 1e3), "no truth"
             return msgpack.unpackb(socket.recv_multipart()[1])

@@ -96,8 +96,8 @@ def test_swapped_pads_are_told(start, tmp_path):
     ("text", "what", "by_name"),
     [
         (FAR, ":4:", ":4:"),
-        ("segments:\n\t- {}\n", ":2:1:", ": is no motion plan"),
-        ("", ":1:1:", ": is no motion plan"),
+        ("segments:\n\t- {}\n", ":2:1:", ": is not a motion plan"),
+        ("", ":1:1:", ": is not a motion plan"),
     ],
 )
 def test_a_bad_plan_is_refused_and_changes_nothing(bench, text, what, by_name):

@@ -84,7 +84,7 @@ def palm_base():
 def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
     stack.start_rig("--by-hand", "--seed", "4")
     wrong = {"palm1_length_mm": 123.0, "palm2_length_mm": 117.0}
-    stack.configure(configured(wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0}), stack.told)
+    stack.configure(configured(wrong, {"base_x_mm": -308.0, "base_y_mm": 14.0, "base_yaw_deg": 0.0}), stack.rig_info)
     calibrate(stack, "arm", stack.path, "--seconds", 16)
     result = yaml.safe_load((tmp_path / "calibration/arm.yaml").read_text())
     found, called_for = result["found"], result["configuration"]
@@ -101,7 +101,7 @@ def test_the_arm_is_found_while_a_hand_swings_it(stack, tmp_path, palm_base):
 
 def test_gravity_and_yaw_are_found_with_a_ball(stack, tmp_path, palm_base):
     stack.start_rig("--roller", "ball", "--seed", "4")
-    stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.told)
+    stack.configure(configured(TRUE_RIG | {"gravity_m_s2": 9.9}, base_for(0.0, palm_base)), stack.rig_info)
     stack.begin_daemon()
     with Client(stack.bus.command) as client:
         ready(client)

@@ -36,9 +36,9 @@ class Stand(Stack):
         believed = Config.model_validate(ports | bus | LEAST_WORK | {"limits": LIMITS})
         super().__init__(folder, believed)
         self.start_rig("--cylinder", "20,100", "--seed", "7", config=real)
-        self.configure(believed, self.told)
+        self.configure(believed, self.rig_info)
         self.begin_daemon()
-        self.client = self._lives["daemon"].enter_context(Client(self.bus.command))
+        self.client = self._exit_stacks["daemon"].enter_context(Client(self.bus.command))
 
     def _ready(self):
         def ready():

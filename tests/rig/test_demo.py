@@ -26,7 +26,7 @@ SUMMARY = re.compile(
     r"omega0 \d\.\d{3} rad/s, "
     r"rho [+-]\d+\.\d%, mu \d\.\d\d \(true \d\.\d\d\), mass [+-]\d+\.\d%, ticks \d+, late > 2 ms \d+\.\d\d%, "
     r"work p99 \d+\.\d ms, rig off as calibration leaves one"
-    r"(, which \d+ times got no processor, for \d+\.\d\d s in all)?\n"  # where this machine had none to give
+    r"(, which got no processor time \d+ times, \d+\.\d\d s in total)?\n"  # where this machine had none to give
 )
 
 

@@ -30,7 +30,7 @@ def bench(tmp_path_factory):
 def test_blocks_of(page, bench, tmp_path):
     (tmp_path / "lively.yaml").write_bytes((bench.folder / "lively.yaml").read_bytes())
     reader = docreader.Reader(tmp_path, lived.path(), bench.path)
-    words = SHORTER | {"tcp://127.0.0.1:43731": bench.told["truth"]}
+    words = SHORTER | {"tcp://127.0.0.1:43731": bench.rig_info["truth"]}
     for block in docreader.blocks_of(page, with_a_daemon=True):
         if "palmd run" in block.text and bench.daemon.alive:
             assert bench.daemon.end() == 0

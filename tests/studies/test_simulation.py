@@ -35,7 +35,7 @@ from tools.studies.simulation.watch import Watch
 
 def test_what_is_said_of_a_lease_that_ends_is_over_before_the_run_is():
     longest = max(lease for lease in LEASES_S if lease <= LEASE_MAX_S)
-    assert longest + supervisor.LOST_SAID_S < CALM_S
+    assert longest + supervisor.LOST_REPORTED_S < CALM_S
 
 
 FOUND = {

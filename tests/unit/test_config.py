@@ -68,8 +68,8 @@ def test_a_vibration_is_what_observers_know_of_it() -> None:
 
 
 def test_a_transmission_that_says_not_how_sure_it_is_is_not_exact() -> None:
-    assert Vibration(transmission=0.5).likeliest_transmission_sd == Vibration().likeliest_transmission_sd > 0.05
-    assert Vibration(transmission=0.5, transmission_sd=0.0).likeliest_transmission_sd == 0.0
+    assert Vibration(transmission=0.5).nominal_transmission_sd == Vibration().nominal_transmission_sd > 0.05
+    assert Vibration(transmission=0.5, transmission_sd=0.0).nominal_transmission_sd == 0.0
 
 
 @pytest.mark.parametrize(

@@ -119,5 +119,5 @@ def test_what_is_sure_needs_no_time():
     monitor = FaultMonitor()
     monitor.update({"pad1-lifted", "pad2-lifted"}, 0.0, armed=True)
     assert monitor.active == ()
-    monitor.update({"pad1-lifted", "pad2-lifted"}, 0.01, armed=True, sure={"pad1-lifted", "pad2-lifted"})
+    monitor.update({"pad1-lifted", "pad2-lifted"}, 0.01, armed=True, certain={"pad1-lifted", "pad2-lifted"})
     assert [fault.code for fault in monitor.active] == ["pad1-lifted", "pad2-lifted"]

@@ -35,11 +35,11 @@ from palmd.messages import (
     info_fields,
     log_fields,
     motion_fields,
+    named_state_is_finite,
     note_fields,
     object_fields,
     rig_fields,
     shape_fields,
-    sound,
     stamp,
     state_fields,
     unexplained_fields,
@@ -218,9 +218,9 @@ def test_state_lists_have_the_same_length():
 @pytest.mark.parametrize("name", NAMED_STATE)
 def test_estimate_is_unsound_without_any_of_the_named(name):
     good = an_estimate()
-    assert sound(good)
-    assert not sound(dataclasses.replace(good, **{name: math.nan}))
-    assert not sound(dataclasses.replace(good, sd={**good.sd, name: math.inf}))
+    assert named_state_is_finite(good)
+    assert not named_state_is_finite(dataclasses.replace(good, **{name: math.nan}))
+    assert not named_state_is_finite(dataclasses.replace(good, sd={**good.sd, name: math.inf}))
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ H = body().support.sample(THETA)
         ({"mass_kg": 120.0}, r"is it in grams\?"),
         ({"mass_kg": -0.1}, "mass_kg is -0.1"),
         ({"mass_kg": 0.1, "mass_sd_kg": -0.1}, "negative"),
-        ({"name": ""}, "name must be a text"),
+        ({"name": ""}, "name must be text"),
     ],
 )  # fmt: skip
 def test_what_is_no_outline_is_refused_with_the_reason(file, changes, told):
@@ -237,9 +237,9 @@ BEAN = XY * (1 - 0.3 * np.exp(-((np.arange(200)[:, None] - 50) ** 2) / 200))
         (XY[:150], r"csv:151: the curve is open: no point for \S+ mm until line 2"),
         (np.delete(XY, range(80, 90), axis=0), r"csv:81: the curve is open"),
         (EIGHT, r"csv:\d+: the curve crosses itself near line \d+"),
-        (np.concatenate([XY, XY]), r"csv:2: the curve goes 2 times round"),
+        (np.concatenate([XY, XY]), r"csv:2: the curve winds 2 times round"),
         (BEAN, r"csv:5\d: the outline is not convex: \(.*\) mm lies \S+ mm inside the hull"),
-        (SQUARE, r"points lie \S+ mm \(RMS\) from a smooth outline: .* corners too sharp"),
+        (SQUARE, r"points deviate by \S+ mm \(RMS\) from a smooth outline: .* corners too sharp"),
         (XY[::5], "40 points; an outline needs 60 to 5000"),
         (points(body().support, 5001), "5001 points"),
         (XY * 1e-3, r"mean radius is \S+ mm: is x_mm in metres\?"),
@@ -258,12 +258,12 @@ def test_points_that_are_no_outline_are_refused_with_the_line(file, xy, told):
     [
         (lambda rows: ["x,y", *rows[1:]], r"csv:1: the header must be x_mm,y_mm, got x,y"),
         (lambda rows: rows[1:], r"csv:1: the header must be"),
-        (lambda rows: [*rows[:7], "1.0", *rows[7:]], r"csv:8: 2 numbers belong here, got 1"),
-        (lambda rows: [*rows[:7], "1,2,3", *rows[7:]], r"csv:8: 2 numbers belong here, got 3"),
+        (lambda rows: [*rows[:7], "1.0", *rows[7:]], r"csv:8: expected 2 numbers, got 1"),
+        (lambda rows: [*rows[:7], "1,2,3", *rows[7:]], r"csv:8: expected 2 numbers, got 3"),
         (lambda rows: [*rows[:7], "1,b", *rows[7:]], r"csv:8: b is not a number"),
         (lambda rows: [*rows[:7], "1,", *rows[7:]], r"csv:8: nothing is not a number"),
-        (lambda rows: [*rows[:7], "nan,2", *rows[7:]], r"csv:8: nan is no place"),
-        (lambda rows: ["# com_mm: 1", *rows], r"csv:1: 2 numbers belong here, got 1"),
+        (lambda rows: [*rows[:7], "nan,2", *rows[7:]], r"csv:8: nan is out of range"),
+        (lambda rows: ["# com_mm: 1", *rows], r"csv:1: expected 2 numbers, got 1"),
         (lambda rows: ["# com_mm: 100, 0", *rows], "com_mm is wrong"),
         (lambda rows: ["# rho_mm: 0.013", *rows], "wrong unit"),
         (lambda rows: rows[:1], "0 points"),
@@ -311,7 +311,7 @@ def test_a_library_that_cannot_be_used(tmp_path):
         read_library(tmp_path)
     as_json(tmp_path / "a.json")
     as_csv(tmp_path / "a.csv", XY)
-    with pytest.raises(OutlineError, match=r'a\.json: is called "a" like .*a\.csv'):
+    with pytest.raises(OutlineError, match=r'a\.json: has the same name "a" as .*a\.csv'):
         read_library(tmp_path)
     (tmp_path / "a.json").write_text("{}")
     with pytest.raises(OutlineError, match=r"a\.json: theta_rad is missing"):

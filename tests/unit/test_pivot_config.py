@@ -42,7 +42,7 @@ def test_an_observer_is_told_the_rig_in_si():
 
 
 def test_who_knows_two_palms_only_says_so():
-    with pytest.raises(ConfigError, match="is of a pivoting grasp, and this is for two palms"):
+    with pytest.raises(ConfigError, match="is for a pivoting grasp, but this supports two palms"):
         load_config(SHIPPED)
 
 
@@ -59,7 +59,7 @@ def test_who_knows_two_palms_only_says_so():
         ("rig: {system: pivot, hinge: arc}\n" + PADS, "rig.hinge: unknown key"),
         (
             "rig: {system: pivott}\n" + PADS,
-            r"^\S+:1:15: rig.system: there is no system 'pivott'; there is pivot[^\n]*$",
+            r"^\S+:1:15: rig.system: there is no system 'pivott'; the systems are pivot[^\n]*$",
         ),
     ],
 )

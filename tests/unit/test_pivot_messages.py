@@ -74,10 +74,10 @@ def test_every_field_of_an_estimate_is_in_its_table():
 
 
 def test_valid_wants_orientation_and_rate_with_their_bands(config):
-    sound = PivotGrasp(config).sound
-    assert sound(estimate(sd={"psi": 0.1, "omega0": 0.2}))
-    assert not sound(estimate(sd={"psi": 0.1}))
-    assert not sound(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
+    is_finite = PivotGrasp(config).is_finite
+    assert is_finite(estimate(sd={"psi": 0.1, "omega0": 0.2}))
+    assert not is_finite(estimate(sd={"psi": 0.1}))
+    assert not is_finite(estimate(psi=math.nan, sd={"psi": 0.1, "omega0": 0.2}))
 
 
 def test_the_rig_is_told_as_configured(config):

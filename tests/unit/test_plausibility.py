@@ -8,7 +8,7 @@ import pytest
 
 from palmd.config.fields import Plausible, Strict
 from palmd.motion.check import check_files
-from palmd.plausibility import implausible, odd
+from palmd.plausibility import describe_implausible, implausible
 from palmd.yamlfile import load_any_config, load_config, read_document
 
 ROOT = Path(__file__).parents[2]
@@ -49,8 +49,8 @@ def test_a_slip_of_unit_is_told_with_what_may_be_meant(key: str, tmp_path: Path)
     path = config_file(tmp_path, **parts)
     load_config(path)  # the daemon takes it
     (error,) = (each for each in check_files([path]) if f" {key}: " in each)
-    assert f"{key}: {got} can hardly be right: " in error
-    assert error.endswith(f"; is {meant} meant?")
+    assert f"{key}: {got} is implausible: " in error
+    assert error.endswith(f"; did you mean {meant}?")
     line = int(error.removeprefix(f"{path}:").split(":")[0])
     assert key.rpartition(".")[2] in path.read_text().splitlines()[line - 1]
 
@@ -62,15 +62,15 @@ def test_a_pads_zero_lies_on_the_pad(tmp_path: Path) -> None:
 
 def test_counts_an_inch_are_found_too(tmp_path: Path) -> None:
     (error,) = check_files([config_file(tmp_path, pad="counts_per_mm: 200")])
-    assert error.endswith("is 7.874 counts/mm meant?")
+    assert error.endswith("did you mean 7.874 counts/mm?")
 
 
 def test_an_arm_that_stands_in_the_palms_is_told(tmp_path: Path) -> None:
     path = config_file(tmp_path, arm="base_x_mm: -0.3")
     (error,) = check_files([path])
     assert error == (
-        f"{path}:3:32: arm.base_x_mm: the arm's base would be 120 mm from where palm 1 is hinged (rig.base_mm), and no"
-        " arm works nearer to its base than 150 mm; is -300 mm meant?"
+        f"{path}:3:32: arm.base_x_mm: the arm's base would be 120 mm from the hinge of palm 1 (rig.base_mm), and no"
+        " arm works nearer to its base than 150 mm; did you mean -300 mm?"
     )
 
 
@@ -109,4 +109,4 @@ def test_every_default_is_plausible() -> None:
 
 
 def test_what_nobody_can_guess_is_only_asked_about() -> None:
-    assert odd("palm1_length_mm", 1500.0, Plausible(20, 21), 20.5).endswith("20 to 21 mm is usual")
+    assert describe_implausible("palm1_length_mm", 1500.0, Plausible(20, 21), 20.5).endswith("20 to 21 mm is usual")

@@ -61,7 +61,7 @@ BODY = BodyEstimate(
 
 MESSAGES = {
     "palm/estimate": lambda: messages.estimate_fields(TWO),
-    "palm/estimate at a glance": lambda: messages.estimate_at_a_glance(TWO),
+    "palm/estimate at a glance": lambda: messages.estimate_summary(TWO),
     "palm/shape": lambda: messages.shape_fields(shape()),
     "palm/events": lambda: messages.events_fields(
         2.0, (*ONE, PalmSample(0.75, (0.5, 0.25)), PalmSample(0.875, (0.5, 0.25), (1.0, 2.0), (3.0, 4.0)))
@@ -73,7 +73,7 @@ MESSAGES = {
     ),
     "palm/info": lambda: info(messages, "demo.yaml"),
     "palm/pivot": lambda: pivot_messages.estimate_fields(PIVOT),
-    "palm/pivot at a glance": lambda: pivot_messages.estimate_at_a_glance(PIVOT),
+    "palm/pivot at a glance": lambda: pivot_messages.estimate_summary(PIVOT),
     "palm/pivot_shape": lambda: pivot_messages.shape_fields(shape()),
     "palm/pivot_events": lambda: pivot_messages.events_fields(2.0, (*ONE, PalmSample(0.75, (0.5, 0.25)))),
     "palm/pivot_answer": lambda: pivot_messages.answer_fields(
@@ -81,7 +81,7 @@ MESSAGES = {
     ),
     "palm/pivot_info": lambda: info(pivot_messages, "pivot.yaml"),
     "palm3/estimate": lambda: three_palms_messages.estimate_fields(BODY),
-    "palm3/estimate at a glance": lambda: three_palms_messages.estimate_at_a_glance(BODY),
+    "palm3/estimate at a glance": lambda: three_palms_messages.estimate_summary(BODY),
     "palm3/shape": lambda: three_palms_messages.shape_fields(shape(), 3, True),
     "palm3/events": lambda: three_palms_messages.events_fields(
         2.0, (PadSample(0.25, 3, 0.5, 0.125, 0.25), PadLift(0.5, 2), PalmSample(0.75, (0.5, 0.25, 0.125)))

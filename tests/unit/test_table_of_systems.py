@@ -113,7 +113,7 @@ def test_a_row_is_all_that_another_system_takes_to_be_checked_and_run(twin):
     assert check_files([twin]) == []
     config = load_any_config(twin)
     assert type(config) is TwinConfig
-    with pytest.raises(ConfigError, match="is of a twin, and this is for two palms on a hinge only"):
+    with pytest.raises(ConfigError, match="is for a twin, but this supports two palms on a hinge only"):
         load_config(twin)
     system = live_system(config)
     plan = read_plan(config.plan, system.limits, None)

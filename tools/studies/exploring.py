@@ -120,7 +120,7 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     before = wireless.world.status()["contact_losses"]
     ended_s = _watched(wireless, watch, task.seconds)
     status = wireless.world.status()
-    told = wireless.core.exploring.told() if finds_out else None
+    told = wireless.core.exploring.summary() if finds_out else None
     score = watch.outline_score(true_h) if finds_out else None
     tick_s = 1.0 / config.loop.rate_hz
     return result(

@@ -82,7 +82,7 @@ class Stand:
         """`watch` takes what is heard until the daemon speaks."""
         self._stack.begin_daemon(**environment)
         self._operator = Operator()
-        if not self._stack.until_heard(lambda message: self._hear(watch, message)):
+        if not self._stack.wait_for_daemon(lambda message: self._hear(watch, message)):
             raise not_started(self._stack.children["daemon"])
         while not self._operator.state:
             self._listen(watch, LOOK_S)
@@ -98,7 +98,7 @@ class Stand:
             self._listen(watch, LOOK_S)
             t = time.monotonic()
             if t > t_end:
-                said = self._stack.children["daemon"].said()
+                said = self._stack.children["daemon"].error_output()
                 raise CliError(RIG_FAILED, f"the palms were not brought to move: {self._operator.state}\n{said}")
             command = self._operator.decide(t)
             if command is not None:
@@ -220,9 +220,9 @@ class Stand:
         t_end = time.monotonic() + START_S
         while child.status is None and time.monotonic() < t_end:
             time.sleep(LOOK_S)
-        if child.status == RIG_FAILED and f"{self._stack.bus.publish} is in use" in child.said():
+        if child.status == RIG_FAILED and f"{self._stack.bus.publish} is in use" in child.error_output():
             return []
-        return [f"the second daemon ended with {child.status}: {child.said()}"]
+        return [f"the second daemon ended with {child.status}: {child.error_output()}"]
 
     def _gone(self, code: str) -> list[str]:
         t_end = time.monotonic() + PATIENCE_S
@@ -258,7 +258,7 @@ class Stand:
             if "path" in told:
                 return told
             time.sleep(LOOK_S)
-        raise CliError(RIG_FAILED, f"the recorder does not record\n{self._stack.children['recorder'].said()}")
+        raise CliError(RIG_FAILED, f"the recorder does not record\n{self._stack.children['recorder'].error_output()}")
 
     def _set_points(self, before: dict[str, Any], reaction: Reaction) -> list[str]:
         """What is wrong with those that the rig has heard: outside the limits, or taken by an arm that must stand."""

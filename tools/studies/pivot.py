@@ -23,7 +23,7 @@ from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.two_palms import Drawn
 from palmd.console.arguments import seconds, seconds_within
 from palmd.console.shipped import shipped
-from palmd.daemon.dragging import Dragging
+from palmd.daemon.dragging import DragExploration
 from palmd.model import shape
 from palmd.model.pivot import ORDER, P
 from palmd.observer.outline import directions
@@ -242,7 +242,7 @@ def lived(task: LiveTask) -> LiveRow:
         task,
         ended=live.core.exploring.reason,
         t_end=live.t - scored.t_start,
-        left=exploring.left_the_pad if isinstance(exploring := live.core.exploring, Dragging) else 0,
+        left=exploring.left_the_pad if isinstance(exploring := live.core.exploring, DragExploration) else 0,
         jams=world.jams,
         losses=world.contact_losses,
         most_force=world.most_force,

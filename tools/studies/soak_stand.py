@@ -108,7 +108,8 @@ class SoakStand:
             t = time.monotonic()
             if t > t_end:
                 raise CliError(
-                    RIG_FAILED, f"{otherwise}: {self.watch.state}\n{self._stack.children['daemon'].said()}".strip()
+                    RIG_FAILED,
+                    f"{otherwise}: {self.watch.state}\n{self._stack.children['daemon'].error_output()}".strip(),
                 )
             self._listen(t + LOOK_S)
             if operate:

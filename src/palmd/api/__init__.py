@@ -1,4 +1,4 @@
-"""What `import palmd` offers to notebooks and programs: recorded runs as arrays, the observers, a running daemon."""
+"""The Python interface `import palmd`: recorded runs as arrays, the observers, and running daemons."""
 
 from __future__ import annotations
 

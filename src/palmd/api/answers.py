@@ -1,4 +1,4 @@
-"""What the observers say of a run: causally, tick by tick, or seen from its end."""
+"""Estimates of a run: causally, tick by tick, or smoothed over the whole run."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from palmd.system.mechanism import RADII
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedRun:
-    """What an observer says of a run, each tick from the events up to it only.
+    """An observer's estimates of a run; each tick uses only events up to its time.
 
-    estimates: the fields of `palm/estimate` and `t_s` (s, the log's own time), a row each 10 ms. outlines: one
-    a second. verdict: which of the stored outlines the object is, None without any.
+    estimates: the fields of `palm/estimate` and `t_s` (s, the log's clock), one row per 10 ms. outlines: one per
+    second. verdict: which of the stored outlines the object is, None without any.
     """
 
     estimates: DataTable
@@ -38,27 +38,27 @@ class EstimatedRun:
 
     @property
     def outline(self) -> OutlineData:
-        """The last outline; PalmdError when there is none."""
+        """The last outline; PalmdError if there is none."""
         return last_of(self.outlines, "the estimate")
 
     def outline_xy(self) -> FloatArray:
-        """The last outline's points (361, 2) in m, closed, in the object's frame about its centre of mass."""
+        """Points (361, 2) of the last outline in m, closed, in the object's frame about its centre of mass."""
         return self.outline.xy()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedRun:
-    """What a whole run tells; SI units, NaN where there is no value.
+    """Estimate from a whole run; SI units, NaN where there is no value.
 
     verdict: `accepted`, `partial` (less than a tenth of the normals touched: the estimate holds for these) or
-    `rejected`. converged: of an accepted one; else `reason` says why, and outline and trajectory may be missing.
-    coverage: share of the normals touched. chi2: per reading. trajectory: `t_s psi_rad omega0_rad_s r1_m r2_m`.
-    rho_m: radius of gyration. mu: friction. mass_rest_kg: mass as weighed while the object lay still, which needs
-    no outline. `…_sd…`: one-sigma. rig: what the run tells of the rig's own constants, `{name: {value, sd}}`, empty
-    where it had nothing to find. looks_like: the simple form that the outline is of, with its sizes, empty where it
-    is none or cannot be told. surface: of a body between three palms, instead of an outline. told: everything,
-    under the names of `palmd reconstruct`; of another `system` than two palms, what the fields here have no place
-    for.
+    `rejected`. converged: true for accepted ones; otherwise `reason` says why, and outline and trajectory may be
+    missing. coverage: fraction of the normals touched. chi2: per reading. trajectory: `t_s psi_rad omega0_rad_s r1_m
+    r2_m`. rho_m: radius of gyration. mu: friction. mass_rest_kg: mass weighed while the object was at rest, which needs
+    no outline. `…_sd…`: standard deviation. rig: the rig constants that the run determines, `{name: {value, sd}}`,
+    empty if it determines none. looks_like: the simple shape that the outline matches, with its sizes, empty if it
+    matches none or cannot be classified. surface: of a body between three palms, instead of an outline. told: all
+    results under the names of `palmd reconstruct`; for another `system` than two palms, the results without a field
+    here.
     """
 
     converged: bool
@@ -84,10 +84,10 @@ class SmoothedRun:
     told: Mapping[str, Any]
 
     def outline_xy(self) -> FloatArray:
-        """The outline's points (361, 2) in m, closed, about the centre of mass; PalmdError when there is none."""
+        """Points (361, 2) of the outline in m, closed, about the centre of mass; PalmdError if there is none."""
         if self.outline is None:
-            why = self.reason or f"of the system {self.system} told has what there is"
-            raise PalmdError(f"the reconstruction has no outline: {why}")
+            reason = self.reason or f"the results of the system {self.system} are in .told"
+            raise PalmdError(f"the reconstruction has no outline: {reason}")
         return self.outline.xy()
 
 
@@ -97,22 +97,22 @@ def estimate(
     observer: observers.ObserverName = "shape",
     shape: str | os.PathLike[str] | None = None,
 ) -> EstimatedRun:
-    """A run through exactly the daemon's observer, causally; takes about as long as the run itself.
+    """Run the daemon's observer causally over a recorded run; takes about as long as the run itself.
 
     `shape`: a stored outline, or a folder of them; the object is then one of these or none. Deterministic. Raises
-    PalmdError for a log or outline that cannot be used.
+    PalmdError for an unusable log or outline.
     """
     if observer not in observers.OBSERVERS:
-        raise PalmdError(f"there is no observer {observer!r}; there are {', '.join(observers.OBSERVERS)}")
+        raise PalmdError(f"there is no observer {observer!r}; the observers are {', '.join(observers.OBSERVERS)}")
     if shape is not None and observer != "shape":
-        raise PalmdError(f"a stored outline needs the observer shape: {observer} cannot use one")
+        raise PalmdError(f"a stored outline requires the observer shape; {observer} cannot use one")
     run = _opened(log)
     with as_palmd_error():
         outlines = () if shape is None else read_library(Path(shape))
         ticks = list(run.system.estimate(run.log, observer, outlines))
     return EstimatedRun(
         table_of({"t_s": tick.t} | tick.estimate for tick in ticks),
-        # of a pivoting grasp outlines are about the pivot, and no centre of mass is told of them
+        # outlines of a pivoting grasp are about the pivot; their centre of mass is unknown
         tuple(outline_of(tick.shape, tick.t) for tick in ticks if tick.shape is not None and "h_m" in tick.shape),
         verdict(tick.object for tick in ticks if tick.object is not None),
     )
@@ -120,11 +120,11 @@ def estimate(
 
 @one_thread()
 def reconstruct(log: RunData | str | os.PathLike[str], seed: int = 0) -> SmoothedRun:
-    """Outline and motion from a whole run at once; takes about a second for ten seconds of readings.
+    """Estimate outline and motion from a whole run; takes about a second for ten seconds of readings.
 
-    Deterministic for a given `seed` (of the blind start). Where no smooth outline explains the readings, one with flat
-    sides and corners is looked for, which takes some ten to forty seconds more. Raises PalmdError for a log that cannot
-    be used, never for what its readings say.
+    Deterministic for a given `seed` (of the blind search). If no smooth outline explains the readings, an outline with
+    flat sides and corners is searched for, which takes some ten to forty seconds more. Raises PalmdError for an
+    unusable log, never because of its readings.
     """
     run = _opened(log)
     with as_palmd_error():
@@ -154,9 +154,9 @@ _TIME = {"t": "t_s"}
 
 
 def _trajectory(columns: Mapping[str, list[Any]] | None) -> DataTable:
-    """Columns as a table; empty ones where there is no trajectory."""
-    told = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", *(f"{name}_m" for name in RADII))}
-    return DataTable({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in told.items()})
+    """Columns as a table; empty columns if there is no trajectory."""
+    filled = columns or {name: [] for name in ("t", "psi_rad", "omega0_rad_s", *(f"{name}_m" for name in RADII))}
+    return DataTable({_TIME.get(name, name): np.array(values, dtype=np.float64) for name, values in filled.items()})
 
 
 def _opened(log: RunData | str | os.PathLike[str]) -> RunData:

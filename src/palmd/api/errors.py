@@ -1,4 +1,4 @@
-"""The one error of the library."""
+"""The exception of the library."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from palmd.record.systems import NotYetError
 
 
 class PalmdError(Exception):
-    """What was asked for cannot be had; the text is one line that says where, why, and what to do."""
+    """A request that cannot be fulfilled; the text is one line that says where, why, and what to do."""
 
 
 @contextmanager
 def as_palmd_error() -> Iterator[None]:
-    """Whatever palmd's rooms raise for bad input or a rig that is not there comes out as a PalmdError."""
+    """Convert palmd's internal exceptions for invalid input or an unreachable rig to PalmdError."""
     try:
         yield
     except (CliError, KeysError, LogError, NotYetError, OutlineError, RunError) as error:

@@ -1,4 +1,4 @@
-"""Motions as context managers: a move, an exploration, jogging. What goes wrong inside the block stops the palms."""
+"""Motions as context managers: a move, an exploration, jogging. An exception inside the block stops the palms."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from palmd.api.live import Live
 
 HELD_S = 30.0
-"""For so long a hold may last, in which the cause may go and somebody may start again."""
+"""Longest hold, in which its cause may be removed and the motion started again."""
 
 STANDING_S, LOOK_S = 3.0, 0.1
-"""For so long palms that were held may take to stand."""
+"""Longest time in which held palms come to rest, and the polling period."""
 
 _CAN_MOVE = ("ready", "tracking", "hold")
 
 
 class Armed:
-    """Arms the rig for the block if that has not been done, and then stops it in the end."""
+    """Arms the rig for the block if it is not armed yet; if so, stops it at the end."""
 
     def __init__(self, rig: Live) -> None:
         self._rig = rig
         self._armed_here = False
 
     def __enter__(self) -> Self:
-        """Raises PalmdError where the arm cannot be armed, with the cause."""
+        """Raises PalmdError with the cause if the arm cannot be armed."""
         status = self._rig.status()
         if status["state"] not in _CAN_MOVE:
             raise PalmdError(f"cannot move: the state is {status['state']}: {_why(status)}")
@@ -65,10 +65,10 @@ class Armed:
             self._disarm()
 
     def _begin(self) -> None:
-        """What the block begins with."""
+        """Called when the block is entered."""
 
     def _finish(self) -> None:
-        """What is waited for when the block has been left in good order."""
+        """Called to wait when the block is left without an exception."""
 
     def _hold(self) -> None:
         with suppress(PalmdError):
@@ -82,7 +82,7 @@ class Armed:
 
 
 class RigMotion(Armed):
-    """A plan of one segment: iterating gives the estimates while it goes on; leaving the block waits for its end.
+    """A plan of one segment: iterating yields the estimates during it; leaving the block waits for its end.
 
     An exception inside the block, Ctrl-C too, holds the palms.
     """
@@ -92,15 +92,15 @@ class RigMotion(Armed):
         self._plan = {"name": name, "segments": [dict(segment)]}
         self.over = False
         self.coverage = math.nan
-        """Of an exploration: the share touched of the normals that can be reached."""
+        """Of an exploration: fraction touched of the reachable normals."""
         self.reason = ""
-        """Of an exploration: why it is over."""
+        """Of an exploration: why it ended."""
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """The fields of `palm/estimate`, tick by tick, until the motion is over; PalmdError when it was stopped."""
+        """The fields of `palm/estimate`, tick by tick, until the motion is complete; PalmdError if it was stopped."""
         if self.over:
             return
-        t_going = time.monotonic()
+        t_tracking = time.monotonic()
         for message in self._rig.messages(ESTIMATE.name, STATE.name):
             if message.topic == ESTIMATE.name:
                 yield message.fields
@@ -111,23 +111,23 @@ class RigMotion(Armed):
                 self.over = True
                 return
             if fields["state"] == "tracking":
-                t_going = time.monotonic()
-            elif fields["state"] != "hold" or time.monotonic() > t_going + HELD_S:
+                t_tracking = time.monotonic()
+            elif fields["state"] != "hold" or time.monotonic() > t_tracking + HELD_S:
                 raise PalmdError(f"{self._plan['name']}: the state is {fields['state']}: {_why(fields)}")
 
     def wait(self) -> None:
-        """Until the motion is over; PalmdError when it was stopped."""
+        """Wait until the motion is complete; PalmdError if it was stopped."""
         for _ in self:
             pass
 
     def end(self) -> None:
-        """Hold the palms now: nothing more is waited for."""
+        """Hold the palms now and do not wait for the end."""
         self.over = True
         self._rig.command("hold")
 
     def _begin(self) -> None:
         t_end = time.monotonic() + STANDING_S
-        while self._rig.status()["moving"] and time.monotonic() < t_end:  # what was held has not come to a stand yet
+        while self._rig.status()["moving"] and time.monotonic() < t_end:  # a held motion may not have come to rest yet
             time.sleep(LOOK_S)
         name = f"{self._plan['name']}.yaml"
         self._rig.command("plan", path=name, text=yaml.safe_dump(self._plan))
@@ -144,12 +144,12 @@ class RigJog(Armed):
     """Turns the palms by small steps."""
 
     def turn(self, **angles_deg: float) -> None:
-        """Turn joints, each by its name with `_deg`, by so much, and wait until they have arrived; 8° a second.
+        """Turn joints, each given by its name with `_deg`, by so much, and wait for their arrival; 8° per second.
 
-        Raises PalmdError where it cannot be done to its end; nothing has moved then.
+        Raises PalmdError, without moving anything, if the whole motion is not possible.
         """
         if not angles_deg:
-            raise PalmdError(f"jog: say which joint to turn, such as turn({JOINTS[0]}_deg=1.0)")
+            raise PalmdError(f"jog: name the joint to turn, for example turn({JOINTS[0]}_deg=1.0)")
         with as_palmd_error():
             reply = jog(self._rig.client, angles_deg)
         if not reply["ok"]:
@@ -157,9 +157,9 @@ class RigJog(Armed):
 
 
 def _why(fields: Mapping[str, Any]) -> str:
-    grave = [
+    blocking = [
         f"{code}: {hint}"
         for code, severity, hint in zip(fields["faults"], fields["severities"], fields["hints"], strict=True)
         if severity in ("hold", "stop")
     ]
-    return "; ".join(grave) or fields.get("cause") or "no cause is known"
+    return "; ".join(blocking) or fields.get("cause") or "the cause is unknown"

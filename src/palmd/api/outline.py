@@ -1,4 +1,4 @@
-"""The outline of an object, as the library gives it."""
+"""The outline of an object as arrays."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from palmd.polygon import closed_outline, turned
 class OutlineData:
     """A convex outline as support function h about the centre of mass, on n normals spread evenly over a full turn.
 
-    theta_rad (n): the outward normals in the object's frame. h_m, h_sd_m (n): support function, one-sigma. touched (n):
-    where a palm has been in contact. t_s: when it was said, NaN for an answer about a whole run.
+    theta_rad (n): the outward normals in the object's frame. h_m, h_sd_m (n): support function and its standard
+    deviation. touched (n): where a palm has been in contact. t_s: time of the estimate, NaN for the result of a whole
+    run.
     """
 
     t_s: float
@@ -29,9 +30,9 @@ class OutlineData:
     touched: npt.NDArray[np.bool_]
 
     def xy(self, psi_rad: float = 0.0, com_m: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
-        """The closed outline's points (361, 2) in m, turned by psi_rad with the centre of mass at com_m.
+        """Points (361, 2) of the closed outline in m, rotated by psi_rad with the centre of mass at com_m.
 
-        As called without arguments: in the object's frame.
+        By default in the object's frame.
         """
         return np.asarray(closed_outline(self.theta_rad, self.h_m) @ turned(psi_rad) + np.array(com_m))
 
@@ -43,7 +44,7 @@ def outline_of(fields: Mapping[str, Any], t_s: float) -> OutlineData:
 
 
 def last_of(outlines: tuple[OutlineData, ...], what: str) -> OutlineData:
-    """The last outline; PalmdError when there is none."""
+    """The last outline; PalmdError if there is none."""
     if not outlines:
-        raise PalmdError(f"{what}: no outline in it: nothing was felt for long enough")
+        raise PalmdError(f"{what} has no outline: no contact lasted long enough")
     return outlines[-1]

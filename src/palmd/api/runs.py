@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Events:
-    """What was measured, by what measured it; `t_s` is when it was true, on the log's own clock.
+    """Measured events of pads and palms; `t_s` is the time of measurement on the log's clock.
 
-    pads: `t_s pad s_m force_n`, one row a reading; where the object left the pad s_m is NaN. palms: `t_s`, the palms'
-    angles as measured, and the rates and accelerations of the plan.
+    pads: `t_s pad s_m force_n`, one row per reading; s_m is NaN where the object left the pad. palms: `t_s`, the palms'
+    measured angles, and the rates and accelerations of the plan.
     """
 
     pads: DataTable
@@ -36,7 +36,7 @@ class Events:
 
 
 class RunData:
-    """A run as it lies on the disk; each table is read when it is first asked for, and kept."""
+    """A run in a file; each table is read on first access and cached."""
 
     def __init__(self, path: Path) -> None:
         """Raises PalmdError for a file that is neither a recorded run nor an event log."""
@@ -53,7 +53,7 @@ class RunData:
 
     @property
     def system(self) -> System:
-        """Which system it is a run of."""
+        """The system of the run."""
         return self._system
 
     @cached_property
@@ -64,7 +64,7 @@ class RunData:
 
     @property
     def rig(self) -> Any:
-        """What the observer is told of the rig: a `RigDescription` of two palms, or another system's own."""
+        """The rig as the observer knows it: a `RigDescription` of two palms, or another system's description."""
         return self.log.rig if self._recording is None else self._recording.rig
 
     @property
@@ -74,70 +74,70 @@ class RunData:
 
     @cached_property
     def topics(self) -> Mapping[str, int]:
-        """How many messages there are of each topic; none in an event log."""
+        """Number of messages per topic; empty for an event log."""
         if self._recording is None:
             return {}
         with as_palmd_error():
             return {topic: survey.count for topic, survey in self._recording.survey().items()}
 
     def table(self, topic: str) -> DataTable:
-        """All messages of a topic, with `t_s`: the time they hold for (s), on the clock of the events.
+        """All messages of a topic, with `t_s`: the time they refer to (s), on the clock of the events.
 
-        Raises PalmdError where there are none.
+        Raises PalmdError if there are none.
         """
         with as_palmd_error():
             table = table_of(_timed(message.fields) for message in self._recorded(topic).messages(topic))
         if not table:
-            raise PalmdError(f"{self.path}: holds no {topic}; there are {', '.join(self.topics)}")
+            raise PalmdError(f"{self.path}: holds no {topic}; its topics are {', '.join(self.topics)}")
         return table
 
     @cached_property
     def estimates(self) -> DataTable:
-        """What the daemon said, tick by tick: the fields of `palm/estimate`."""
+        """The daemon's estimates, tick by tick: the fields of `palm/estimate`."""
         return self.table(ESTIMATE.name)
 
     @cached_property
     def contacts(self) -> DataTable:
-        """What the pads said last, tick by tick: the fields of `palm/contact`."""
+        """The pads' last readings, tick by tick: the fields of `palm/contact`."""
         return self.table(CONTACT.name)
 
     @cached_property
     def outlines(self) -> tuple[OutlineData, ...]:
-        """Every outline that the daemon gave, in order of time."""
+        """All outlines that the daemon published, in order of time."""
         with as_palmd_error():
             messages = self._recorded(SHAPE.name).messages(SHAPE.name)
             return tuple(outline_of(fields, fields["mono_ns"] * 1e-9) for fields in (each.fields for each in messages))
 
     @property
     def outline(self) -> OutlineData:
-        """The last outline; PalmdError when there is none."""
+        """The last outline; PalmdError if there is none."""
         return last_of(self.outlines, str(self.path))
 
     def outline_xy(self) -> FloatArray:
-        """The last outline's points (361, 2) in m, closed, in the object's frame about its centre of mass."""
+        """Points (361, 2) of the last outline in m, closed, in the object's frame about its centre of mass."""
         return self.outline.xy()
 
     @cached_property
     def events(self) -> Events:
-        """What was measured."""
+        """The measured events."""
         if not isinstance(self.log, EventLog):
-            raise PalmdError(f"{self.path}: is a log of the system {self.system.name}: its events are in .log.events")
+            raise PalmdError(f"{self.path}: is a log of the system {self.system.name}; its events are in .log.events")
         rows = [_row(event) for event in self.log.events]
         return Events(*(table_of(row for row in rows if ("pad" in row) is of_pads) for of_pads in (True, False)))
 
     def _recorded(self, topic: str = "") -> Run:
         if self._recording is None:
             raise PalmdError(
-                f"{self.path}: is an event log and holds no {topic}: .events has its readings, palmd.estimate(…) and"
-                " palmd.reconstruct(…) make estimates of them"
+                f"{self.path}: is an event log and holds no {topic}; .events has its readings, palmd.estimate(…) and"
+                " palmd.reconstruct(…) compute estimates"
             )
         return self._recording
 
 
 def open(path: str | os.PathLike[str]) -> RunData:
-    """The recorded run (MCAP) or event log (JSON lines) in a file; what it is shows in its first bytes.
+    """The recorded run (MCAP) or event log (JSON lines) in a file; its first bytes show which it is.
 
-    Raises PalmdError when it cannot be used. Quick: tables are read when they are asked for.
+    Raises PalmdError for an unusable file. Fast: tables are read when they are accessed.
     """
     return RunData(Path(path))
 
@@ -153,7 +153,7 @@ def _timed(fields: Fields) -> Fields:
 
 
 def _row(event: Event) -> Fields:
-    """An event under the names of the event log, flat."""
+    """An event as a flat map, under the names of the event log."""
     line: Fields = {"pad": event.pad} if isinstance(event, PadLift) else event_line(event) or {}
     fields = {name: value for name, value in (line | line.get("palms", {})).items() if name not in ("t", "palms")}
     return {"t_s": event.t_sample} | fields

@@ -1,4 +1,4 @@
-"""Columns of one length under published names."""
+"""Tables: columns of equal length under published names."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ _BLANK: dict[type, Any] = {float: np.nan, bool: False, str: "", list: []}
 
 
 class DataTable(Mapping[str, Column]):
-    """A mapping from names to NumPy arrays of one length: `table["psi_rad"]`, `dict(table)`, `table.to_pandas()`.
+    """A mapping from names to NumPy arrays of equal length: `table["psi_rad"]`, `dict(table)`, `table.to_pandas()`.
 
     Names end in their unit (SI). Numbers are float64 with NaN for "no value", truth values bool, texts and lists of
-    unequal length object; lists of equal length make a two-dimensional column. Nested maps lie flat: `sd.psi_rad`.
+    unequal length object; lists of equal length make a two-dimensional column. Nested maps are flattened: `sd.psi_rad`.
     """
 
     def __init__(self, columns: Mapping[str, Column]) -> None:
-        """`columns` have one length."""
+        """All `columns` must have the same length."""
         self._columns = dict(columns)
 
     def __getitem__(self, name: str) -> Column:
         try:
             return self._columns[name]
         except KeyError:
-            raise KeyError(f"there is no column {name!r}; there are {', '.join(self._columns)}") from None
+            raise KeyError(f"there is no column {name!r}; the columns are {', '.join(self._columns)}") from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
 
     def __len__(self) -> int:
-        """How many columns, as of any mapping; see `rows`."""
+        """Number of columns, as of any mapping; see `rows`."""
         return len(self._columns)
 
     @property
     def rows(self) -> int:
-        """How many rows."""
+        """Number of rows."""
         return len(next(iter(self._columns.values()), ()))
 
     def to_pandas(self) -> Any:
-        """A pandas DataFrame, PalmdError without pandas; a two-dimensional column becomes one of arrays."""
+        """A pandas DataFrame; two-dimensional columns become columns of arrays. PalmdError without pandas."""
         try:
             import pandas
         except ModuleNotFoundError:
@@ -59,7 +59,7 @@ class DataTable(Mapping[str, Column]):
 
 
 def table_of(messages: Iterable[Mapping[str, Any]]) -> DataTable:
-    """Rows of a table from messages; what a message lacks has no value in its row."""
+    """A table with one row per message; missing fields have no value."""
     rows = [dict(flat(dict(message))) for message in messages]
     names = dict.fromkeys(name for row in rows for name in row)
     return DataTable({name: _column([row.get(name) for row in rows]) for name in names})

@@ -1,1 +1,1 @@
-"""A daemon's sockets from the other side."""
+"""Clients of a daemon's sockets."""

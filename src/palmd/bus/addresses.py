@@ -1,4 +1,4 @@
-"""Where a daemon is: at the addresses of its configuration, of which clients need nothing else."""
+"""Addresses of a daemon, read from its configuration; clients need nothing else of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INSTALLED = Path("/etc/palmd/palmd.yaml")
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    """The argument by which a command finds a daemon whose addresses are not the usual ones."""
+    """Add the argument by which a command finds a daemon at other than the usual addresses."""
     parser.add_argument(
         "--config",
         type=Path,
@@ -24,17 +24,17 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def publish_address(given: str | None, config: Path | None = None) -> str:
-    """Where to listen: the address given, else that of the configuration; raises CliError for a faulty file."""
+    """The address to subscribe to: the given one, else the configured one; raises CliError for an invalid file."""
     return given or _configured(config).get("publish", PUBLISH)
 
 
 def command_address(given: str | None, config: Path | None = None) -> str:
-    """Where to command: the address given, else that of the configuration; raises CliError for a faulty file."""
+    """The address for commands: the given one, else the configured one; raises CliError for an invalid file."""
     return given or _configured(config).get("command", COMMAND)
 
 
 def _configured(config: Path | None) -> dict[str, str]:
-    """The addresses in the file, or in the installed one, as far as that says any."""
+    """The addresses in the given or the installed configuration, as far as it has any."""
     path = config or INSTALLED
     if config is None and not path.exists():
         return {}
@@ -49,13 +49,13 @@ def _configured(config: Path | None) -> dict[str, str]:
 
 
 def _reason(error: Exception) -> str:
-    """In one line."""
-    said = error.strerror if isinstance(error, OSError) else None
-    return said or " ".join(str(error).split())
+    """The error in one line."""
+    text = error.strerror if isinstance(error, OSError) else None
+    return text or " ".join(str(error).split())
 
 
 def _bus_of(config: Path) -> dict[str, str]:
-    """Read by hand, for models of the whole configuration take a third of a second, which a `stop` has not got."""
+    """The bus addresses, read without the configuration models, whose loading (1/3 s) would delay a `stop`."""
     import yaml
 
     from palmd.config.addresses import from_here
@@ -63,7 +63,7 @@ def _bus_of(config: Path) -> dict[str, str]:
     with config.open(encoding="utf-8") as stream:
         read: Any = yaml.load(stream, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     if not isinstance(read, Mapping):
-        raise ValueError("it is no configuration")
+        raise ValueError("it is not a configuration")
     bus = read.get("bus")
     if not isinstance(bus, Mapping):
         return {}

@@ -1,4 +1,4 @@
-"""Asks a daemon's command socket."""
+"""Client of a daemon's command socket."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from palmd.bus.link import Link, silent, wait_ms
+from palmd.bus.link import Link, unreachable, wait_ms
 from palmd.keys import Credentials
 from palmd.payload import unpacked
 
@@ -25,7 +25,7 @@ TIMEOUT_S = 2.0
 
 
 class CommandClient(Link):
-    """Asks and waits for the answer (`ask`), or neither waits to be heard nor for the answer (`post`, `replies`)."""
+    """Sends commands, and waits for the answer (`ask`) or does not wait (`post`, `replies`)."""
 
     def __init__(
         self,
@@ -38,17 +38,17 @@ class CommandClient(Link):
         lease_s: float | None = None,
         key_option: str = "--key",
     ) -> None:
-        """`client` is who the daemon takes us for, by default this user at this terminal. `lease_s` declares how long
-        (s) our control lasts after each request; without it the daemon's usual lease holds.
+        """`client` identifies us to the daemon, by default this user at this terminal. `lease_s` declares how long (s)
+        our control lasts after each request; without it the daemon's default lease applies.
 
-        `now_or_never`: what nobody hears now may not lie in a queue and move the arm later.
+        `now_or_never`: commands that cannot be delivered now are dropped, so that they cannot move the arm later.
 
-        `key_option` is what an error calls the file of a key.
+        `key_option` is the name of the key option in error messages.
 
-        Raises CliError for what is no address.
+        Raises CliError for an invalid address.
         """
         super().__init__(zmq.DEALER)
-        self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # who is turned away has nowhere to send to
+        self._socket.setsockopt(zmq.SNDTIMEO, math.ceil(timeout_s * 1e3))  # a rejected client has no peer to send to
         self._socket.setsockopt(zmq.IMMEDIATE, int(now_or_never))
         self._key, self._timeout_s, self._key_option = key, timeout_s, key_option
         self._lease_s = lease_s
@@ -58,7 +58,7 @@ class CommandClient(Link):
         self._connect([address], key)
 
     def ask(self, command: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """The reply `{id, ok, error?, result?}`; raises CliError when none comes in time."""
+        """The reply `{id, ok, error?, result?}`; raises CliError if none arrives in time."""
         number = next(self._numbers)
         t_end = time.monotonic() + self._timeout_s
         with suppress(zmq.Again):
@@ -67,19 +67,19 @@ class CommandClient(Link):
             reply = unpacked(self._socket.recv_multipart()[-1])
             if reply is not None and reply.get("id") == number and isinstance(reply.get("ok"), bool):
                 return reply
-        raise silent(f"no answer from {self.address} within {self._timeout_s:g} s", self._key, self._key_option)
+        raise unreachable(f"no answer from {self.address} within {self._timeout_s:g} s", self._key, self._key_option)
 
     @property
     def open(self) -> bool:
-        """Whether somebody takes commands at the address."""
+        """Whether a daemon accepts commands at the address."""
         return bool(self._socket.poll(0, zmq.POLLOUT))
 
     def post(
         self, command: str, args: Mapping[str, Any] | None = None, client: str = "", lease_s: float | None = None
     ) -> int | None:
-        """The number under which the answer will come; None when nobody takes the command.
+        """Send a command; returns the number of its answer, or None if it cannot be delivered.
 
-        `client` and `lease_s` take the place of our own, for those on whose behalf we ask.
+        `client` and `lease_s` replace our own, for commands sent on behalf of others.
         """
         number = next(self._numbers)
         try:
@@ -89,7 +89,7 @@ class CommandClient(Link):
         return number
 
     def replies(self) -> Iterator[dict[str, Any]]:
-        """The answers that have come; what is none is left out."""
+        """The answers that have arrived; messages that are not answers are skipped."""
         while True:
             try:
                 frames = self._socket.recv_multipart(zmq.NOBLOCK)
@@ -110,9 +110,9 @@ class CommandClient(Link):
 
 @functools.cache
 def own_client() -> str:
-    """Who a daemon takes this process for: the user at the terminal, so that all commands of a shell are one client.
+    """Identity of this process for a daemon: the user at the terminal, so that all commands of a shell are one client.
 
-    Without a terminal all palmd commands of the user are one client; any other program is one by itself.
+    Without a terminal all palmd commands of the user are one client; any other program is a separate client.
     """
     terminal = _terminal()
     if not terminal and not own_name().startswith("palmd"):
@@ -121,7 +121,7 @@ def own_client() -> str:
 
 
 def _terminal() -> str:
-    """The controlling terminal, wherever input and output go; empty without one."""
+    """The controlling terminal, even if input and output are redirected; empty without one."""
     try:
         fields = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
         number = int(fields[4])
@@ -143,7 +143,7 @@ def _user() -> str:
 
 @functools.cache
 def own_name() -> str:
-    """What this program tells of itself: `palmd ctl of ann, process 4711`."""
+    """How this program names itself: `palmd ctl of ann, process 4711`."""
     program = Path(sys.argv[0]).name or "python"
     if program in ("palmd", "__main__.py"):
         program = " ".join(["palmd", *(word for word in sys.argv[1:2] if word.isalpha())])

@@ -1,4 +1,4 @@
-"""What every client of a daemon's sockets shares: where a daemon is, who we are, and one socket to it."""
+"""Common parts of all clients of a daemon's sockets: its default addresses, our key, and one socket."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from palmd.keys import Credentials, KeysError, client_credentials
 PORT_MOST = 65535
 PUBLISH = "tcp://127.0.0.1:9872"
 COMMAND = "tcp://127.0.0.1:9873"
-"""Where a daemon is unless its configuration says otherwise."""
+"""Default addresses of a daemon."""
 
 KEY_VARIABLE = "PALMD_KEY"
-"""Names the file of the key with which our commands come in where a daemon has keys."""
+"""Environment variable with the file of our key, for daemons with keys."""
 
 
 def add_key(parser: argparse.ArgumentParser) -> None:
-    """The argument with which a client of a guarded bus shows who it is."""
+    """Add the argument with which a client authenticates to a daemon with keys."""
     parser.add_argument(
         "--key",
         type=Path,
         default=os.environ.get(KEY_VARIABLE) or None,
         metavar="FILE",
-        help=f"our secret key, the daemon's server.key beside it; for a daemon with keys (default: ${KEY_VARIABLE})",
+        help=f"our secret key file, with the daemon's server.key beside it; if it has keys (default: ${KEY_VARIABLE})",
     )
 
 
 def credentials(arguments: argparse.Namespace) -> Credentials | None:
-    """What `add_key` asked for; raises CliError for a key that cannot be used."""
+    """The key given by the argument of `add_key`; raises CliError for an unusable key."""
     if arguments.key is None:
         return None
     try:
@@ -46,16 +46,16 @@ def credentials(arguments: argparse.Namespace) -> Credentials | None:
         raise CliError(BAD_INPUT, str(error)) from None
 
 
-def silent(what: str, key: Credentials | None, key_option: str = "--key") -> CliError:
-    """Nobody answers: what may be wrong. `key_option`: how the user would name the file of a key."""
-    why = f"does it have keys (then give {key_option})?" if key is None else "does it allow this key?"
+def unreachable(what: str, key: Credentials | None, key_option: str = "--key") -> CliError:
+    """Error for a daemon that does not answer, with possible causes. `key_option`: the name of the key option."""
+    question = f"does it have keys (then give {key_option})?" if key is None else "does it allow this key?"
     if "ipc://" in what:
-        why = f"may this user open its socket (its group, mostly palmd), {why}"
-    return CliError(RIG_FAILED, f"{what}: is a palmd running there, and {why}")
+        question = f"may this user open its socket (its group, mostly palmd), {question}"
+    return CliError(RIG_FAILED, f"{what}: is a palmd running there, and {question}")
 
 
 class Link:
-    """One socket of its own context; with a key it speaks to daemons that know the key, and to nobody else."""
+    """One socket with its own context; with a key it connects only to daemons that know the key."""
 
     def __init__(self, kind: int) -> None:
         self._context = zmq.Context()
@@ -63,7 +63,7 @@ class Link:
         self._socket.setsockopt(zmq.LINGER, 0)
 
     def _connect(self, addresses: Sequence[str], key: Credentials | None) -> None:
-        """Raises CliError for what is no address. A key counts for what is connected after it is set."""
+        """Raises CliError for an invalid address. A key applies to connections made after it is set."""
         if key is not None:
             key.encrypt(self._socket)
         for address in addresses:
@@ -80,7 +80,7 @@ class Link:
                 ) from None
 
     def close(self) -> None:
-        """Let go of the socket, and of what nobody has taken."""
+        """Close the socket and drop undelivered messages."""
         self._context.destroy(linger=0)
 
     def __enter__(self) -> Self:
@@ -93,10 +93,10 @@ class Link:
 
 
 def wait_ms(t_end: float) -> int:
-    """From now until t_end (s, monotonic clock), as ZeroMQ's `poll` takes it."""
+    """Time from now until t_end (s, monotonic clock), in ms for ZeroMQ's `poll`."""
     return math.ceil(max(0.0, t_end - time.monotonic()) * 1e3)
 
 
 def _reason(error: zmq.ZMQError) -> str:
-    """What the library has against it, without the address again."""
+    """The library's reason without the address."""
     return str(error.strerror).partition(" (addr=")[0]

@@ -1,4 +1,4 @@
-"""Hears what a daemon, or an emulated rig, publishes."""
+"""Subscriber to the messages of a daemon or an emulated rig."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from palmd.bus.link import Link, wait_ms
 from palmd.keys import Credentials
 from palmd.payload import FRAMES, unpacked
 
-QUEUED_MESSAGES = 20_000  # a minute's, should we be slow
-RECONNECT_MS = 20  # a publisher that begins anew is heard almost from its first message
+QUEUED_MESSAGES = 20_000  # messages of a minute, for a slow reader
+RECONNECT_MS = 20  # so that few messages of a restarted publisher are missed
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message as it came; t_recv on the monotonic clock (s)."""
+    """A received message; t_recv on the monotonic clock (s)."""
 
     topic: str
     fields: dict[str, Any]
@@ -28,7 +28,7 @@ class Message:
 
 
 class Subscriber(Link):
-    """Listens to one or more publishers; what is no message of theirs is left out."""
+    """Subscribes to one or more publishers; skips invalid messages."""
 
     def __init__(
         self,
@@ -39,10 +39,10 @@ class Subscriber(Link):
         high_water: int = QUEUED_MESSAGES,
         bytes_most: int = -1,
     ) -> None:
-        """`topics` are beginnings of topic names; `keyless` are addresses, an emulated rig's, that the key is not for.
+        """`topics` are prefixes of topic names; `keyless` are addresses without keys, such as an emulated rig's.
 
-        `high_water` messages may wait to be read, 0: any number; those with more than `bytes_most` are not taken.
-        Raises CliError for what is no address.
+        `high_water` messages may wait to be read, 0: unlimited; messages larger than `bytes_most` are not received.
+        Raises CliError for an invalid address.
         """
         super().__init__(zmq.SUB)
         self._socket.setsockopt(zmq.RCVHWM, high_water)
@@ -54,7 +54,7 @@ class Subscriber(Link):
         self._connect(addresses, key)
 
     def until(self, t_end: float) -> Iterator[Message]:
-        """What comes until t_end (s, monotonic clock), as it comes."""
+        """Messages that arrive until t_end (s, monotonic clock)."""
         t = -math.inf
         while t < t_end and self._socket.poll(wait_ms(t_end)):
             t = time.monotonic()
@@ -64,7 +64,7 @@ class Subscriber(Link):
                 yield Message(frames[0].decode(errors="replace"), fields, t)
 
     def frames(self, most: int, wait_s: float = 0.0) -> Iterator[list[bytes]]:
-        """What is there, undecoded, so many messages at most; when there is nothing, what comes first within wait_s."""
+        """Up to `most` waiting messages, not decoded; if there is none, the first that arrives within wait_s."""
         if wait_s > 0.0 and not self._socket.poll(round(wait_s * 1e3)):
             return
         for _ in range(most):

@@ -33,7 +33,7 @@ from palmd.record.eventlog import EventLog, LogError, read_log
 from palmd.record.run import read_run
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
-from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, said_off, shown
+from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, shown
 
 FORMAT = 1
 Sections = dict[str, dict[str, float]]
@@ -93,12 +93,12 @@ def fitted(answers: Sequence[Reconstruction], rig: RigDescription) -> RigFit:
 def table(fit: RigFit, runs: int) -> str:
     """The constants that the runs determine, and the names of the others, as text for a terminal."""
     rows = [
-        f"  {constant.what:26} {shown(constant, value, sd)} {constant.off}"
+        f"  {constant.subject:26} {shown(constant, value, sd)} {constant.error_text}"
         for constant, value, sd, is_determined in zip(RIG_TABLE, fit.values, fit.sds, fit.determined, strict=True)
         if is_determined
     ]
     undetermined = [
-        constant.what for constant, is_determined in zip(RIG_TABLE, fit.determined, strict=True) if not is_determined
+        constant.subject for constant, is_determined in zip(RIG_TABLE, fit.determined, strict=True) if not is_determined
     ]
     return "\n".join(
         [f"self: {runs} run{'s' * (runs > 1)}", *rows, f"  not determined: {', '.join(undetermined) or 'none'}"]
@@ -108,11 +108,11 @@ def table(fit: RigFit, runs: int) -> str:
 def remarks(fit: RigFit, answers: Mapping[Path, Reconstruction]) -> Iterator[str]:
     """Warnings for the operator: errors that no key can correct, and runs that contradict the others."""
     proposed = np.isin(np.arange(len(fit.values)), [*range(R.ZERO, R.SAGITTA), R.TILT])
-    yield from said_off(np.where(proposed, 0.0, fit.values), fit.sds, fit.priors, np.zeros_like(fit.sds))
+    yield from describe_rig_errors(np.where(proposed, 0.0, fit.values), fit.sds, fit.priors, np.zeros_like(fit.sds))
     for path, answer in answers.items():
         for i in np.flatnonzero(fit.determined & (np.abs(answer.rig - fit.values) > _MAX_DEVIATION * answer.rig_sd)):
             value = shown(RIG_TABLE[i], float(answer.rig[i]), float(answer.rig_sd[i]))
-            yield f"{path}: alone it gives {value} of {RIG_TABLE[i].what}: was something changed between the runs?"
+            yield f"{path}: alone it gives {value} of {RIG_TABLE[i].subject}: was something changed between the runs?"
 
 
 def proposed_settings(fit: RigFit, config: Config) -> Sections:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.events import FloatArray
-from palmd.system.rig_constants import told
+from palmd.system.rig_constants import determined
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class RigFit:
     @property
     def determined(self) -> npt.NDArray[np.bool_]:
         """Which constants the runs determine."""
-        return told(self.sds, self.priors)
+        return determined(self.sds, self.priors)
 
     @property
     def independent_sds(self) -> FloatArray:

@@ -97,7 +97,7 @@ def table(speed: float, sd: float, config: AnyConfig) -> str:
     """The result as text for a terminal, and what stays unchanged."""
     known = vibration_of(config.rig.vibration)
     given = "transmission" in vibration_line(known)
-    transmission = found(known.likeliest_transmission, known.likeliest_transmission_sd, "", 2)
+    transmission = found(known.nominal_transmission, known.nominal_transmission_sd, "", 2)
     return (
         f"vibration: speed {_shown(speed, sd)}\n"
         f"  not measured: relation (stays {known.relation}),"

@@ -83,7 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
     bundle = Bundle(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
     made_ready(config, _say)
     alone = config.model_copy(update={"bus": BusConfig()})
-    with tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder, Stack(Path(folder), alone, tell=_say) as stack:
+    with (
+        tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder,
+        Stack(Path(folder), alone, notify=_say) as stack,
+    ):
         guide = Guide(stack, alone, plan, bundle, arguments.seed if arguments.emulated else None)
         guide.check(config)
         guide.calibrate()
@@ -195,7 +198,7 @@ class Guide:
     def _begin_rig(self, *what: str) -> None:
         if self._emulated:
             self._stack.start_rig("--seed", str(self._seed), *what)
-        self._stack.configure(self.config, self._stack.told or None)
+        self._stack.configure(self.config, self._stack.rig_info or None)
 
     def _examine(self) -> None:
         found = list(findings(self._stack.path))
@@ -208,7 +211,7 @@ class Guide:
 
     def _begin_daemon(self) -> None:
         self._stack.begin_daemon()
-        if not self._stack.until_heard():
+        if not self._stack.wait_for_daemon():
             raise not_started(self._stack.children["daemon"])
 
     def _until_ready(self) -> None:

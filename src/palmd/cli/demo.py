@@ -24,7 +24,7 @@ from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import require
 from palmd.console.shipped import shipped
 from palmd.harness.comparison import AnyComparison
-from palmd.harness.operator import Operator, do, still_wanted
+from palmd.harness.operator import Operator, do, still_needed
 from palmd.harness.processes import StopRequest
 from palmd.harness.stack import Stack
 from palmd.rig.app import add_object_arguments
@@ -82,16 +82,16 @@ def run(arguments: argparse.Namespace) -> int:
             if not arguments.no_browser:
                 open_page(page)
 
-        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, tell=_tell, show=show)
+        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, notify=_tell, show=show)
         leaving.enter_context(stack)
         if not stack.start_rig("--sockets", "--physics", physics, *asked):
             return 0  # the end was asked for before anything began
-        _introduce(stack.told["seed"], config.system)
+        _introduce(stack.rig_info["seed"], config.system)
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
-        comparison = _comparison(config, stack.told["seed"], physics)
+        comparison = _comparison(config, stack.rig_info["seed"], physics)
         if not stack.start_page() and not stop.made:
-            _tell(f"no live page: {stack.children.pop('page').said() or 'it did not start'}")
+            _tell(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
         _name_other_views(stack.bus)
         _operate(stack, comparison, stop, arguments.seconds)
         if physics == "mujoco":
@@ -137,7 +137,9 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
         t = time.monotonic()
         started = comparison.t_started
         if started is None and t > t_begin + MOTION_START_S:
-            raise CliError(RIG_FAILED, f"the palms were not brought to move\n{stack.children['daemon'].said()}".strip())
+            raise CliError(
+                RIG_FAILED, f"the palms were not brought to move\n{stack.children['daemon'].error_output()}".strip()
+            )
         if started is not None and t > started + seconds:
             return
         command = operator.decide(t)
@@ -152,7 +154,7 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
 def _is_done(client: CommandClient, command: str) -> bool:
     """Give a command that the bus has called for, if the daemon still does."""
     status = do(client, "status")
-    if status["control"] not in ("", client.client) or not still_wanted(command, status):
+    if status["control"] not in ("", client.client) or not still_needed(command, status):
         return False
     reply = client.ask(command)
     if not reply["ok"]:
@@ -180,7 +182,7 @@ def _finish_recording(stack: Stack) -> None:
     for path in paths:
         _tell(f"recorded in {path}")
     if recorder.status != 0 or not paths:
-        _tell(f"not recorded: {recorder.said() or recorder.status}")
+        _tell(f"not recorded: {recorder.error_output() or recorder.status}")
 
 
 def _tell(text: str) -> None:

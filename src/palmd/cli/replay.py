@@ -20,7 +20,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.harness.processes import StopRequest
-from palmd.harness.rules import Kept, kept_by
+from palmd.harness.rules import RulesReport, check_run
 from palmd.payload import FRAMES
 from palmd.record.mcapfile import RawMessage
 from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pause, play
@@ -94,12 +94,12 @@ def _check(recording: AnyRun) -> int:
             agree += not tick.differences
             found += tick.differences
             progress.at(tick.number)
-    kept = kept_by(recording)
+    kept = check_run(recording)
     print("\n".join(_told(recording.path, total, ticks, agree, found) + _rules_told(kept)))
     return BAD_INPUT if found or kept.broken else 0
 
 
-def _rules_told(kept: Kept) -> list[str]:
+def _rules_told(kept: RulesReport) -> list[str]:
     """Whether the run has kept the lifecycle's rules, in words."""
     what = f"{kept.states} states and {kept.entries} entries of the log"
     if not kept.broken:

@@ -16,7 +16,7 @@ from types import FrameType
 
 from palmd.bus.addresses import add_config, publish_address
 from palmd.bus.command_client import TIMEOUT_S
-from palmd.bus.link import PUBLISH, add_key, credentials, silent
+from palmd.bus.link import PUBLISH, add_key, credentials, unreachable
 from palmd.bus.subscriber import Subscriber
 from palmd.cli.board import Board, BoardRow, fitted, frame
 from palmd.console.keys import pressed, unbuffered
@@ -58,7 +58,7 @@ def _once(board: Board, subscriber: Subscriber, key: Credentials | None) -> None
         board.take(message)
         break
     else:
-        raise silent(f"no data from {board.address}", key)
+        raise unreachable(f"no data from {board.address}", key)
     _listen(board, subscriber, ONCE_S)
     _print(board)
 

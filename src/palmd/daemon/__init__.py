@@ -1,1 +1,1 @@
-"""The 100 Hz process: pure steps in the middle, ports, sockets and clocks at the rim."""
+"""The 100 Hz control process: pure steps inside; ports, sockets and clocks at its boundary."""

@@ -1,4 +1,4 @@
-"""`palmd run`: everything wired together."""
+"""`palmd run`: build all parts of the daemon, connect them and run the loop."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ log = logging.getLogger(__name__)
 
 OK, BAD_INPUT, RIG_FAILED = 0, 1, 3
 RECORDER_START_S = 2.0
-"""How long the first messages wait for a recorder to speak: an observer can be replayed from its first event only."""
-NEIGHBOUR_S = 0.5
-"""Likewise, for one that somebody else may have started: it listens already, and finds an open bus within 0.1 s."""
+"""Longest buffering of messages until our recorder is ready: a replay needs all events from the first one."""
+EXTERNAL_RECORDER_S = 0.5
+"""The same for a recorder that was started separately: it is already listening and finds an open bus within 0.1 s."""
 
 
 def run(config_path: Path, recorder: Callable[[], Popen[bytes]] | None = None) -> int:
-    """Run the daemon until SIGTERM or SIGINT; returns the exit status. `recorder` starts one beside it.
+    """Run the daemon until SIGTERM or SIGINT; returns the exit status. `recorder` starts a recorder beside it.
 
-    0: the arm stands. 1: the configuration or its plan is wrong, told on standard error. 3: an address is
-    taken, or the arm could not be brought to a stop that it confirmed.
+    0: the arm is at rest. 1: the configuration or its plan is invalid; the reason is on standard error. 3: an address
+    is in use, or the arm did not confirm that it stopped.
     """
     with _Signals() as signals:
         try:
@@ -79,7 +79,7 @@ def _start(config_path: Path, signals: _Signals, recorder: Callable[[], Popen[by
             return RIG_FAILED
         stack.callback(bus.close)
         stack.callback(start_async_log().close)
-        recording = None if recorder is None else _started(recorder)
+        recording = None if recorder is None else _start_recorder(recorder)
         return _run(
             config, system, config_path.absolute().parent, plan, outlines, bus, recording, signals, stack, compiler
         )
@@ -130,19 +130,19 @@ def _run(
         tend=[each.tend for each in (compiler, smoother, explorer, recorder) if each is not None],
     )
     if recorder is not None:
-        bus.hold_back("recorder", RECORDER_START_S)
+        bus.buffer_until("recorder", RECORDER_START_S)
     else:
-        bus.hold_back("recorder", NEIGHBOUR_S, since_open=True)
+        bus.buffer_until("recorder", EXTERNAL_RECORDER_S, since_open=True)
     realtime.freeze_collector()
     signals.hand_over(loop.stop)
     return OK if loop.run() else RIG_FAILED
 
 
-def _started(recorder: Callable[[], Popen[bytes]]) -> RecorderProcess | None:
+def _start_recorder(recorder: Callable[[], Popen[bytes]]) -> RecorderProcess | None:
     try:
         return RecorderProcess(recorder)
     except OSError as error:
-        log.warning("nothing is recorded: %s", error)
+        log.warning("cannot start the recorder, the run is not recorded: %s", error)
         return None
 
 
@@ -158,19 +158,19 @@ def _counters(
 
 
 class _InterruptedError(BaseException):
-    """The end was asked for before anything had been started."""
+    """A signal asked to end before anything had been started."""
 
 
 class _Signals:
-    """Lets SIGTERM and SIGINT ask for the end: of the loop once there is one, else of the start-up."""
+    """Handler of SIGTERM and SIGINT: ends the loop once there is one, else the start-up."""
 
     def __init__(self) -> None:
-        self._asked = False
+        self._requested = False
         self._stop: Callable[[], None] | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _Signals:
-        self._before = {number: signal.signal(number, self._ask) for number in (signal.SIGTERM, signal.SIGINT)}
+        self._before = {number: signal.signal(number, self._handle) for number in (signal.SIGTERM, signal.SIGINT)}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -178,13 +178,13 @@ class _Signals:
             signal.signal(number, handler)
 
     def hand_over(self, stop: Callable[[], None]) -> None:
-        """From now on call `stop`; at once if the end has been asked for and foreign code hid it."""
+        """From now on call `stop` on a signal; at once if one has come whose exception foreign code swallowed."""
         self._stop = stop
-        if self._asked:
+        if self._requested:
             stop()
 
-    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
-        self._asked = True
+    def _handle(self, _signal: int, _frame: FrameType | None) -> None:
+        self._requested = True
         if self._stop is None:
             raise _InterruptedError
         self._stop()

@@ -1,4 +1,4 @@
-"""Log lines on standard error that cannot hold up the loop, even when nobody reads them."""
+"""Log lines to standard error without blocking the loop, even if nobody reads them."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ import threading
 from palmd.daemon import realtime
 from palmd.logformat import formatter
 
-LINES_WAITING_MAX = 1000
-LAST_WORDS_S = 0.5
-"""How long the end may wait for lines to be written."""
+MAX_QUEUED_LINES = 1000
+FLUSH_TIMEOUT_S = 0.5
+"""How long `close` waits for queued lines to be written."""
 
 
 class AsyncLog(logging.Handler):
-    """Hands lines to a thread that writes them, and drops them when it does not keep up."""
+    """Logging handler that passes lines to a writer thread and drops them if the thread does not keep up."""
 
     def __init__(self, fd: int = 2) -> None:
-        """`fd` is where the lines go: a write there may block, but only the thread."""
+        """`fd` is the file descriptor to write to; a write may block the thread, but nothing else."""
         super().__init__()
         self.setFormatter(formatter(fd))
         self._fd = fd
-        self._lines: queue.Queue[str | None] = queue.Queue(LINES_WAITING_MAX)
+        self._lines: queue.Queue[str | None] = queue.Queue(MAX_QUEUED_LINES)
         self._thread = threading.Thread(target=self._write, name="journal", daemon=True)
         self._thread.start()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take one line. Safe in the loop."""
+        """Queue one line. Safe in the loop."""
         with contextlib.suppress(queue.Full):
             self._lines.put_nowait(self.format(record))
 
     def close(self) -> None:
-        """Write what is left, as far as that goes without waiting long."""
+        """Write the queued lines, waiting `FLUSH_TIMEOUT_S` at most."""
         with contextlib.suppress(queue.Full):
             self._lines.put_nowait(None)
-            self._thread.join(LAST_WORDS_S)
+            self._thread.join(FLUSH_TIMEOUT_S)
         super().close()
 
     def _write(self) -> None:
-        realtime.accompany()
+        realtime.raise_helper_priority()
         while (line := self._lines.get()) is not None:
             with contextlib.suppress(OSError):
                 os.write(self._fd, line.encode(errors="replace") + b"\n")
 
 
 def start_async_log() -> AsyncLog:
-    """Send this process's log, from INFO on, to standard error; `close` what is returned at the end."""
+    """Send this process's log (level INFO) to standard error; the caller closes the returned handler at the end."""
     journal = AsyncLog()
     root = logging.getLogger()
     root.handlers[:] = [journal]

@@ -1,6 +1,6 @@
-"""The daemon on ZeroMQ: a publisher and a command socket that never block the loop.
+"""The daemon's ZeroMQ sockets: a publisher and a command socket that never block the loop.
 
-Who does not listen in time loses messages, never the loop's time. All of `Bus` is safe in the loop.
+A client that does not receive in time loses messages. All of `Bus` is safe in the loop.
 """
 
 from __future__ import annotations
@@ -28,32 +28,34 @@ from palmd.messages import Fields, stamp
 from palmd.quantities import Topic
 
 HIGH_WATER = 100
-PUBLISHED_HIGH_WATER = 10_000
-"""Messages kept for a subscriber that does not take them: some 20 s of all topics, which is 10 MB."""
-LAST_WORDS_MS = 100
-SENT_AT_ONCE = 8
-"""Messages with each that is published, of those that were kept: half a second of them takes some ten ticks."""
-CAUGHT_UP_S = 0.1
-"""After the awaited command, in which its sender's subscription comes too: it has a connection of its own."""
-TAKEN_PER_TICK = 128
-"""Messages taken off the socket: more than clients can connect, ask and go in a tick, for each of those that have gone
-leaves some 30 kB in ZeroMQ until its message is taken. So many take some 1.5 ms; two cores see up to 90 come."""
-FRAMES_MOST = 4
-"""Of a message that are looked at: a command has its sender's identity, at most one empty frame, and itself."""
-FRAMES_PER_TICK = FRAMES_MOST * TAKEN_PER_TICK
-MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself turns away a client that sends more
+PUBLISH_HIGH_WATER = 10_000
+"""Messages queued for a slow subscriber: about 20 s of all topics, 10 MB."""
+LINGER_MS = 100
+BACKLOG_PER_PUBLISH = 8
+"""Buffered messages sent with each new one: a backlog of half a second is sent within about ten ticks."""
+SUBSCRIBE_GRACE_S = 0.1
+"""Buffering after the awaited command: the sender's subscription, on another connection, may arrive later."""
+MESSAGES_PER_TICK = 128
+"""Messages read from the command socket in a tick. More than the number of clients that can connect, send and
+disconnect in a tick: each closed connection keeps some 30 kB in ZeroMQ until its message is read. Reading that many
+takes about 1.5 ms; on two cores up to 90 arrive in a tick."""
+MAX_FRAMES = 4
+"""Frames of a message that are examined: a command has its sender's identity, at most one empty frame, and the payload.
+"""
+FRAMES_PER_TICK = MAX_FRAMES * MESSAGES_PER_TICK
+MESSAGE_BYTES_MAX = 1 << 20  # ZeroMQ itself disconnects a client that sends more
 
 
 class BusError(Exception):
-    """A socket that cannot be had; says which, why, and what to do."""
+    """A socket that cannot be bound; states which, why, and what to do."""
 
 
 @dataclass(slots=True)
 class BusCounters:
-    """What has passed on the bus since the start, or is held back; `replies_lost` found nobody to take them.
+    """Counts since the start; `replies_lost` are replies whose client had disconnected.
 
-    `forbidden` commands came from clients that may only watch, `crowded` ones while too many others waited,
-    `turned_away` connections with keys that nobody knows, `unproven` ones with no key, or with another server's.
+    `forbidden`: commands from clients that may only watch. `crowded`: commands rejected because too many others waited.
+    `turned_away`: connections with unlisted keys. `unproven`: connections without a key or with another server's key.
     """
 
     published: int = 0
@@ -67,7 +69,7 @@ class BusCounters:
 
 
 class Bus:
-    """Both sockets, bound from the beginning; raises BusError when an address cannot be had."""
+    """Both sockets, bound by the constructor; raises BusError if an address cannot be bound."""
 
     def __init__(
         self,
@@ -78,85 +80,88 @@ class Bus:
         frames: int = 3,
         group: str | None = None,
     ) -> None:
-        """`publish` and `command` are ZeroMQ addresses; with `keys` only who is listed there comes in, encrypted.
+        """`publish` and `command` are ZeroMQ addresses; with `keys` only listed clients can connect, encrypted.
 
-        A message has so many `frames`: topic, map and time, or the first two of these. Local sockets are for this user
-        alone, or also for the members of `group`. The sockets are the `context`'s, which `close` ends.
+        A message has `frames` frames: topic, map and time (3), or the first two of these. Local sockets are accessible
+        to this user only, or also to the members of `group`. `close` destroys the `context`.
         """
         self.counters = BusCounters()
         self._seq: dict[str, int] = {}
         self._pack = FieldsPacker()
         self._outbox: deque[tuple[bytes, ...]] = deque()
         self._frames = frames
-        self._awaited, self._t_held = "", -math.inf  # by which command, and until when (s) all in it is kept
+        self._awaited_command, self._t_buffer_end = "", -math.inf  # end of buffering: command, time (s)
         self._queue = CommandQueue()
-        self._dropping = False  # the rest of a message that is far too long
+        self._dropping = False  # whether the rest of an oversized message is being discarded
         self._frames_left = FRAMES_PER_TICK
         self._context = context or zmq.Context()
         self._group = group
-        self._door = None if keys is None else ZapAuthenticator(self._context, keys)
+        self._authenticator = None if keys is None else ZapAuthenticator(self._context, keys)
         self._sockets: list[zmq.Socket[bytes]] = []
         try:
-            self._publisher = self._bound(zmq.PUB, publish, "bus.publish")
-            self._commands = self._bound(zmq.ROUTER, command, "bus.command")
+            self._publisher = self._bind(zmq.PUB, publish, "bus.publish")
+            self._commands = self._bind(zmq.ROUTER, command, "bus.command")
         except BusError:
             self.close()
             raise
-        if self._door is not None:
-            self._door.begin()
+        if self._authenticator is not None:
+            self._authenticator.begin()
         self._t_open = time.monotonic()
 
     def publish(self, topic: Topic, fields: Fields, t: float, timestamp: float) -> None:
-        """Send one message, or drop it, or keep it (`hold_back`); `t` is the tick's time, `timestamp` Unix time (s)."""
+        """Send, buffer (`buffer_until`) or drop one message; `t` is the tick's time, `timestamp` Unix time (s)."""
         seq = self._seq.get(topic.name, 0)
         self._seq[topic.name] = seq + 1
         payload = self._pack(stamp(fields, timestamp, t, seq))
         self._outbox.append((topic.frame, payload, b"%.6f" % timestamp)[: self._frames])
         self.counters.published += 1
-        if t >= self._t_held:
-            self._let_out(SENT_AT_ONCE)
+        if t >= self._t_buffer_end:
+            self._send_backlog(BACKLOG_PER_PUBLISH)
 
-    def _let_out(self, most: int) -> None:
+    def _send_backlog(self, most: int) -> None:
         for _ in range(min(most, len(self._outbox))):
             with contextlib.suppress(zmq.Again):
                 self._publisher.send_multipart(self._outbox.popleft(), zmq.NOBLOCK)
 
     def receive(self, owner: Key = NOBODY_KEY) -> list[Request]:
-        """The valid commands whose turn it is while the client `owner` has control; the rest is answered here."""
-        self._take_in(owner)
+        """The valid commands to execute in this tick while the client `owner` has control; rejects the others."""
+        self._enqueue_received(owner)
         requests, refused = self._queue.take(owner) if len(self._queue) else ([], [])
-        for request, why in refused:
-            self._crowded(request, why)
-        if self._awaited and any(request.name == self._awaited for request in requests):
-            self._awaited, self._t_held = "", min(self._t_held, time.monotonic() + CAUGHT_UP_S)
+        for request, reason in refused:
+            self._reject_busy(request, reason)
+        if self._awaited_command and any(request.name == self._awaited_command for request in requests):
+            self._awaited_command, self._t_buffer_end = (
+                "",
+                min(self._t_buffer_end, time.monotonic() + SUBSCRIBE_GRACE_S),
+            )
         return requests
 
-    def _take_in(self, owner: Key) -> None:
-        """Have what has come wait for its turn.
+    def _enqueue_received(self, owner: Key) -> None:
+        """Queue the commands that have arrived.
 
-        ZeroMQ gives each client its turn, so all others have had theirs when somebody comes a second time in a tick:
-        who sends without end has to wait, and nobody else has. A stop is found in the tick in which it has come, unless
-        more clients than `TAKEN_PER_TICK` send at once.
+        ZeroMQ serves clients in turn: a second message of one client in a tick means that every other client has been
+        read. A client that floods the socket delays only itself. A stop is found in the tick in which it arrives,
+        unless more than `MESSAGES_PER_TICK` clients send at once.
         """
         self._frames_left = FRAMES_PER_TICK
-        heard: set[tuple[bytes, ...]] = set()
+        served: set[tuple[bytes, ...]] = set()
         before = len(self._queue)
-        for number in range(TAKEN_PER_TICK):
-            frames = self._taken()
+        for number in range(MESSAGES_PER_TICK):
+            frames = self._receive_message()
             if frames is None:
                 return
             self.counters.commands += 1
-            route, payloads = _opened([frame.bytes for frame in frames])
-            request = self._allowed(route, payloads, frames[-1])
+            route, payloads = _split_route([frame.bytes for frame in frames])
+            request = self._authorised(route, payloads, frames[-1])
             refused = None if request is None else self._queue.add(request, owner)
             if refused is not None:
-                self._crowded(*refused)
-            if before + number >= PER_TICK and route in heard:
+                self._reject_busy(*refused)
+            if before + number >= PER_TICK and route in served:
                 return
-            heard.add(route)
+            served.add(route)
 
-    def _allowed(self, route: tuple[bytes, ...], payloads: list[bytes], frame: zmq.Frame) -> Request | None:
-        """The command in a message; what is none, or is not for its sender to give, is answered."""
+    def _authorised(self, route: tuple[bytes, ...], payloads: list[bytes], frame: zmq.Frame) -> Request | None:
+        """The command in a message; answers invalid and forbidden ones and returns None for them."""
         try:
             if len(payloads) != 1:
                 raise CommandError(f"expected one frame with a map {{id, cmd, args}}, got {len(payloads)}")
@@ -165,22 +170,24 @@ class Bus:
             self.counters.malformed += 1
             self._send(route, reply_fields(error.id, str(error)))
             return None
-        member = None if self._door is None else self._door.member(frame)
-        if self._door is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
-            return replace(request, who=_who(request, member, frame), member="" if member is None else member.name)
+        member = None if self._authenticator is None else self._authenticator.member(frame)
+        if self._authenticator is None or (member is not None and member.role.covers(COMMANDS[request.name].role)):
+            return replace(
+                request, who=_sender_name(request, member, frame), member="" if member is None else member.name
+            )
         self.counters.forbidden += 1
         self._send(route, reply_fields(request.id, f"{request.name} refused: your key may only watch"))
         return None
 
-    def _crowded(self, request: Request, why: str) -> None:
+    def _reject_busy(self, request: Request, reason: str) -> None:
         self.counters.crowded += 1
-        self._send(request.route or (), reply_fields(request.id, f"{request.name} refused: {why}"))
+        self._send(request.route or (), reply_fields(request.id, f"{request.name} refused: {reason}"))
 
-    def _taken(self) -> list[zmq.Frame] | None:
-        """The next message that has come, cut off where it is far too long; None when there is no more for this tick.
+    def _receive_message(self) -> list[zmq.Frame] | None:
+        """The next message, truncated if oversized; None if there is none or the tick's limit is reached.
 
-        What a tick reads is bounded by frames, for a client may put any number of them into one message: the rest of it
-        is dropped in the ticks to come.
+        The limit counts frames, because a client may put any number of them into one message; the rest of such a
+        message is discarded in later ticks.
         """
         frames: list[zmq.Frame] = []
         while frames or self._frames_left > 0:
@@ -192,48 +199,52 @@ class Bus:
             dropped, more = self._dropping, frame.more
             if not dropped:
                 frames.append(frame)
-            self._dropping = more and (dropped or len(frames) == FRAMES_MOST)
+            self._dropping = more and (dropped or len(frames) == MAX_FRAMES)
             if not dropped and (self._dropping or not more):
                 return frames
         return None
 
-    def hold_back(self, name: str, seconds: float, *, since_open: bool = False) -> None:
-        """Keep what is published, up to `CAUGHT_UP_S` after a command of that name has come, at most so long.
+    def buffer_until(self, name: str, seconds: float, *, since_open: bool = False) -> None:
+        """Buffer what is published until `SUBSCRIBE_GRACE_S` after a command `name` has arrived, for at most `seconds`.
 
-        So long from now on, or `since_open`: from when the addresses could be found. For a recorder, which is to miss
-        nothing: the loop need not wait for it. What was kept leaves in its order, a few messages with each new one.
+        The time counts from now, or with `since_open` from when the addresses were bound. For a recorder, which must
+        miss no message; the loop does not wait for it. Buffered messages are sent in their order, a few with each new
+        one.
         """
-        self._awaited = name
-        self._t_held = (self._t_open if since_open else time.monotonic()) + seconds
+        self._awaited_command = name
+        self._t_buffer_end = (self._t_open if since_open else time.monotonic()) + seconds
 
     def reply(self, reply: Reply) -> None:
-        """Answer a request; lost when the client has gone."""
+        """Answer a request; the answer is lost if the client has disconnected."""
         if reply.request.route is not None:
             self._send(reply.request.route, reply.fields())
 
     def fields(self) -> dict[str, int]:
-        """The counters by the names of `palm/loop`."""
-        if self._door is not None:
-            self.counters.turned_away, self.counters.unproven = self._door.turned_away, self._door.unproven
+        """The counters under their names in `palm/loop`."""
+        if self._authenticator is not None:
+            self.counters.turned_away, self.counters.unproven = (
+                self._authenticator.turned_away,
+                self._authenticator.unproven,
+            )
         return {f"bus_{name}": count for name, count in asdict(self.counters).items()}
 
     def close(self) -> None:
-        """Let go of the addresses; what was published last has `LAST_WORDS_MS` to leave, the rest is dropped."""
-        self._let_out(len(self._outbox))
+        """Close the sockets; messages still queued have `LINGER_MS` to be sent, the rest is dropped."""
+        self._send_backlog(len(self._outbox))
         for socket in self._sockets:
             socket.close()
-        if self._door is not None:
-            self._door.close()
+        if self._authenticator is not None:
+            self._authenticator.close()
         self._context.destroy()
-        self._door = None
+        self._authenticator = None
 
-    def _bound(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
+    def _bind(self, kind: int, address: str, key: str) -> zmq.Socket[bytes]:
         socket = self._context.socket(kind)
         self._sockets.append(socket)
-        if self._door is not None:
-            self._door.guard(socket)
-        socket.setsockopt(zmq.LINGER, LAST_WORDS_MS if kind == zmq.PUB else 0)
-        socket.setsockopt(zmq.SNDHWM, PUBLISHED_HIGH_WATER if kind == zmq.PUB else HIGH_WATER)
+        if self._authenticator is not None:
+            self._authenticator.guard(socket)
+        socket.setsockopt(zmq.LINGER, LINGER_MS if kind == zmq.PUB else 0)
+        socket.setsockopt(zmq.SNDHWM, PUBLISH_HIGH_WATER if kind == zmq.PUB else HIGH_WATER)
         socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
         socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_BYTES_MAX)
         try:
@@ -244,7 +255,7 @@ class Bus:
         except zmq.ZMQError as error:
             if error.errno == zmq.EADDRINUSE:
                 raise BusError(
-                    f"{key}: {address} is in use, perhaps by another palmd: end it, or configure another address"
+                    f"{key}: {address} is in use, perhaps by another palmd: stop that one, or configure another address"
                 ) from None
             raise BusError(f"{key}: {address} cannot be bound: {error.strerror}") from None
         return socket
@@ -257,12 +268,12 @@ class Bus:
 
 
 class _GroupError(Exception):
-    """A group that local sockets cannot be given to."""
+    """A group that local sockets cannot be assigned to."""
 
 
 @contextlib.contextmanager
 def _permissions(address: str, group: str | None) -> Iterator[None]:
-    """A local socket that is bound meanwhile is for this user, and for the members of the group if one is given."""
+    """Restrict a local socket bound inside the context to this user, and to the members of `group` if given."""
     if not address.startswith("ipc://"):
         yield
         return
@@ -276,7 +287,7 @@ def _permissions(address: str, group: str | None) -> Iterator[None]:
     path = Path(address.removeprefix("ipc://"))
     try:
         number = grp.getgrnam(group).gr_gid
-        if path.stat().st_gid != number:  # where it is the right one the service need not be allowed to change it
+        if path.stat().st_gid != number:  # if already correct, no permission to change it is needed
             os.chown(path, -1, number)
         path.chmod(0o660)
     except KeyError:
@@ -285,21 +296,21 @@ def _permissions(address: str, group: str | None) -> Iterator[None]:
         raise _GroupError(f"{path} cannot be given to the group {group}: {error.strerror}") from None
 
 
-def _who(request: Request, member: Member | None, frame: zmq.Frame) -> str:
-    """Who gave a command: the key's name, which is proven, and what the program says of itself, which is not."""
-    said = request.who or request.client
+def _sender_name(request: Request, member: Member | None, frame: zmq.Frame) -> str:
+    """The sender of a command: the proven name of its key, and the unproven name that the program gives itself."""
+    own_name = request.who or request.client
     if member is not None:
-        return f"{member.name}, by {said}" if said else member.name
-    if said:
-        return said
+        return f"{member.name}, by {own_name}" if own_name else member.name
+    if own_name:
+        return own_name
     try:
         return f"a program at {frame.get('Peer-Address')}"
     except zmq.ZMQError:
         return "a program"
 
 
-def _opened(frames: list[bytes]) -> tuple[tuple[bytes, ...], list[bytes]]:
-    """The way back, and the rest: a REQ client puts an empty frame first, a DEALER need not."""
+def _split_route(frames: list[bytes]) -> tuple[tuple[bytes, ...], list[bytes]]:
+    """The reply route and the payload frames: a REQ client puts an empty frame first, a DEALER need not."""
     identity, *rest = frames
     if len(rest) > 1 and rest[0] == b"":
         return (identity, b""), rest[1:]

@@ -1,7 +1,7 @@
-"""Commands that have come and wait for their turn: who is served first, and who is told to try again. Pure.
+"""Queue of received commands: the order of execution, and which commands are rejected as busy. Pure.
 
-While no more wait than a tick serves, they are served in the order in which they came. When more do, `stop` and `hold`
-go first, then the client in control, then the others' commands by turns, and their questions last.
+While no more commands wait than a tick executes, they are executed in order of arrival. Otherwise `stop` and `hold` go
+first, then the client in control, then the commands of other clients in turn, and status requests last.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from palmd.daemon.commands import COMMANDS, Request
 from palmd.daemon.ownership import ALWAYS_OBEYED, client_of
 
 PER_TICK = 4
-"""Commands that are served in a tick, `stop` and `hold` beyond them."""
+"""Commands executed in a tick; `stop` and `hold` do not count."""
 
-WAITING_MOST = 32
-"""Commands that may wait; what comes then is refused, unless it goes before one that waits."""
+MAX_WAITING = 32
+"""Commands that may wait; further ones are rejected unless they have priority over one that waits."""
 
-OWNER_MOST = 8
-"""Commands of the client in control that may wait beyond those."""
+MAX_OWNER_EXTRA = 8
+"""Further commands of the client in control that may wait."""
 
 Key = tuple[str, str, str]
 Refusal = tuple[Request, str]
@@ -28,7 +28,7 @@ _OWNER, _COMMAND, _QUESTION = range(3)
 
 
 class CommandQueue:
-    """Safe in the loop: the work is bounded by what waits."""
+    """Bounded queue of commands. Safe in the loop: the work is bounded by its length."""
 
     def __init__(self) -> None:
         self._waiting: list[Waiting] = []
@@ -38,13 +38,16 @@ class CommandQueue:
         return len(self._waiting)
 
     def add(self, request: Request, owner: Key) -> Refusal | None:
-        """Have a command wait; returns what is refused instead, this one or one that had to make room for it."""
+        """Queue a command; returns a rejected command and the reason, or None.
+
+        If the queue is full, the rejected command is this one or one that had to make room.
+        """
         key = client_of(request).key
-        if len(self._waiting) >= WAITING_MOST:
+        if len(self._waiting) >= MAX_WAITING:
             if request.name in ALWAYS_OBEYED:
                 if any(each.name == request.name for each, _ in self._waiting):
-                    return request, f"a {request.name} waits already"
-            elif key != owner or self._count[key] >= OWNER_MOST:
+                    return request, f"a {request.name} is already waiting"
+            elif key != owner or self._count[key] >= MAX_OWNER_EXTRA:
                 victim = self._victim(request, key, owner)
                 if victim is None:
                     return request, self._busy(key)
@@ -56,7 +59,7 @@ class CommandQueue:
         return None
 
     def take(self, owner: Key) -> tuple[list[Request], list[Refusal]]:
-        """The commands of a tick, and what is refused: no command that moves may follow a stop that overtook it."""
+        """The commands to execute in this tick, and rejected ones: moving commands that a stop has overtaken."""
         if len(self._waiting) <= PER_TICK:
             served = [request for request, _ in self._waiting]
             self._keep([])
@@ -75,20 +78,25 @@ class CommandQueue:
         return urgent + [left[number][0] for number in turns[:PER_TICK]], refused
 
     def _victim(self, request: Request, key: Key, owner: Key) -> Waiting | None:
-        """What makes room for a command: the newest of the least urgent, of the client that has most waiting."""
+        """The waiting command to reject in favour of this one, or None.
+
+        The newest one of the lowest priority, from the client with most waiting commands.
+        """
         rank, mine = _rank(request, key, owner), self._count[key]
         if rank == _QUESTION and mine:
             return None
-        worst = (rank, mine + 1, WAITING_MOST + OWNER_MOST)
+        worst = (rank, mine + 1, MAX_WAITING + MAX_OWNER_EXTRA)
         found: Waiting | None = None
         for number, waiting in enumerate(self._waiting):
-            standing = (_rank(*waiting, owner), self._count[waiting[1]], number)
-            if standing > worst and waiting[0].name not in ALWAYS_OBEYED:
-                worst, found = standing, waiting
+            priority = (_rank(*waiting, owner), self._count[waiting[1]], number)
+            if priority > worst and waiting[0].name not in ALWAYS_OBEYED:
+                worst, found = priority, waiting
         return found
 
     def _busy(self, key: Key) -> str:
-        return f"busy: {self._count[key]} of this client's and {len(self._waiting)} commands in all wait, try again"
+        return (
+            f"busy: {self._count[key]} commands of this client and {len(self._waiting)} in total are waiting; try again"
+        )
 
     def _append(self, request: Request, key: Key) -> None:
         self._waiting.append((request, key))
@@ -106,7 +114,7 @@ def _rank(request: Request, key: Key, owner: Key) -> int:
 
 
 def _by_turns(waiting: list[Waiting], owner: Key) -> list[int]:
-    """In which order they are served: the owner's as they came, then each client's first ones before any second one."""
+    """Indices in order of execution: the owner's first, then each other client's first before any second one."""
     turns: Counter[Key] = Counter()
     order = []
     for number, (request, key) in enumerate(waiting):

@@ -1,4 +1,4 @@
-"""The command socket's language: one table of commands, and a parser that trusts nobody. Pure."""
+"""Protocol of the command socket: the table of commands, and a parser for untrusted input. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KEYS = ("id", "cmd", "args", "from", "client", "lease_s")
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """One argument of a command; `low` and `high` bound a number, `longest` the characters of a text."""
+    """One argument of a command; `low` and `high` bound a number, `longest` the number of characters of a text."""
 
     name: str
     kind: Literal["number", "text", "flag"]
@@ -34,46 +34,48 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class CommandSpec:
-    """One row of the table."""
+    """One row of the table of commands."""
 
     does: str
     arguments: tuple[Argument, ...] = ()
-    by_hand: bool = True  # whether people give it
-    role: Role = Role.OPERATE  # what a client with a key needs
+    by_hand: bool = True  # whether operators give it, as opposed to programs
+    role: Role = Role.OPERATE  # role that a client with a key needs
     moves: bool = False  # whether only the client in control may give it
 
     @property
-    def told(self) -> bool:
-        """Whether `palm/log` tells that it was given."""
+    def logged(self) -> bool:
+        """Whether `palm/log` records that it was given."""
         return self.by_hand and self.role is Role.OPERATE
 
 
-TAKE = Argument("take", "flag", "true: take control first, from whichever client has it")
+TAKE = Argument("take", "flag", "true: first take control from the client that has it")
 LEASE_MAX_S = 60.0
 
 JOG_STEP_MAX_DEG = 0.5
 JOG_WHOLE_MAX_DEG = 180.0
 
 COMMANDS: dict[str, CommandSpec] = {
-    "status": CommandSpec("tells state, faults, plan, angles and estimate", role=Role.WATCH),
-    "arm": CommandSpec("from ready: starts tracking and stands at the present pose", (TAKE,), moves=True),
-    "start": CommandSpec("blends to the plan's start and runs it; goes on after a hold", (TAKE,), moves=True),
+    "status": CommandSpec("returns state, faults, plan, angles and estimate", role=Role.WATCH),
+    "arm": CommandSpec("from ready: starts tracking and holds the present pose", (TAKE,), moves=True),
+    "start": CommandSpec("moves smoothly to the plan's start and runs it; resumes after a hold", (TAKE,), moves=True),
     "hold": CommandSpec("stops the motion along its path; tracking goes on", (TAKE,)),
     "stop": CommandSpec("planned stop, back to ready", (TAKE,)),
     "reset": CommandSpec(
-        "clears latched faults that are gone, and a faulted controller; never an e-stop", (TAKE,), moves=True
+        "clears latched faults whose cause is gone, and a faulted controller; never an e-stop", (TAKE,), moves=True
     ),
     "plan": CommandSpec(
-        "loads another plan, validated first; not while moving",
+        "validates and loads another plan; not while moving",
         (
-            Argument("path", "text", "the plan's file; without its text one beside the configured plan", required=True),
-            Argument("text", "text", "what the file says"),
+            Argument(
+                "path", "text", "the plan's file; without `text`, a file beside the configured plan", required=True
+            ),
+            Argument("text", "text", "the file's content"),
             TAKE,
         ),
         moves=True,
     ),
     "jog": CommandSpec(
-        "turns the palms by small steps, for as long as the next one comes within 200 ms",
+        "turns the palms by small steps; they stop if the next step does not arrive within 200 ms",
         tuple(
             Argument(f"{joint}_deg", "number", f"step of {joint}", low=-JOG_STEP_MAX_DEG, high=JOG_STEP_MAX_DEG)
             for joint in JOINTS
@@ -82,7 +84,7 @@ COMMANDS: dict[str, CommandSpec] = {
             Argument(
                 f"whole_{joint}_deg",
                 "number",
-                f"what this step of {joint} and those to come add up to: all of it must be possible",
+                f"sum of this and all following steps of {joint}: all of it must be within the limits",
                 low=-JOG_WHOLE_MAX_DEG,
                 high=JOG_WHOLE_MAX_DEG,
             )
@@ -95,19 +97,19 @@ COMMANDS: dict[str, CommandSpec] = {
         "renews the client's lease; with take, takes control and moves nothing", (TAKE,), by_hand=False
     ),
     "note": CommandSpec(
-        "writes a note about this time into the recording",
-        (Argument("text", "text", "what there is to say; 1000 characters at most", required=True, longest=1000),),
+        "writes a note with the present time into the recording",
+        (Argument("text", "text", "the note; 1000 characters at most", required=True, longest=1000),),
     ),
-    "new_object": CommandSpec("begins a new object: the observer forgets the one on the palms (two palms only)"),
+    "new_object": CommandSpec("starts a new object: the observer forgets the present one (two palms only)"),
     "recorder": CommandSpec(
-        "tells the daemon how its recorder fares; the recorder does it each second",
+        "reports the recorder's state to the daemon; the recorder sends it each second",
         (
-            Argument("bytes", "number", "in the file", required=True, low=0.0),
-            Argument("messages", "number", "in the file", required=True, low=0.0),
-            Argument("lost", "number", "messages that are in no file, since the recorder's start", True, low=0.0),
-            Argument("path", "text", "of the file; not told while there is none"),
+            Argument("bytes", "number", "bytes in the file", required=True, low=0.0),
+            Argument("messages", "number", "messages in the file", required=True, low=0.0),
+            Argument("lost", "number", "messages lost since the recorder's start", True, low=0.0),
+            Argument("path", "text", "of the file; absent while there is none"),
             Argument("process", "number", "the recorder's process number", low=0.0),
-            Argument("problem", "text", "why nothing can be written; not told when all is well"),
+            Argument("problem", "text", "why the recorder cannot write; absent when it can"),
         ),
         by_hand=False,
     ),
@@ -116,11 +118,11 @@ COMMANDS: dict[str, CommandSpec] = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A valid command. `route` leads back to who sent it and means nothing here; None for nobody.
+    """A valid command. `route` is the reply route, opaque here; None if no reply is expected.
 
-    `who` is the sender in words: what it says of itself, and its key's name where there are keys. `client` is the text
-    by which the sender wants to be known from one connection to the next, empty for none; `member` is its key's name;
-    `lease_s` is how long (s) its control lasts after each of its requests, None where this one does not declare it.
+    `who` describes the sender: its own text, and its key's name if the bus has keys. `client` is the text that
+    identifies the sender over several connections, empty for none; `member` is its key's name; `lease_s` is how long
+    (s) its control lasts after each of its requests, None if this request does not declare it.
     """
 
     name: str
@@ -135,19 +137,19 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request: a result, or what was wrong."""
+    """The answer to a request: a result or an error."""
 
     request: Request
     error: str | None = None
     result: dict[str, Any] | None = None
 
     def fields(self) -> dict[str, Any]:
-        """The map that goes out."""
+        """The map that is sent."""
         return reply_fields(self.request.id, self.error, self.result)
 
 
 class CommandError(ValueError):
-    """A message that is no valid command; `id` is its identity where it could be read, else None."""
+    """A message that is not a valid command; `id` is its identity if it could be read, else None."""
 
     def __init__(self, text: str, id: Any = None) -> None:
         super().__init__(text)
@@ -155,7 +157,7 @@ class CommandError(ValueError):
 
 
 def reply_fields(id: Any, error: str | None, result: dict[str, Any] | None = None) -> dict[str, Any]:
-    """`{id, ok, error?, result?}`."""
+    """The reply `{id, ok, error?, result?}`."""
     fields: dict[str, Any] = {"id": id, "ok": error is None}
     if error is not None:
         fields["error"] = error
@@ -167,34 +169,34 @@ def reply_fields(id: Any, error: str | None, result: dict[str, Any] | None = Non
 def parse(payload: bytes, route: tuple[bytes, ...] | None = None) -> Request:
     """The request in a msgpack map `{id, cmd, args, from?, client?, lease_s?}`; raises CommandError for anything else.
 
-    `client` and `lease_s` may stand among the `args` as well.
+    `client` and `lease_s` may also be given among the `args`.
     """
     if len(payload) > REQUEST_BYTES_MAX:
         raise CommandError(f"a command has {REQUEST_BYTES_MAX} bytes at most, not {len(payload)}")
     try:
         message = msgpack.unpackb(payload)
-    except Exception as error:  # msgpack raises half a dozen kinds for bytes that are not its own
+    except Exception as error:  # msgpack raises many kinds of exceptions for invalid data
         raise CommandError(f"not a msgpack map {{id, cmd, args}}: {error or type(error).__name__}") from None
     if not isinstance(message, dict):
-        raise CommandError(f"expected a map {{id, cmd, args}}, got {_named(message)}")
-    id = _identity(message.get("id"))
+        raise CommandError(f"expected a map {{id, cmd, args}}, got {_type_name(message)}")
+    id = _echoable_id(message.get("id"))
     unknown = [key for key in message if key not in _KEYS]
     if unknown:
         raise CommandError(f"unknown key {_shown(unknown[0])}; a command has {', '.join(_KEYS)}", id)
     name = message.get("cmd")
     if not isinstance(name, str) or name not in COMMANDS:
-        raise CommandError(f"unknown command {_shown(name)}; there are {', '.join(COMMANDS)}", id)
+        raise CommandError(f"unknown command {_shown(name)}; the commands are {', '.join(COMMANDS)}", id)
     args = message.get("args")
     if isinstance(args, dict):
         for key in [key for key in ("client", "lease_s") if key in args]:
             message.setdefault(key, args.pop(key))
-    who, client = (_text_of(key, message.get(key, ""), id) for key in ("from", "client"))
+    sender, client = (_text_of(key, message.get(key, ""), id) for key in ("from", "client"))
     args = _arguments(name, {} if args is None else args, id)
-    return Request(name, args, id, route, who, client, lease_s=_lease(message.get("lease_s"), id))
+    return Request(name, args, id, route, sender, client, lease_s=_lease(message.get("lease_s"), id))
 
 
 def _text_of(key: str, value: Any, id: Any) -> str:
-    """How the sender calls itself."""
+    """Check the text in `from` or `client`."""
     if not isinstance(value, str) or len(value) > SENDER_LENGTH_MAX or not value.isprintable():
         raise CommandError(f"{key} must be printable text of {SENDER_LENGTH_MAX} characters at most", id)
     return value
@@ -209,8 +211,8 @@ def _lease(value: Any, id: Any) -> float | None:
     return float(value)
 
 
-def _identity(id: Any) -> Any:
-    """What may be echoed: a scalar that is not too long, else None."""
+def _echoable_id(id: Any) -> Any:
+    """The request's id if it may be echoed, that is a scalar that is not too long; else None."""
     if not isinstance(id, _SCALARS) or (isinstance(id, str | bytes) and len(id) > _ID_LENGTH_MAX):
         return None
     return id
@@ -218,13 +220,13 @@ def _identity(id: Any) -> Any:
 
 def _arguments(command: str, args: Any, id: Any) -> dict[str, Any]:
     if not isinstance(args, dict):
-        raise CommandError(f"{command}: args must be a map, got {_named(args)}", id)
+        raise CommandError(f"{command}: args must be a map, got {_type_name(args)}", id)
     known = {argument.name: argument for argument in COMMANDS[command].arguments}
     for name, value in args.items():
         argument = known.get(name)
         if argument is None:
-            there = f"there are {', '.join(known)}" if known else "it takes none"
-            raise CommandError(f"{command}: unknown argument {_shown(name)}; {there}", id)
+            choices = f"the arguments are {', '.join(known)}" if known else "it takes none"
+            raise CommandError(f"{command}: unknown argument {_shown(name)}; {choices}", id)
         problem = _problem(argument, value)
         if problem is not None:
             raise CommandError(f"{command}: {name} {problem}", id)
@@ -250,7 +252,7 @@ def _problem(argument: Argument, value: Any) -> str | None:
     return None
 
 
-def _named(value: Any) -> str:
+def _type_name(value: Any) -> str:
     return {list: "a list", str: "text", bytes: "bytes", type(None): "nothing"}.get(
         type(value), f"a {type(value).__name__}"
     )
@@ -258,6 +260,6 @@ def _named(value: Any) -> str:
 
 def _shown(value: Any) -> str:
     if not isinstance(value, _SCALARS):
-        return _named(value)
+        return _type_name(value)
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "…"

@@ -1,9 +1,8 @@
-"""The daemon's pure heart: bytes, commands and times in; bytes, answers and messages out.
+"""The pure core of the daemon: bytes, commands and times in; bytes, replies and messages out.
 
-`Core` never opens a port or a socket and never reads a clock, so the same steps run behind real wires and, in
-one process with the emulated plant, faster than real time. One tick is `observe`, `decide`, `report`, in this
-order; in between, `receive` takes bytes as they arrive and `transmit` gives the arm its set-points on its own
-timer.
+`Core` never opens a port or a socket and never reads a clock. The same steps therefore run on real devices and, in one
+process with the emulated plant, faster than real time. One tick is `observe`, `decide`, `report`, in this order;
+between ticks, `receive` takes bytes as they arrive and `transmit` gives the arm its set-points on its own timer.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from palmd.config.any_config import AnyConfig
 from palmd.daemon.commands import Reply, Request
 from palmd.daemon.diagnostics import LOOK_S, ArmDiagnostics, LoopDiagnostics, NisDiagnostics, PadDiagnostics
 from palmd.daemon.drivers import ArmDriver, EndName
-from palmd.daemon.exploration_requests import Source
-from palmd.daemon.exploring import Senses
+from palmd.daemon.exploration_requests import DecisionSource
+from palmd.daemon.exploring import ExplorationInputs
 from palmd.daemon.journal import FaultNotes, Journal, MotionNotes, ObjectNotes, RigNotes
 from palmd.daemon.lifecycle import COMMANDED, State
 from palmd.daemon.planner import Plan, PlanFolder
@@ -47,15 +46,15 @@ from palmd.messages import (
 )
 from palmd.observer.observer import LiveObserver
 from palmd.quantities import LOG, NOTE, OBJECT, RIG, STATE, Topic
-from palmd.system.rig_constants import said_off
+from palmd.system.rig_constants import describe_rig_errors
 
 log = logging.getLogger(__name__)
 
 SLOW_TOPIC_S = 1.0 / STATE.rate_hz
-_EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
+_EARLY_S = 1e-3  # ticks jitter; what is due within this time is due now
 
 _MISWIRED = frozenset({"pads-swapped", "pads-mirrored"})
-"""Faults of the pads with which no estimate is valid."""
+"""Faults of the pads that make every estimate invalid."""
 
 
 def _always() -> bool:
@@ -63,32 +62,32 @@ def _always() -> bool:
 
 
 class Helper(Protocol):
-    """A process beside the loop, as far as it may be at fault."""
+    """A process beside the loop, as far as it can raise faults."""
 
     def conditions(self, t: float) -> Iterable[str]:
-        """The codes of the fault table that hold at `t` (s)."""
+        """The fault codes whose condition holds at `t` (s)."""
 
 
 class Core:
-    """See the module. Times are seconds on one monotonic clock, never running backwards."""
+    """See the module. Times are seconds on one monotonic clock that never runs backwards."""
 
     def __init__(
         self,
         config: AnyConfig,
         observer: LiveObserver,
-        aside: Executor,
+        background: Executor,
         plan: Plan | None = None,
         notes: Iterable[str] = (),
         folder: Path = Path(),
-        explorer: Source | None = None,
+        explorer: DecisionSource | None = None,
         system: AnySystem | None = None,
         smoother: Helper | None = None,
     ) -> None:
-        """`aside` compiles plans beside the loop, `notes` are codes of faults that stand throughout.
+        """`background` compiles plans beside the loop; `notes` are codes of faults that hold throughout.
 
-        `folder` is the configuration's. `explorer` decides where explorations go; without one, plans that explore are
-        refused. `system` is what the rig is, if it has been made already. `smoother` is the observer's, where it has
-        one in a process beside the loop.
+        `folder` is the configuration's. `explorer` decides where explorations go; without it, plans that explore are
+        refused. `system` is made from `config` if not given. `smoother` is the observer's smoother process, if it has
+        one.
         """
         self._system = system = system or live_system(config)
         self.pads = system.pads()
@@ -97,7 +96,7 @@ class Core:
         self.setpoints = SetPoints(system.poses, system.limits, system.free)
         self.faults = FaultMonitor()
         self.journal = Journal()
-        self.exploring = system.exploring(self.setpoints, explorer)
+        self.exploring = system.exploration_control(self.setpoints, explorer)
         plans = PlanFolder.of(config, folder)
         self.supervisor = Supervisor(
             self.arm,
@@ -105,7 +104,7 @@ class Core:
             self.exploring,
             self.faults,
             self.journal,
-            aside,
+            background,
             plan,
             plans,
             autostart=config.autostart,
@@ -113,38 +112,38 @@ class Core:
             forget_object=observer.forget_object,
         )
         self._smoother = smoother
-        self._in_state: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
+        self._state_entered: tuple[State, float, str] = (self.state, math.nan, "")  # since when (s), and why
         self._observer = observer
-        self._estimate: LiveEstimate = system.unknown(-math.inf, observer)
+        self._estimate: LiveEstimate = system.invalid_estimate(-math.inf, observer)
         self._shape: ShapeEstimate | None = None
         self._object: ObjectEstimate | None = None
         self._observer_failed = False
         self._events: list[Event] = []
-        self._fed: list[Event] = []
-        self._answered: object = None
-        self._rig_priors = system.rig_priors
-        self._rig, self._rig_sds = np.zeros_like(self._rig_priors), self._rig_priors
-        self._contradicted, self._is_contradicted = np.zeros_like(self._rig_priors), False
+        self._fed_events: list[Event] = []
+        self._answer: object = None
+        self._rig_prior_sds = system.rig_prior_sds
+        self._rig, self._rig_sds = np.zeros_like(self._rig_prior_sds), self._rig_prior_sds
+        self._contradicted, self._any_contradicted = np.zeros_like(self._rig_prior_sds), False
         self._notes = frozenset(notes)
-        self._passing: set[str] = set()  # conditions seen since the last decision
+        self._transient: set[str] = set()  # conditions that occurred since the last `decide`
         self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
         self._arm_watch = ArmDiagnostics()
         self._loop_watch = LoopDiagnostics()
         self._nis_watch = NisDiagnostics()
-        self._of_system: frozenset[str] = frozenset()  # conditions that only it knows
+        self._system_conditions: frozenset[str] = frozenset()  # conditions that only the system can judge
         self._ports: dict[EndName, DevicePort] = {}
         self._failure = ""
         self._fault_notes, self._object_notes = FaultNotes(self.journal), ObjectNotes(self.journal)
         self._rig_notes, self._motion_notes = RigNotes(self.journal), MotionNotes(self.journal)
         self._t_look = self._t_state = self._t_shape = self._t_rig = self._t_log = -math.inf
         self._t_decided = -math.inf
-        self._felt = self._touching()
+        self._contacts = self._touching()
         self._logged = 0
-        self._told: tuple[object, ...] = ()
+        self._published_state: tuple[object, ...] = ()
 
     @property
     def state(self) -> State:
-        """What the daemon is doing."""
+        """The daemon's lifecycle state."""
         return self.supervisor.state
 
     @property
@@ -154,62 +153,62 @@ class Core:
 
     @property
     def estimate(self) -> LiveEstimate:
-        """The last tick's."""
+        """The estimate of the last tick."""
         return self._estimate
 
-    # ---- the lines ---------------------------------------------------------------------------------------
+    # ---- ports -------------------------------------------------------------------------------------------
 
     def ports(self) -> dict[EndName, DevicePort]:
-        """What the devices are behind, shut."""
+        """The closed ports of all devices."""
         pads = {name: pad.port() for name, pad in self.pads.items()}
         self._ports = pads | {"arm": self.arm.host.port()}
         return self._ports
 
     def opened(self, end: EndName, t: float) -> None:
-        """A port has been opened at `t` (s)."""
+        """The port of `end` was opened at `t` (s)."""
         if end == "arm":
             self.arm.opened()
         else:
             self.pads[end].opened(t)
 
     def lost(self, end: EndName, t: float) -> None:
-        """A port has gone at `t` (s)."""
+        """The port of `end` was lost at `t` (s)."""
         if end == "arm":
             self.arm.lost()
         else:
             self._take(self.pads[end].lost(t))
 
     def receive(self, end: EndName, data: bytes, t: float) -> None:
-        """Bytes have been read at `t` (s)."""
+        """Process bytes of `end` read at `t` (s)."""
         if end != "arm":
             self._take(self.pads[end].feed(data, t))
             return
         self._events += self.arm.feed(data, t)
 
     def look(self, t: float) -> None:
-        """Whether a pad has been let go by `t` (s), between ticks, so that the next set-point brakes already.
+        """Check between ticks whether a pad has lost contact by `t` (s), so that the next set-point already brakes.
 
-        All that had come by then must have been received.
+        All bytes that had arrived by then must have been received.
         """
         if self.state is not State.TRACKING:
             return
         for pad in self.pads.values():
             self._take(pad.poll(t))
-        if self._touching() != self._felt:
+        if self._touching() != self._contacts:
             self.decide(t)
 
     def _take(self, events: Sequence[PadSample | PadLift]) -> None:
-        """What pads have told."""
+        """Queue pad events for the observer and pass them to the force guard."""
         self._events += events
         for event in events:
             self._forces.feed(event)
 
     def due(self) -> float:
-        """When (s) `transmit` wants to be called next."""
+        """When (s) `transmit` must be called next."""
         return self.arm.host.due() if self.arm.is_open else math.inf
 
     def transmit(self, t: float) -> bytes:
-        """What to write to the arm at `t` (s), empty if nothing is due."""
+        """Bytes to write to the arm at `t` (s), empty if nothing is due."""
         host, setpoints, actual = self.arm.host, self.setpoints, self.arm.actual
         if not self.arm.is_open or t < host.due():
             return b""
@@ -218,8 +217,8 @@ class Core:
         if setpoints.commanded is None:
             setpoints.stand(actual, host.pose, t)
         if host.state is ArmState.HOLD:
-            setpoints.displaced(actual, host.pose)
-            self.arm.guards.part(t)
+            setpoints.restart_at(actual, host.pose)
+            self.arm.guards.suspend(t)
         target = setpoints.target(t)
         sent = host.poll(t, target)
         if target is not None and sent.setpoint == target:
@@ -229,85 +228,85 @@ class Core:
     # ---- one tick ----------------------------------------------------------------------------------------
 
     def observe(self, t: float, between: Callable[[], bool] = _always) -> None:
-        """Give the observer what has arrived, in the order of the samples' own times; estimate for `t` (s).
+        """Feed the observer with the events that have arrived, ordered by sample time; estimate for `t` (s).
 
-        This is the tick's longest part, so `between` is called between the observer's turns: a set-point may
-        have fallen due. When it says that there is no more time, what is left is for the next tick: bytes that
-        were held up come all at once, and each sets the observer back to its own time.
+        This is the longest part of the tick, so `between` is called between the observer's steps: a set-point may be
+        due. If it returns False, the remaining events are left for the next tick: bytes that were delayed arrive all at
+        once, and each such event makes the observer go back to the event's own time.
         """
         self.journal.t = t
         if not self.journal.count:
-            self.journal.add("palmd", "begun", f"palmd {__version__} begins, state {self.state}")
+            self.journal.add("palmd", "begun", f"palmd {__version__} started, state {self.state}")
         turning = max(map(abs, self.arm.actual.rates)) if self.arm.actual else 0.0
         for pad in self.pads.values():
             self._take(pad.poll(t, turning))
         events, self._events = sorted(self._events, key=_sample_time), []
-        self._fed, self._answered = [], None
+        self._fed_events, self._answer = [], None
         try:
             for number, event in enumerate(events, 1):
-                self._fed.append(event)
+                self._fed_events.append(event)
                 self._observer.feed(event)
                 if isinstance(event, PadSample):
-                    self._system.felt(event)
+                    self._system.feed_reading(event)
                 if not between():
                     self._events = events[number:] + self._events
                     break
-            self._answered = self._observer.improve(t)
+            self._answer = self._observer.improve(t)
             self._estimate = self._observer.estimate(t)
             if t - self._t_shape >= SLOW_TOPIC_S - _EARLY_S:
                 between()
                 self._shape = self._observer.shape(t)
                 self._object = self._observer.identify(t)
                 self._t_shape = t
-        except Exception as error:  # whatever is wrong with a model, the arm must be stopped in good order
+        except Exception as error:  # whatever fails in a model, the arm must be stopped in a controlled way
             if not self._observer_failed:
-                log.exception("the observer failed; this is told once")
+                log.exception("the observer failed; further failures are not logged")
             self._observer_failed = True
             self._failure = repr(error)
-            self._passing.add("tick-error")
-            self._estimate = self._system.unknown(t, self._observer)
-        self._of_system = frozenset(self._system.conditions(t, self.arm.actual))
-        if self._estimate.valid and self._of_system & _MISWIRED:
-            reasons = tuple(sorted(self._of_system & _MISWIRED))
+            self._transient.add("tick-error")
+            self._estimate = self._system.invalid_estimate(t, self._observer)
+        self._system_conditions = frozenset(self._system.conditions(t, self.arm.actual))
+        if self._estimate.valid and self._system_conditions & _MISWIRED:
+            reasons = tuple(sorted(self._system_conditions & _MISWIRED))
             self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=reasons)
-        if self._estimate.valid and not self._system.sound(self._estimate):
-            self._passing.add("estimate-not-finite")
+        if self._estimate.valid and not self._system.is_finite(self._estimate):
+            self._transient.add("estimate-not-finite")
             self._estimate = dataclasses.replace(self._estimate, valid=False, invalid_reasons=("not-finite",))
 
     def handle(self, request: Request, t: float) -> None:
-        """Do what a valid command asks at `t` (s), or refuse; the answer comes with `replies`."""
+        """Execute a valid command at `t` (s), or refuse it; `replies` returns the answer."""
         self.journal.t = t
         self.supervisor.estimate = self._estimate
         self.supervisor.handle(request, t)
 
     def decide(self, t: float) -> None:
-        """Faults, state and motion at `t` (s), or when they were judged last if that is later."""
+        """Update faults, state and motion at `t` (s), or at the time of the last update if that is later."""
         t = self._t_decided = max(t, self._t_decided)
-        self._felt = self._touching()
+        self._contacts = self._touching()
         under_way = self.setpoints.moving or self.setpoints.held
         self.journal.t = t
         present = self._conditions(t, under_way)
         lifted = {f"{name}-lifted" for name in self.pads}
-        sure = lifted if lifted <= present else frozenset[str]()  # both pads say so
-        self.faults.update(present, t, armed=self.supervisor.armed, sure=sure, evidence=self._guard_evidence)
-        if self.arm.guards.following.stands and self.arm.actual is not None:
+        certain = lifted if lifted <= present else frozenset[str]()  # both pads report it
+        self.faults.update(present, t, armed=self.supervisor.armed, certain=certain, evidence=self._guard_evidence)
+        if self.arm.guards.following.shows_no_motion and self.arm.actual is not None:
             self.setpoints.retreat(self.arm.actual, t)
         self._fault_notes.look(self.faults.active, t, self._evidence)
-        self._passing.clear()
-        self.supervisor.settle(t, up=self._rig_up(t))
-        self._enter(t)
+        self._transient.clear()
+        self.supervisor.update(t, up=self._rig_up(t))
+        self._note_state_entry(t)
         plan = self.supervisor.plan
         if plan is not None and plan.explores:
             self.exploring.prepare()
-        self.exploring.step(t, self._senses(t))
+        self.exploring.step(t, self._exploration_inputs(t))
         self._motion_notes.look(
             self.exploring.under_way, self.exploring.reason, self.supervisor.plan_name, self.setpoints.over, t
         )
-        untouched = [number for number, felt in enumerate(self._felt, 1) if not felt]
+        untouched = [number for number, touching in enumerate(self._contacts, 1) if not touching]
         self._object_notes.look(self._estimate.object_count, self._estimate.valid, untouched, t, self._invalid_because)
 
     def report(self, t: float) -> list[tuple[Topic, Fields]]:
-        """What to publish at `t` (s)."""
+        """The messages to publish at `t` (s)."""
         arm, place, system = self.arm.host, self.setpoints.place, self._system
         age = arm.age(t)
         motion = motion_fields(
@@ -323,99 +322,112 @@ class Core:
         )
         pads = [pad.view(t) for pad in self.pads.values()]
         messages = [
-            (system.topics.estimate, system.said(self._estimate)),
+            (system.topics.estimate, system.estimate_fields(self._estimate)),
             (system.topics.contact, contact_fields(pads, age if math.isfinite(age) else math.nan, system.naming)),
             (system.topics.motion, motion),
-            (system.topics.events, system.fed(t, self._fed)),
+            (system.topics.events, system.events_fields(t, self._fed_events)),
         ]
-        if self._answered is not None:
-            messages.append(self._system.answered(t, self._answered))
-        if isinstance(self._answered, Improvement):
-            self._rig, self._rig_sds = self._answered.rig, self._answered.rig_sd
-            self._contradicted = self._answered.contradicted
-            self._is_contradicted = bool(self._contradicted.any())
-            self._rig_notes.look(self._contradicted, self._said_off)
-        due = isinstance(self._answered, Improvement) or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
-        if len(self._rig_priors) and due:
+        if self._answer is not None:
+            messages.append(self._system.answer_message(t, self._answer))
+        if isinstance(self._answer, Improvement):
+            self._rig, self._rig_sds = self._answer.rig, self._answer.rig_sd
+            self._contradicted = self._answer.contradicted
+            self._any_contradicted = bool(self._contradicted.any())
+            self._rig_notes.look(self._contradicted, self._rig_findings)
+        due = isinstance(self._answer, Improvement) or t - self._t_rig >= 1.0 / RIG.rate_hz - _EARLY_S
+        if len(self._rig_prior_sds) and due:
             self._t_rig = t
-            messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_priors, self._contradicted)))
+            messages.append((RIG, rig_fields(self._rig, self._rig_sds, self._rig_prior_sds, self._contradicted)))
         control = self.supervisor.control.name
         unattended = self.supervisor.unattended
-        told = (self.state, self.faults.active, self.setpoints.running, self.supervisor.wish, control, unattended)
-        if told != self._told or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
-            self._told, self._t_state = told, t
+        published = (
+            self.state,
+            self.faults.active,
+            self.setpoints.running,
+            self.supervisor.requested_state,
+            control,
+            unattended,
+        )
+        if published != self._published_state or t - self._t_state >= SLOW_TOPIC_S - _EARLY_S:
+            self._published_state, self._t_state = published, t
             messages.append((STATE, self._state_fields(t)))
-        messages += [(NOTE, note_fields(said_at, text)) for said_at, text in self.supervisor.taken_notes()]
+        messages += [(NOTE, note_fields(t_note, text)) for t_note, text in self.supervisor.take_notes()]
         if self._shape is not None:
-            messages.append(self._system.shaped(self._shape))
+            messages.append(self._system.shape_message(self._shape))
             self._shape = None
         if self._object is not None:
             messages.append((OBJECT, object_fields(self._object)))
             self._object = None
-        news, since = self.journal.count != self._logged, t - self._t_log
-        if since >= (SLOW_TOPIC_S if news else 1.0 / LOG.rate_hz) - _EARLY_S:
+        has_new_entries, since = self.journal.count != self._logged, t - self._t_log
+        if since >= (SLOW_TOPIC_S if has_new_entries else 1.0 / LOG.rate_hz) - _EARLY_S:
             self._logged, self._t_log = self.journal.count, t
             messages.append((LOG, log_fields(self.journal.entries)))
         return messages
 
     def _state_fields(self, t: float) -> Fields:
-        self._enter(t)
-        state, since, cause = self._in_state
+        self._note_state_entry(t)
+        state, since, cause = self._state_entered
         running, explored = self.setpoints.running, self.exploring.explored
-        wish, control, unattended = self.supervisor.wish, self.supervisor.control.name, self.supervisor.unattended
+        requested_state, control, unattended = (
+            self.supervisor.requested_state,
+            self.supervisor.control.name,
+            self.supervisor.unattended,
+        )
         faults = self.faults.active
-        return state_fields(str(state), faults, cause, wish, t - since, running, explored, control, unattended)
+        return state_fields(
+            str(state), faults, cause, requested_state, t - since, running, explored, control, unattended
+        )
 
-    def _enter(self, t: float) -> None:
-        """Keep what has brought the state about, and what speaks for it, while it still does."""
-        state, since, _ = self._in_state
+    def _note_state_entry(self, t: float) -> None:
+        """When the state changes, keep its cause and the evidence, while it still holds."""
+        state, since, _ = self._state_entered
         if state is not self.state or math.isnan(since):
-            cause = self.supervisor.cause + (self._grounds(t) if self.state in (State.HOLD, State.FAULT) else "")
-            self._in_state = (self.state, t, cause)
+            cause = self.supervisor.cause + (self._fault_evidence(t) if self.state in (State.HOLD, State.FAULT) else "")
+            self._state_entered = (self.state, t, cause)
 
-    def _grounds(self, t: float) -> str:
-        """What speaks at `t` (s) for the faults that hold or stop the palms."""
+    def _fault_evidence(self, t: float) -> str:
+        """The evidence at `t` (s) for the faults that hold or stop the palms, in parentheses."""
         codes = [fault.code for severity in (Severity.HOLD, Severity.STOP) for fault in self.faults.standing(severity)]
-        told = "; ".join(filter(None, (self._evidence(code, t) for code in codes)))
-        return f" ({told})" if told else ""
+        evidence = "; ".join(filter(None, (self._evidence(code, t) for code in codes)))
+        return f" ({evidence})" if evidence else ""
 
     def replies(self) -> list[Reply]:
-        """The answers that have come due since the last call."""
+        """The answers that have become available since the last call."""
         replies, self.supervisor.replies = self.supervisor.replies, []
         return replies
 
     def step(self, t: float, requests: Iterable[Request] = ()) -> list[tuple[Topic, Fields]]:
-        """A whole tick at once, for a rig without wires."""
+        """A whole tick at once, for a rig without ports."""
         self.observe(t)
         for request in requests:
             self.handle(request, t)
         self.decide(t)
         return self.report(t)
 
-    # ---- beside the ticks --------------------------------------------------------------------------------
+    # ---- outside of ticks --------------------------------------------------------------------------------
 
     def overran(self, t: float, late_s: float, why: str = "") -> None:
-        """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others had to be skipped."""
+        """The tick that ended at `t` (s) was `late_s` after its deadline, so later ticks were skipped."""
         self._loop_watch.overran(t, late_s, why)
 
     def fail(self, t: float, error: Exception) -> None:
-        """The tick at `t` (s) raised something unexpected: make for standing still with as little as can be."""
+        """The tick at `t` (s) raised an unexpected exception: stop the arm with as little code as possible."""
         self._failure = repr(error)
         self.faults.update({"tick-error"}, t, armed=True)
-        self.supervisor.fall()
+        self.supervisor.stop_on_fault()
 
     def close(self) -> None:
-        """Make for a planned stop, and take no more commands that move."""
-        self.journal.add("palmd", "stopping", "palmd was told to end: a planned stop")
+        """Begin a planned stop and accept no more moving commands."""
+        self.journal.add("palmd", "stopping", "palmd was requested to end: planned stop")
         self.supervisor.close()
 
     @property
     def at_rest(self) -> bool:
-        """Whether the arm is known to stand: never commanded, or reported at rest since."""
+        """Whether the arm is known to be at rest: never commanded, or reported at rest since."""
         return self.supervisor.at_rest
 
     def counters(self) -> Fields:
-        """What has passed on the lines, by the names of `palm/loop`."""
+        """The counters of all ports, under their names in `palm/loop`."""
         counts: Fields = {}
         for name, pad in self.pads.items():
             counts |= {f"{name}_{what}": n for what, n in pad.counts().items()}
@@ -430,25 +442,25 @@ class Core:
     def _touching(self) -> tuple[bool, ...]:
         return tuple([pad.touching for pad in self.pads.values()])
 
-    def _senses(self, t: float) -> Senses:
-        return Senses(
+    def _exploration_inputs(self, t: float) -> ExplorationInputs:
+        return ExplorationInputs(
             tracking=self.state is State.TRACKING,
-            touching=all(self._felt),
+            touching=all(self._contacts),
             known=self._observer.foresees,
             object_count=self._observer.object_count,
-            look=lambda: self._observer.planning_belief(t),
+            get_belief=lambda: self._observer.planning_belief(t),
             sticking=self._system.sticking,
             cornered=self._observer.cornered,
         )
 
     def _conditions(self, t: float, under_way: bool) -> set[str]:
-        """The codes of the fault table that hold at `t` (s)."""
+        """The fault codes whose condition holds at `t` (s)."""
         look = t - self._t_look >= LOOK_S
         if look:
             self._t_look = t
         state = self.state
         commanded, held = state in COMMANDED, state is State.HOLD
-        present = self._passing | self._notes
+        present = self._transient | self._notes
         for name, watch in self._pad_watches.items():
             present.update(watch.conditions(self.pads[name], under_way, held, look))
         present.update(self._arm_watch.conditions(self.arm, t, commanded, look))
@@ -462,8 +474,8 @@ class Core:
         present.update(self.arm.guards.conditions(t))
         if commanded:
             present.update(self._forces.conditions(under_way=under_way))
-        present |= self._of_system
-        if self._is_contradicted:
+        present |= self._system_conditions
+        if self._any_contradicted:
             present.add("rig-contradicted")
         if self.supervisor.plan_refused:
             present.add("plan-refused")
@@ -471,15 +483,15 @@ class Core:
             present.add("operator-lost")
         if self.exploring.silent:
             present.add("explorer-silent")
-        if self.setpoints.moving and all(self._felt) and not self._estimate.valid:
+        if self.setpoints.moving and all(self._contacts) and not self._estimate.valid:
             present.add("estimate-lost")
-        return present.difference(self._system.excused(self.exploring))
+        return present.difference(self._system.suppressed_faults(self.exploring))
 
     def _invalid_because(self) -> str:
         return self._observer.invalid_because
 
     def _evidence(self, code: str, t: float) -> str:
-        """What speaks for a fault that has come up at `t` (s), in words; empty where there is no more to say."""
+        """The evidence for a fault that came up at `t` (s), in words; empty if there is none."""
         end, _, condition = code.partition("-")
         if end in self._ports and condition == "port":
             return self._ports[end].error or ""
@@ -492,7 +504,7 @@ class Core:
                 because = self._observer.invalid_because
                 return f"object {self._estimate.object_count}" + (f": {because}" if because else "")
             case "limits-violated":
-                return self._angles_told()
+                return self._describe_joints()
             case "loop-overrun" | "loop-overruns" | "samples-too-late":
                 return self._loop_watch.evidence(code)
             case "plan-refused":
@@ -502,33 +514,33 @@ class Core:
             case "estimate-inconsistent":
                 return self._nis_watch.evidence
             case "rig-contradicted":
-                return "; ".join(self._said_off())
+                return "; ".join(self._rig_findings())
             case "recorder-failed" | "recorder-silent":
                 return self.supervisor.recorder.evidence(code, t)
         return self.arm.host.evidence(condition, t) if end == "arm" else ""
 
     def _guard_evidence(self, code: str) -> str:
-        """What speaks for a guard's fault, in words with numbers."""
+        """The evidence for a guard's fault, in words with numbers."""
         if code in ("force-limit", "force-excess"):
             return self._forces.evidence()
         return self.arm.guards.evidence().get(code, "") or self._system.evidence(code)
 
-    def _said_off(self) -> list[str]:
-        return said_off(self._rig, self._rig_sds, self._rig_priors, self._contradicted)
+    def _rig_findings(self) -> list[str]:
+        return describe_rig_errors(self._rig, self._rig_sds, self._rig_prior_sds, self._contradicted)
 
-    def _angles_told(self) -> str:
+    def _describe_joints(self) -> str:
         actual = self.arm.actual
         if actual is None:
             return ""
-        return self._system.place(actual.angles, self.setpoints.limits.angles)
+        return self._system.describe_joints(actual.angles, self.setpoints.limits.angles)
 
     def _outside(self) -> bool:
         actual = self.arm.actual
         if actual is None:
             return False
-        each = zip(actual.angles, self.setpoints.limits.angles, strict=True)
-        off = self._system.outside
-        return not all(low - off <= angle <= high + off for angle, (low, high) in each)
+        pairs = zip(actual.angles, self.setpoints.limits.angles, strict=True)
+        tolerance = self._system.limit_tolerance
+        return not all(low - tolerance <= angle <= high + tolerance for angle, (low, high) in pairs)
 
     def _rig_up(self, t: float) -> bool:
         return (

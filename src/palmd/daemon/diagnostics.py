@@ -1,4 +1,4 @@
-"""Which conditions of the fault table hold, judged from the drivers and the motion. Pure."""
+"""Judge from drivers and motion which conditions of the fault table hold. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from palmd.devices.pad import PadDriver
 from palmd.quantities import NIS_BAND
 
 LOOK_S = 0.5
-"""How often the counters are judged; a verdict stands until the next."""
+"""How often the counters are judged; a verdict holds until the next."""
 
 NIS_MEMORY_S = 2.0
 OVERRUNS_MOST, OVERRUN_MEMORY_S = 10, 1.0
@@ -30,17 +30,17 @@ _BY_STATE = {
 
 
 class PadDiagnostics:
-    """One pad's conditions."""
+    """Conditions of one pad."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._needed = False
 
     def conditions(self, pad: PadDriver, under_way: bool, held: bool, look: bool) -> Iterator[str]:
-        """The codes that hold; with `look`, the counters are judged anew.
+        """The codes that hold; with `look`, the counters are judged again.
 
-        A touch can only be missed once it has been felt in the motion that is `under_way`; and it is missed for as long
-        as the state is `held`, though another plan be in hand by then.
+        A contact counts as lost only if it existed during the motion that is `under_way`; it stays lost while the state
+        is `held`, even if another plan has been loaded.
         """
         self._needed &= under_way or held
         for condition in pad.health(look):
@@ -56,10 +56,10 @@ class PadDiagnostics:
 
 
 class ArmDiagnostics:
-    """The arm's conditions."""
+    """Conditions of the arm."""
 
     def conditions(self, arm: ArmDriver, t: float, commanded: bool, look: bool) -> Iterator[str]:
-        """The codes that hold at `t` (s); `commanded` says whether the arm ought to be following."""
+        """The codes that hold at `t` (s); `commanded` says whether the arm should be following set-points."""
         host = arm.host
         for condition in host.health(look):
             yield f"arm-{condition}"
@@ -79,7 +79,7 @@ class ArmDiagnostics:
 
 
 class LoopDiagnostics:
-    """Missed deadlines, the last by `late_s` and `why` as far as that is known, and samples that came too late."""
+    """Missed deadlines, the last by `late_s` with the reason `why` if known, and samples that arrived too late."""
 
     def __init__(self) -> None:
         self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)
@@ -89,7 +89,7 @@ class LoopDiagnostics:
         self.why = ""
 
     def overran(self, t: float, late_s: float, why: str = "") -> None:
-        """The tick that ended at `t` (s) did so `late_s` after its deadline, so that others were skipped."""
+        """Record that the tick ending at `t` (s) was `late_s` after its deadline, so later ticks were skipped."""
         self._overruns.append(t)
         self.late_s, self.why = late_s, why
 
@@ -105,7 +105,7 @@ class LoopDiagnostics:
                 yield "loop-overruns"
 
     def evidence(self, code: str) -> str:
-        """What speaks for one of its codes."""
+        """Evidence for one of its codes, in words."""
         if code == "samples-too-late":
             return f"{self._late.spoilt} in the last {LOOK_S:g} s"
         often = f"{OVERRUNS_MOST} times within {OVERRUN_MEMORY_S:g} s, " if code == "loop-overruns" else ""
@@ -114,9 +114,10 @@ class LoopDiagnostics:
 
 
 class NisDiagnostics:
-    """Whether an observer's normalised innovations squared, 1 on average when the model is right, stay outside a band.
+    """Test whether an observer's mean NIS, 1 if the model is right, stays within `NIS_BAND`.
 
-    The estimate's own mean is over a quarter of a second and begins anew with each start; this one is slower.
+    The mean in the estimate covers a quarter of a second and restarts with each start of the observer; this one is
+    slower.
     """
 
     def __init__(self) -> None:
@@ -125,14 +126,14 @@ class NisDiagnostics:
 
     @property
     def evidence(self) -> str:
-        """What speaks for its code."""
+        """Evidence for its code, in words."""
         low, high = NIS_BAND
-        return f"their mean squared miss is {self._mean:.2f} of what is expected, the limits are {low:g} and {high:g}"
+        return f"the mean NIS is {self._mean:.2f} (1 expected), the limits are {low:g} and {high:g}"
 
     def conditions(self, nis: float, moving: bool, t: float) -> Iterator[str]:
         """The codes that hold at `t` (s); `nis` is NaN while no observer runs.
 
-        Palms at rest ask nothing of the model, and resting pads repeat one rounded reading: only motion is judged.
+        Only motion is judged: palms at rest do not test the model, and pads at rest repeat one rounded reading.
         """
         since = max(t - self._t, 0.0)
         self._t = t

@@ -1,11 +1,11 @@
-"""The loop's side of an exploration by dragging: asks the policy at every tick, for it goes by what is felt. Pure."""
+"""In-loop exploration by dragging or rolling; the policy runs every tick, since it depends on the contacts. Pure."""
 
 from __future__ import annotations
 
 import logging
 import math
 
-from palmd.daemon.exploring import Explores, Senses
+from palmd.daemon.exploring import ExplorationControl, ExplorationInputs
 from palmd.daemon.setpoints import SetPoints
 from palmd.motion.drags import Drags
 from palmd.motion.pivot import PivotLimits
@@ -15,8 +15,8 @@ from palmd.system.pivot import Touching
 log = logging.getLogger(__name__)
 
 
-class Dragging(Explores):
-    """Without a process beside the loop: a step is decided in microseconds."""
+class DragExploration(ExplorationControl):
+    """Exploration without a process beside the loop: a step is decided in microseconds."""
 
     def __init__(self, setpoints: SetPoints) -> None:
         super().__init__(setpoints)
@@ -25,37 +25,37 @@ class Dragging(Explores):
 
     @property
     def left_the_pad(self) -> int:
-        """How often the body has done so by itself, as far as was noticed."""
+        """How often the body was found to leave the pad without being lifted."""
         return 0 if self._drags is None else self._drags.lifted
 
-    def step(self, t: float, senses: Senses) -> None:
-        """As the policy says."""
+    def step(self, t: float, inputs: ExplorationInputs) -> None:
+        """One tick at `t` (s): follow the policy."""
         del t
-        found, limits = self._setpoints.exploration, self._setpoints.limits
-        if found is None or not isinstance(limits, PivotLimits):
+        current, limits = self._setpoints.exploration, self._setpoints.limits
+        if current is None or not isinstance(limits, PivotLimits):
             self._exploration, self._goal = None, math.nan
             return
-        exploration, tau = found
+        exploration, tau = current
         if exploration is not self._exploration or self._drags is None:
-            self._exploration, self._begun, self._halting = exploration, True, False
+            self._exploration, self._ever_started, self._halting = exploration, True, False
             self._drags = (Rolls if limits.slides else Drags)(limits, exploration.goal)
             self._coverage, self._goal = self._drags.coverage, exploration.goal.coverage
-            self._reason = "it has just begun"
+            self._reason = "it has just started"
         drags, self._seconds = self._drags, tau
-        if self._halting or not senses.tracking:
+        if self._halting or not inputs.tracking:
             if not self._setpoints.moving:
                 exploration.cut(tau)
                 self._halting = False
                 self._setpoints.pause(False)
             return
-        felt = senses.look() if senses.known else None
-        if not isinstance(felt, Touching):
+        contact = inputs.get_belief() if inputs.known else None
+        if not isinstance(contact, Touching):
             return
         resting = tau >= exploration.end
-        if tau > exploration.goal.time_limit_s and resting and not felt.touching:
+        if tau > exploration.goal.time_limit_s and resting and not contact.touching:
             self._end(f"the time limit of {exploration.goal.time_limit_s:g} s is over")
             return
-        step = drags.look(felt, exploration.last.end, resting)
+        step = drags.look(contact, exploration.last.end, resting)
         exploration.coverage = self._coverage = drags.coverage
         self._reason = step.reason or self._reason
         if step.kind == "halt" and not resting:

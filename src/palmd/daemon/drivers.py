@@ -1,4 +1,4 @@
-"""The arm's driver among palms: what its reports say of their angles, rates and lag. Pure."""
+"""The arm's driver for palms: joint angles, rates and lag from its reports. Pure."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from palmd.events import Joints, PalmMotion, PalmSample
 from palmd.motion.kinematics import PoseError
 
 EndName = str
-"""`arm`, or `pad` and the number of its palm."""
+"""`arm`, or `pad` and the palm's number."""
 
 RESTING = frozenset({ArmState.READY, ArmState.POWER_OFF, ArmState.UNCALIBRATED, ArmState.FAULT, ArmState.ESTOP})
-"""States in which the controller lets the arm stand, once it has come to rest."""
+"""States in which the controller leaves the arm at rest, once it has stopped."""
 
 COMING_TO_REST_S = 0.3
-STANDS_S, STANDS_RAD = 0.05, 1e-3
-"""Sooner, where two reports at least so far apart tell the same angles within so much."""
+AT_REST_S, AT_REST_RAD = 0.05, 1e-3
+"""The arm is at rest before `COMING_TO_REST_S` has passed if two reports at least this far apart agree to this angle.
+"""
 
 
 class ArmDriver:
-    """The arm's line. `actual` are the palm angles of the last report, rates are the plan's.
+    """The arm's port, actuator and guards. `actual` are the palm angles of the last report with the plan's rates.
 
-    `actual` is None before, and where no palm angles belong to what the arm reports for long. guards: what its reports
-    are judged by. free: joints that need not go where they are commanded.
+    `actual` is None before the first report, and while the reported poses have no palm angles. guards: limits for
+    judging the reports. free: joints that need not follow their set-points.
     """
 
     def __init__(self, config: ArmConfig, poses: Poses, guards: GuardLimits, free: Collection[int] = ()) -> None:
@@ -41,14 +42,14 @@ class ArmDriver:
         self.bad_poses = 0
         self._poses = poses
         self._t_moving = -math.inf
-        self._rested: tuple[float, Joints] | None = None
+        self._last_at_rest: tuple[float, Joints] | None = None
 
     def opened(self) -> None:
-        """The port has been opened."""
+        """The port was opened."""
         self.is_open = True
 
     def lost(self) -> None:
-        """The port has gone."""
+        """The port was lost."""
         self.is_open = False
         self.linked_since_open = False
         self.lag.forget()
@@ -56,7 +57,7 @@ class ArmDriver:
         self.host.disconnected()
 
     def feed(self, data: bytes, t: float) -> list[PalmSample]:
-        """Take bytes read at `t` (s)."""
+        """Process bytes read at `t` (s)."""
         samples = []
         for report in self.host.feed(data, t):
             self.linked_since_open = True
@@ -66,7 +67,7 @@ class ArmDriver:
         return samples
 
     def _sample(self, report: ArmReport) -> PalmSample | None:
-        """The palms at a report that can be true; rates and accelerations are the plan's, None where unknown."""
+        """The palm angles of a plausible report; rates and accelerations are the plan's, None where unknown."""
         t, impossible = report.t_sample, ""
         angles: Joints | None = None
         try:
@@ -79,28 +80,28 @@ class ArmDriver:
             if self.guards.plausible.reason or report.state in RESTING:
                 self.actual = None if angles is None else PalmMotion.at_rest(angles)
             return None
-        meant = self._meant(t, angles, report.state)
-        if meant is None:
+        planned = self._planned_motion(t, angles, report.state)
+        if planned is None:
             self.actual = PalmMotion.at_rest(angles)
             return PalmSample(t, angles)
-        self.actual = meant._replace(angles=angles)
-        return PalmSample(t, angles, meant.rates, meant.accelerations)
+        self.actual = planned._replace(angles=angles)
+        return PalmSample(t, angles, planned.rates, planned.accelerations)
 
-    def _meant(self, t: float, angles: Joints, state: ArmState) -> PalmMotion | None:
-        """What the arm is meant to do at `t` (s), with these angles; only its rates count."""
+    def _planned_motion(self, t: float, angles: Joints, state: ArmState) -> PalmMotion | None:
+        """The planned motion of the arm at `t` (s), None where unknown; only its rates are used."""
         if state not in FOLLOWING:
             self.lag.forget()
-        still = PalmMotion.at_rest((0.0,) * len(angles))
+        at_rest = PalmMotion.at_rest((0.0,) * len(angles))
         if state in RESTING:
-            return still if t - self._t_moving > COMING_TO_REST_S or self._stands(t, angles) else None
-        self._t_moving, self._rested = t, None
+            return at_rest if t - self._t_moving > COMING_TO_REST_S or self._has_stopped(t, angles) else None
+        self._t_moving, self._last_at_rest = t, None
         if state is ArmState.TRACKING:
-            return self.lag.motion(t) or (still if self.host.tracking else None)
+            return self.lag.motion(t) or (at_rest if self.host.tracking else None)
         return None
 
-    def _stands(self, t: float, angles: Joints) -> bool:
-        """Whether an arm that comes to rest has told these angles before, and not just now."""
-        before, self._rested = self._rested, (t, angles)
-        if before is None or t - before[0] < STANDS_S:
+    def _has_stopped(self, t: float, angles: Joints) -> bool:
+        """Whether an arm that comes to rest reported the same angles at least `AT_REST_S` ago."""
+        before, self._last_at_rest = self._last_at_rest, (t, angles)
+        if before is None or t - before[0] < AT_REST_S:
             return False
-        return max(abs(one - other) for one, other in zip(angles, before[1], strict=True)) < STANDS_RAD
+        return max(abs(one - other) for one, other in zip(angles, before[1], strict=True)) < AT_REST_RAD

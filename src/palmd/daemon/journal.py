@@ -1,7 +1,7 @@
-"""What has happened, as `palm/log` tells it: a bounded list, and who notices. Pure, and safe in the loop.
+"""The journal behind `palm/log`: a bounded list of entries, and the classes that write them. Pure, safe in the loop.
 
-State and faults are looked at again and again; here is told once what has changed, and why, also when it is over by
-the next look.
+State and faults are polled; only changes are recorded, with their cause, including conditions that ended before the
+next poll.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from palmd.system.rig_constants import RIG_NAMES
 
 TEXT_LONGEST = 400
 SAME_S = 1.0
-"""The same again within so long is not told twice; grave faults always are."""
+"""An identical entry within this time is not repeated, except for faults that hold or stop."""
 
 LOST_S = 0.5
-"""Without a valid estimate for so long, an object that was known is lost."""
+"""An object that was known is lost after this time without a valid estimate."""
 
 _GRAVE = (Severity.HOLD, Severity.STOP)
 
 
 class Journal:
-    """The last `LOG_ENTRIES` entries; `count` is how many there have been. `t` (s) is the time that entries get."""
+    """The last `LOG_ENTRIES` entries; `count` is how many there have been. New entries get the time `t` (s)."""
 
     def __init__(self) -> None:
         self.t = 0.0
@@ -40,34 +40,34 @@ class Journal:
 
     @property
     def entries(self) -> tuple[LogEntry, ...]:
-        """All that are kept, the oldest first."""
+        """All kept entries, oldest first."""
         return tuple(self._entries)
 
     def add(
         self, kind: LogKind, name: str, text: str, *, severity: str = "", who: str = "", lasted_s: float = math.nan
     ) -> None:
-        """Tell of something; what equals the entry before it within `SAME_S` is left out."""
+        """Add an entry, unless it repeats the one before within `SAME_S`."""
         if len(text) > TEXT_LONGEST:
             text = f"{text[: TEXT_LONGEST - 1]}…"
         last = self._entries[-1] if self._entries else None
-        said = (kind, name, who, text)
-        if last is not None and self.t - last.t_s < SAME_S and (last.kind, last.name, last.who, last.text) == said:
+        content = (kind, name, who, text)
+        if last is not None and self.t - last.t_s < SAME_S and (last.kind, last.name, last.who, last.text) == content:
             return
         self._entries.append(LogEntry(self.count, self.t, kind, name, severity, who, lasted_s, text))
         self.count += 1
 
 
 class FaultNotes:
-    """Tells of faults as they come, with what speaks for them, and as they go, with how long they stood."""
+    """Records faults when they come up, with their evidence, and when they end, with their duration."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._active: tuple[Fault, ...] = ()
-        self._since: dict[str, float] = {}  # of what has been told
-        self._told: dict[str, float] = {}
+        self._since: dict[str, float] = {}  # begin of each fault that has been recorded
+        self._t_recorded: dict[str, float] = {}
 
     def look(self, active: tuple[Fault, ...], t: float, evidence: Callable[[str, float], str]) -> None:
-        """The faults that stand at `t` (s); `evidence` tells what speaks for a code."""
+        """Record changes of the `active` faults at `t` (s); `evidence(code, t)` gives the evidence."""
         if active is self._active:
             return
         self._active = active
@@ -78,15 +78,17 @@ class FaultNotes:
         for code, fault in standing.items():
             if code in self._since:
                 continue
-            if fault.severity not in _GRAVE and t - self._told.get(code, -math.inf) < SAME_S:
+            if fault.severity not in _GRAVE and t - self._t_recorded.get(code, -math.inf) < SAME_S:
                 continue
-            self._since[code] = self._told[code] = t
-            why = evidence(code, t)
-            self._journal.add("fault", code, f"{fault.text}: {why}" if why else fault.text, severity=fault.severity)
+            self._since[code] = self._t_recorded[code] = t
+            reason = evidence(code, t)
+            self._journal.add(
+                "fault", code, f"{fault.text}: {reason}" if reason else fault.text, severity=fault.severity
+            )
 
 
 class ObjectNotes:
-    """Tells when an object is begun, known, lost, known again."""
+    """Records when an object is new, known, lost, and known again."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -97,15 +99,15 @@ class ObjectNotes:
     def look(
         self, number: int, valid: bool, untouched: Sequence[int], t: float, because: Callable[[], str] = str
     ) -> None:
-        """At `t` (s): the object's number, whether its estimate is valid, the pads without contact.
+        """Update at `t` (s): the object's number, whether its estimate is valid, the pads without contact.
 
-        `because` says which limit the estimate failed.
+        `because` gives the limit that the estimate failed.
         """
         add = self._journal.add
         if number != self._number:
-            self._lose(f"object {number} was begun", t)
+            self._lose(f"object {number} has been started", t)
             self._number, self._t_valid = number, -math.inf
-            add("object", "begun", f"object {number} is begun: both pads feel something")
+            add("object", "begun", f"object {number} is new: both pads are in contact")
         if valid:
             if not self._known:
                 again = f" again, after {t - self._t_valid:.1f} s" if math.isfinite(self._t_valid) else ""
@@ -124,46 +126,52 @@ class ObjectNotes:
 
 
 class RigNotes:
-    """Tells of the rig's constants that readings begin, or cease, to contradict."""
+    """Records rig constants that the readings begin or cease to contradict."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._before: npt.NDArray[np.bool_] = np.zeros(len(RIG_NAMES), dtype=np.bool_)
 
-    def look(self, contradicted: FloatArray, said: Callable[[], Sequence[str]]) -> None:
-        """By how many sigmas each is contradicted; `said` tells in words what is off. With each answer."""
+    def look(self, contradicted: FloatArray, findings: Callable[[], Sequence[str]]) -> None:
+        """Update with a smoother's answer.
+
+        contradicted: number of σ by which each constant is contradicted. `findings` returns descriptions of the errors.
+        """
         now = contradicted != 0.0
         if np.array_equal(now, self._before):
             return
         for i in np.flatnonzero(now & ~self._before):
-            sigmas = f"readings contradict the configuration by {abs(contradicted[i]):.1f} sigmas"
-            self._journal.add("rig", RIG_NAMES[i], f"{sigmas}: {'; '.join(said())}")
+            sigmas = f"readings contradict the configuration by {abs(contradicted[i]):.1f}σ"
+            self._journal.add("rig", RIG_NAMES[i], f"{sigmas}: {'; '.join(findings())}")
         for i in np.flatnonzero(self._before & ~now):
-            self._journal.add("rig", RIG_NAMES[i], "readings contradict the configuration no longer")
+            self._journal.add("rig", RIG_NAMES[i], "readings no longer contradict the configuration")
         self._before = now
 
 
 class MotionNotes:
-    """Tells when an exploration begins and ends, and that a plan has come to its end."""
+    """Records the begin and end of explorations, and the end of a plan."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._exploration: Exploration | None = None
-        self._t_begun = math.nan
+        self._t_started = math.nan
         self._over = False
 
     def look(self, exploration: Exploration | None, reason: str, plan: str, over: bool, t: float) -> None:
-        """At `t` (s): the exploration in hand, why the last one ended, the plan, and whether that is `over`."""
+        """Update at `t` (s).
+
+        exploration: the one under way. reason: why the last one ended. over: whether the plan is complete.
+        """
         if exploration is not self._exploration:
             if self._exploration is not None:
                 share = self._exploration.coverage
                 done = f"{share:.0%} of the outline touched; " if math.isfinite(share) else ""
-                self._journal.add("exploration", "over", f"{done}{reason}", lasted_s=t - self._t_begun)
-            self._exploration, self._t_begun = exploration, t
+                self._journal.add("exploration", "over", f"{done}{reason}", lasted_s=t - self._t_started)
+            self._exploration, self._t_started = exploration, t
             if exploration is not None:
                 goal = exploration.goal
-                wanted = f"until {goal.coverage:.0%} of the outline is touched, {goal.time_limit_s:g} s at most"
+                wanted = f"until {goal.coverage:.0%} of the outline has been touched, {goal.time_limit_s:g} s at most"
                 self._journal.add("exploration", "begun", wanted)
         if over and not self._over:
-            self._journal.add("plan", "over", f"the plan {plan} has run its course; the palms stand")
+            self._journal.add("plan", "over", f"the plan {plan} is complete; the palms are at rest")
         self._over = over

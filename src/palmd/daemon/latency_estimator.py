@@ -1,4 +1,4 @@
-"""The latency with which the arm follows its set-points, estimated while it moves. Pure, and safe in the loop."""
+"""Estimator of the latency between the arm and its set-points, running while it moves. Pure, and safe in the loop."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from palmd.events import Joints, PalmMotion
 START_S, LONGEST_S = 0.040, 0.100
 MEMORY = 24  # set-points: 0.38 s at 16 ms
 FORGETTING = 0.995  # per report: a memory of some 3 s
-PRIOR_INFORMATION = 0.01  # (1 mrad of misfit / 10 ms of lag)²: what a report says of the lag is ω² beside it
+PRIOR_INFORMATION = 0.01  # (1 mrad of misfit / 10 ms of lag)²; a report adds the information ω²
 
 
 class LatencyEstimator:
-    """Remembers what was commanded and when, and fits the lag L in actual(t) ≈ commanded(t − L).
+    """Stores recent set-points and fits the lag L in actual(t) ≈ commanded(t − L).
 
-    To first order actual(t) − commanded(t − L) = −ω·δ when L is wrong by δ, so L follows by recursive least
-    squares with forgetting; a standing arm teaches nothing and does not unteach.
+    To first order actual(t) − commanded(t − L) = −ω·δ if L is wrong by δ, so L is estimated by recursive least squares
+    with forgetting; an arm at rest adds no information and forgets none.
     """
 
     def __init__(self) -> None:
@@ -26,36 +26,36 @@ class LatencyEstimator:
         self._information = PRIOR_INFORMATION
 
     def sent(self, t: float, motion: PalmMotion) -> None:
-        """A set-point went out at `t` (s), later than the one before."""
+        """A set-point was sent at `t` (s), later than the one before."""
         self._sent.append((t, motion))
 
     def forget(self) -> None:
-        """Tracking has ended: what was commanded no longer tells of the motion. The lag itself is kept."""
+        """Tracking has ended: drop the set-points, which no longer describe the motion. The lag is kept."""
         self._sent.clear()
 
     def motion(self, t_sample: float) -> PalmMotion | None:
-        """What the arm was meant to do at `t_sample` (s), the lag allowed for; None where not commanded."""
+        """The commanded motion at `t_sample` (s), delayed by the lag; None where nothing was commanded."""
         return self._commanded(t_sample - self.lag_s)
 
     def observe(
-        self, t_sample: float, angles: Joints, free: Collection[int] = (), meant: PalmMotion | None = None
+        self, t_sample: float, angles: Joints, free: Collection[int] = (), planned: PalmMotion | None = None
     ) -> None:
-        """Learn from the actual joint angles (rad) at `t_sample` (s), but of those that are `free` to go elsewhere.
+        """Update the lag from the actual joint angles (rad) at `t_sample` (s), except those of `free` joints.
 
-        meant: what `motion` tells for then, where it has been asked already.
+        planned: the result of `motion(t_sample)` if it is already available.
         """
-        meant = meant or self.motion(t_sample)
-        if meant is None:
+        planned = planned or self.motion(t_sample)
+        if planned is None:
             return
-        rates = [0.0 if joint in free else omega for joint, omega in enumerate(meant.rates)]
+        rates = [0.0 if joint in free else omega for joint, omega in enumerate(planned.rates)]
         speed = sum(omega**2 for omega in rates)
-        each = zip(rates, angles, meant.angles, strict=True)
-        misfit = sum(omega * (actual - wanted) for omega, actual, wanted in each)
+        each = zip(rates, angles, planned.angles, strict=True)
+        misfit = sum(omega * (actual - commanded) for omega, actual, commanded in each)
         self._information = max(FORGETTING * self._information, PRIOR_INFORMATION) + speed
         self.lag_s = min(max(self.lag_s - misfit / self._information, 0.0), LONGEST_S)
 
     def fastest(self, since: float, joints: int) -> list[float]:
-        """The largest rate of each joint, without its sign, that has been commanded since then (s)."""
+        """The largest commanded absolute rate of each joint since `since` (s)."""
         rates = []
         for t, motion in reversed(self._sent):
             rates.append(motion.rates)
@@ -64,19 +64,19 @@ class LatencyEstimator:
         return [max(max(each), -min(each)) for each in zip(*rates, strict=True)] if rates else [0.0] * joints
 
     def extremes(self, t_sample: float, within_s: float) -> tuple[Joints, Joints]:
-        """Least and largest angle of each joint that was commanded for `t_sample` (s), where `motion` tells one.
+        """Least and largest commanded angle of each joint at `t_sample` (s), for lag errors up to `within_s`.
 
-        within_s: what the lag may be off by.
+        Call only where `motion` is not None.
         """
         at = t_sample - self.lag_s
         ends = self._commanded(at - within_s), self._commanded(at + within_s)
-        meant = [motion.angles for motion in ends if motion is not None]
-        meant += [motion.angles for t, motion in self._sent if abs(t - at) < within_s]
-        each = list(zip(*meant, strict=True))
+        planned = [motion.angles for motion in ends if motion is not None]
+        planned += [motion.angles for t, motion in self._sent if abs(t - at) < within_s]
+        each = list(zip(*planned, strict=True))
         return tuple(map(min, each)), tuple(map(max, each))
 
     def _commanded(self, t: float) -> PalmMotion | None:
-        """Linear between set-points, the last one from then on; None before the first."""
+        """Linear interpolation between set-points, constant after the last; None before the first."""
         after: tuple[float, PalmMotion] | None = None
         for entry in reversed(self._sent):
             if entry[0] <= t:

@@ -1,4 +1,4 @@
-"""The daemon's states, as one table of transitions. Pure."""
+"""The daemon's states as a table of transitions. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """What the daemon is doing, from the operator's point of view."""
+    """State of the daemon from the operator's point of view."""
 
     IDLE = "idle"
     READY = "ready"
@@ -16,16 +16,16 @@ class State(StrEnum):
 
 
 class Trigger(StrEnum):
-    """What may change the state."""
+    """Events that can change the state."""
 
-    RIG_UP = "all ports open and the arm has said hello"
-    RIG_DOWN = "a port or the arm's link is gone"
+    RIG_UP = "all ports open and the arm has answered hello"
+    RIG_DOWN = "a port or the arm's link is lost"
     ARMED = "arm, granted by the controller"
     START = "start"
     HOLD = "hold, or a hold fault"
     STOP = "stop"
     STOP_FAULT = "a stop fault"
-    CLEARED = "reset, and no stop fault is left"
+    CLEARED = "reset, and no stop fault remains"
 
 
 TRANSITIONS: dict[tuple[State, Trigger], State] = {
@@ -44,14 +44,14 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.HOLD, Trigger.STOP_FAULT): State.FAULT,
     (State.FAULT, Trigger.CLEARED): State.READY,
 }
-"""Every transition there is. A trigger that has none in a state changes nothing, and is refused as a command."""
+"""Every transition. A trigger without a transition in a state changes nothing; as a command it is refused."""
 
 COMMANDED = frozenset({State.TRACKING, State.HOLD})
-"""The states in which the arm gets set-points."""
+"""States in which the arm gets set-points."""
 
 
 def next_state(state: State, trigger: Trigger) -> State | None:
-    """The state that `trigger` leads to, None where it leads nowhere."""
+    """The state after `trigger`, None if there is no such transition."""
     return TRANSITIONS.get((state, trigger))
 
 

@@ -1,8 +1,8 @@
-"""The 100 Hz loop: one thread, one grid of deadlines, ports and sockets at its rim.
+"""The 100 Hz loop: one thread on a grid of deadlines, with the ports and sockets.
 
-Until the tick's deadline the loop waits on the ports, so bytes are dated when they arrive, and writes the
-arm's set-points when their own timer says so. The last moments before a deadline are kept free for it. A tick
-that comes late skips whole periods; it never makes up for them.
+Until a tick's deadline the loop waits on the ports, so that bytes get the time at which they arrive, and writes the
+arm's set-points when these are due. The last moments before a deadline are kept free. A tick that comes late skips
+whole periods; skipped ticks are not made up for.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ from palmd.quantities import CONFIG, INFO, LOOP, Topic
 log = logging.getLogger(__name__)
 
 STOPPING_S = 1.5
-"""How long the end may wait for the arm to report that it stands."""
+"""Longest time to wait at the end for the arm to report that it is at rest."""
 
 SLOW_TOPIC_S = 1.0 / LOOP.rate_hz
 
 QUIET_S = 0.3e-3
-"""So long before a tick nothing is begun that could delay it; what comes is dated, and seen to in the tick."""
+"""In this interval before a tick no work is begun; arriving bytes are time-stamped and processed in the tick."""
 
 OBSERVING_SHARE = 0.5
-"""Of a period, after which the observer begins no further event in a tick."""
+"""Share of a period after which the observer takes no further event in a tick."""
 
 TEND_S = 0.25
-"""How often each process beside the loop is looked after."""
+"""Period in which each process beside the loop is checked."""
 
 AWAKE_S = 0.1e-3
-"""So long before a tick the loop no longer sleeps, for no machine wakes anybody to the microsecond."""
+"""In this interval before a tick the loop busy-waits, because no machine wakes a thread to the microsecond."""
 
 
 def next_deadline(deadline: float, now: float, period: float) -> tuple[float, int]:
-    """The first deadline of the grid after `now` (s), and how many between were missed."""
+    """The first deadline of the grid after `now` (s), and how many before it were missed."""
     skipped = max(0, math.floor((now - deadline) / period))
     return deadline + (skipped + 1) * period, skipped
 
 
 class Waiter(Protocol):
-    """What waits on the ports; see `PortWaiter`."""
+    """Waits on the ports; see `PortWaiter`."""
 
     def wait(self, t_deadline: float) -> list[DevicePort]:
-        """The ports where something has come, or none once `t_deadline` (s) has."""
+        """The ports with data, or none once `t_deadline` (s) is reached."""
 
 
 class Loop:
@@ -82,12 +82,11 @@ class Loop:
         processor: ProcessorTime | None = None,
         tend: Sequence[Callable[[float], None]] = (),
     ) -> None:
-        """`info` is what `info_topic` says, `config` what `palm/config` does, `counters` gives what `palm/loop`
-        says beyond the loop's own.
+        """`info` are the fields of `info_topic`, `config` those of `palm/config`.
 
-        `clock` gives the time (s) of all that is done, `wall` that of the calendar; `waiter` waits on the ports;
-        `processor` says who had it when a tick is late, if it is to be said. `tend` are called with the time (s) a few
-        times a second: each looks after a process beside the loop, and takes 1 ms at most.
+        `counters` gives further fields of `palm/loop`. `clock` gives the time (s) of everything that happens, `wall`
+        the calendar time; `waiter` waits on the ports; `processor`, if given, explains why a tick was late. `tend` are
+        called with the time (s) a few times a second: each checks one process beside the loop and takes 1 ms at most.
         """
         self.statistics = LoopStatistics(rate_hz)
         self._core = core
@@ -105,55 +104,55 @@ class Loop:
         self._processor = processor
         self._tend = tuple(tend)
         self._t_tend = -math.inf
-        self._known_open: set[EndName] = set()
-        self._stop_wanted = False
+        self._open_ends: set[EndName] = set()
+        self._stop_requested = False
         self._t_stop = math.inf
         self._deadline = -math.inf
         self._arrived: list[tuple[DevicePort, bytes, float]] = []
-        self._busy_s = 0.0  # spent on bytes since the last tick
+        self._busy_s = 0.0  # spent on processing bytes since the last tick
         self._failed = False
         self._t_slow = -math.inf
-        self._told_ready = False
-        self._told_state: tuple[State, tuple[Fault, ...]] = (core.state, ())
-        self._told_errors: dict[EndName, str | None] = {}
+        self._ready_sent = False
+        self._logged_state: tuple[State, tuple[Fault, ...]] = (core.state, ())
+        self._logged_errors: dict[EndName, str | None] = {}
         self._parts: tuple[Callable[[float], None], ...] = (
-            self._take_in,
-            self._open_ports,
+            self._receive,
+            self._poll_ports,
             self._observe,
-            self._obey,
+            self._handle_commands,
             core.decide,
-            self._answer,
+            self._send_replies,
             self._publish,
-            self._publish_slowly,
-            self._look_after,
-            self._tell,
+            self._publish_slow_topics,
+            self._tend_next,
+            self._log_changes,
         )
 
     def stop(self) -> None:
-        """Ask for a planned stop and the end of `run`; may be called from a signal handler."""
-        self._stop_wanted = True
+        """Request a planned stop and the end of `run`; may be called from a signal handler."""
+        self._stop_requested = True
 
     def run(self) -> bool:
-        """Tick until asked to stop; returns whether the arm is known to stand in the end."""
+        """Tick until `stop`; returns whether the arm is known to be at rest at the end."""
         self.begin()
         while not self.over():
             self.period()
         return self._core.at_rest
 
     def begin(self) -> None:
-        """Open the ports; the first tick is due a period later."""
-        self._open_ports(self._clock())
+        """Open the ports; the first tick is due one period later."""
+        self._poll_ports(self._clock())
         self._deadline = self._clock() + self._period
 
     def period(self) -> None:
-        """Attend to the ports until the next tick is due, and do it."""
+        """Serve the ports until the next tick is due, then execute it."""
         deadline = self._deadline
-        self._attend(deadline)
-        begun = self._clock()
-        healthy = self._tick(begun)
+        self._serve_ports(deadline)
+        started = self._clock()
+        healthy = self._tick(started)
         ended = self._clock()
         self._deadline, skipped = next_deadline(deadline, ended, self._period)
-        self.statistics.tick(begun - deadline, ended - begun + self._busy_s, skipped)
+        self.statistics.tick(started - deadline, ended - started + self._busy_s, skipped)
         self._busy_s = 0.0
         if skipped:
             self._core.overran(ended, ended - deadline, self._processor.lost() if self._processor else "")
@@ -161,8 +160,8 @@ class Loop:
             self._notifier.healthy(ended)
 
     def over(self) -> bool:
-        """Whether the end was asked for and the arm stands, or has had its time to."""
-        if not self._stop_wanted:
+        """Whether the end was requested, and the arm is at rest or `STOPPING_S` have passed."""
+        if not self._stop_requested:
             return False
         now = self._clock()
         if math.isinf(self._t_stop):
@@ -170,36 +169,36 @@ class Loop:
             self._notifier.stopping()
             log.info("stopping")
             self._core.close()
-            return False  # one more tick at least, for the stop to go out
+            return False  # at least one more tick, to send the stop
         return self._core.at_rest or now - self._t_stop > STOPPING_S
 
     # ---- between ticks -----------------------------------------------------------------------------------
 
-    def _attend(self, deadline: float) -> None:
-        """Until the deadline read what comes and write what falls due, the latter not when it is near."""
+    def _serve_ports(self, deadline: float) -> None:
+        """Until the deadline read what arrives and write what is due; no writes close to the deadline."""
         t_quiet, t_awake = deadline - QUIET_S, deadline - AWAKE_S
-        while (begun := self._clock()) < t_awake:
-            if begun >= t_quiet:
+        while (now := self._clock()) < t_awake:
+            if now >= t_quiet:
                 self._read(t_awake)
                 continue
             self._read(min(t_quiet, self._core.due()))
-            begun = self._clock()
-            if begun < t_quiet:
-                self._see_to()
+            now = self._clock()
+            if now < t_quiet:
+                self._process_arrived()
                 if self._clock() < t_quiet:
                     self._write()
-                self._busy_s += self._clock() - begun
+                self._busy_s += self._clock() - now
         while self._clock() < deadline:
             pass
 
     def _read(self, t_end: float) -> None:
-        """Wait for bytes, no longer than until `t_end` (s), and date them."""
+        """Wait for bytes until `t_end` (s) at most, and time-stamp them."""
         for port in self._waiter.wait(t_end):
             data = port.read()
             self._arrived.append((port, data, self._clock()))
 
-    def _see_to(self) -> None:
-        """Give the core what has arrived."""
+    def _process_arrived(self) -> None:
+        """Pass to the core what has arrived."""
         arrived, self._arrived = self._arrived, []
         for port, data, t in arrived:
             end = self._ends[port]
@@ -208,21 +207,21 @@ class Loop:
                     self._core.receive(end, data, t)
                 except Exception as error:
                     self._fail(t, error)
-            if not port.is_open and end in self._known_open:
+            if not port.is_open and end in self._open_ends:
                 self._lost(end, t)
 
-    def in_hand(self, end: EndName) -> int:
-        """How many bytes of a port have been read and wait for the tick."""
+    def pending_bytes(self, end: EndName) -> int:
+        """How many bytes of a port have been read and not been processed yet."""
         return sum(len(data) for port, data, _ in self._arrived if port is self._ports[end])
 
     def _write(self) -> None:
-        """What falls due to the arm; a pad that has been let go since the last tick makes it brake."""
+        """Write what is due to the arm; if a pad has lost contact since the last tick, the set-point brakes."""
         t = self._clock()
         if t < self._core.due():
             return
         self._read(-math.inf)
         try:
-            if not self._arrived:  # else the tick will tell: silence is judged where nothing lies unread
+            if not self._arrived:  # silence can be judged only if nothing is unread; otherwise the tick does it
                 self._core.look(t)
             t = self._clock()
             data = self._core.transmit(t)
@@ -237,9 +236,9 @@ class Loop:
     # ---- the tick ----------------------------------------------------------------------------------------
 
     def _tick(self, t: float) -> bool:
-        """One tick at `t` (s); returns whether it went well.
+        """Execute one tick at `t` (s); returns whether no part failed.
 
-        A part that raises does not keep the others from their work. Set-points may fall due between parts.
+        A part that raises does not prevent the others. Set-points may be due between parts.
         """
         healthy = True
         for part in self._parts:
@@ -251,24 +250,24 @@ class Loop:
             self._write()
         return healthy
 
-    def _take_in(self, _t: float) -> None:
+    def _receive(self, _t: float) -> None:
         self._read(-math.inf)
-        self._see_to()
+        self._process_arrived()
 
     def _observe(self, t: float) -> None:
-        t_enough = t + OBSERVING_SHARE * self._period
+        t_end = t + OBSERVING_SHARE * self._period
 
         def between() -> bool:
             self._write()
-            return self._clock() < t_enough
+            return self._clock() < t_end
 
         self._core.observe(t, between)
 
-    def _obey(self, t: float) -> None:
+    def _handle_commands(self, t: float) -> None:
         for request in self._bus.receive(self._core.in_control):
             self._core.handle(request, t)
 
-    def _answer(self, _t: float) -> None:
+    def _send_replies(self, _t: float) -> None:
         for reply in self._core.replies():
             self._bus.reply(reply)
 
@@ -277,7 +276,7 @@ class Loop:
         for topic, fields in self._core.report(t):
             self._bus.publish(topic, fields, t, timestamp)
 
-    def _publish_slowly(self, t: float) -> None:
+    def _publish_slow_topics(self, t: float) -> None:
         if t - self._t_slow >= SLOW_TOPIC_S - 0.5 * self._period:
             self._t_slow = t
             if self._processor:
@@ -288,8 +287,8 @@ class Loop:
             if self._config is not None:
                 self._bus.publish(CONFIG, dict(self._config), t, timestamp)
 
-    def _look_after(self, t: float) -> None:
-        """One process a time, so that no tick starts two."""
+    def _tend_next(self, t: float) -> None:
+        """Check one process at a time, so that no tick starts two."""
         if self._tend and t - self._t_tend >= TEND_S / len(self._tend):
             self._t_tend = t
             self._tend[0](t)
@@ -298,23 +297,23 @@ class Loop:
     def _fail(self, t: float, error: Exception) -> None:
         if not self._failed:
             self._failed = True
-            log.exception("unexpected error in the control loop; this is told once")
+            log.exception("unexpected error in the control loop; further ones are not logged")
         self._core.fail(t, error)
 
-    def _open_ports(self, t: float) -> None:
-        """Try the shut ports again, and let pads do there what their start-up wants."""
+    def _poll_ports(self, t: float) -> None:
+        """Try to open closed ports, and let pads run their start-up handshake."""
         for end, port in self._ports.items():
-            if end not in self._known_open and port.poll_open(t):
-                self._known_open.add(end)
+            if end not in self._open_ends and port.poll_open(t):
+                self._open_ends.add(end)
                 self._core.opened(end, t)
-            if port.error != self._told_errors.get(end, ""):
-                self._told_errors[end] = port.error
+            if port.error != self._logged_errors.get(end, ""):
+                self._logged_errors[end] = port.error
                 log.warning("%s", port.error) if port.error else log.info("%s: %s is open", end, port.path)
         for end, pad in self._core.pads.items():
             pad.tend(self._ports[end], t)
 
     def _lost(self, end: EndName, t: float) -> None:
-        self._known_open.discard(end)
+        self._open_ends.discard(end)
         self._core.lost(end, t)
 
     def _loop_fields(self) -> Fields:
@@ -324,13 +323,13 @@ class Loop:
             fields |= {f"{end}_port_{what}": count for what, count in port.counters.as_dict().items()}
         return fields | {"rss_mb": rss_mb(), "blocks": sys.getallocatedblocks(), "backend": self._backend}
 
-    def _tell(self, _t: float) -> None:
-        """Log what has changed, and tell the service manager."""
+    def _log_changes(self, _t: float) -> None:
+        """Log changes of state and faults, and notify the service manager."""
         state, faults = self._core.state, self._core.faults.active
-        before, active = self._told_state
+        before, active = self._logged_state
         if state is before and faults is active:
             return
-        self._told_state = (state, faults)
+        self._logged_state = (state, faults)
         for fault in faults:
             if fault not in active:
                 log.warning("fault %s (%s): %s: %s", fault.code, fault.severity, fault.text, fault.hint)
@@ -339,7 +338,7 @@ class Loop:
                 log.info("fault %s is over", fault.code)
         if state is not before:
             log.info("%s -> %s", before, state)
-        if state is not State.IDLE and not self._told_ready:
-            self._told_ready = True
+        if state is not State.IDLE and not self._ready_sent:
+            self._ready_sent = True
             self._notifier.ready()
         self._notifier.status(f"{state}" + "".join(f", {fault.code}" for fault in faults))

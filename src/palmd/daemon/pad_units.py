@@ -1,4 +1,4 @@
-"""The units of pads that report them, read once before the daemon starts, so that the whole configuration has them."""
+"""Complete the configuration with the units that pads report; read once before the daemon starts."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Configured = TypeVar("Configured", bound=AnyConfig)
 
 
 def with_reported_units(config: Configured) -> Configured:
-    """The configuration with the units that it leaves to its pads' devices; opens each, for the time being.
+    """The configuration with the units that it leaves to the pads' devices; opens each device briefly.
 
-    A device that is not there changes nothing: it is asked when its port is opened.
+    A device that is not present changes nothing: it is queried when its port is opened.
     """
     pads = getattr(config, "pads", None)
     if not isinstance(pads, AnyPads):

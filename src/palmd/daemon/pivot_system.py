@@ -10,9 +10,9 @@ from typing import ClassVar
 
 from palmd import pivot_messages as messages
 from palmd.config.pivot import PivotConfig, pivot_rig
-from palmd.daemon.dragging import Dragging
-from palmd.daemon.exploration_requests import Source
-from palmd.daemon.exploring import Explores
+from palmd.daemon.dragging import DragExploration
+from palmd.daemon.exploration_requests import DecisionSource
+from palmd.daemon.exploring import ExplorationControl
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_difference
 from palmd.daemon.guards.rig_contradiction import pivot_contradiction
@@ -75,9 +75,9 @@ class PivotPoses:
 class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
     """A body that turns freely in a gripper over one pad; see `LiveSystem`."""
 
-    says: ClassVar[MessageCodec] = messages
+    codec: ClassVar[MessageCodec] = messages
     naming = NAMING
-    outside = OUTSIDE_M
+    limit_tolerance = OUTSIDE_M
 
     def __init__(self, config: PivotConfig) -> None:
         super().__init__(config)
@@ -94,12 +94,12 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         stack.callback(smoother.close)
         return pivot_observer(rig, smoother), smoother
 
-    def exploring(self, setpoints: SetPoints, source: Source | None) -> Dragging:
+    def exploration_control(self, setpoints: SetPoints, source: DecisionSource | None) -> DragExploration:
         """Explorations are decided in the loop."""
         del source
-        return Dragging(setpoints)
+        return DragExploration(setpoints)
 
-    def unknown(self, t: float, observer: LiveObserver) -> PivotEstimate:
+    def invalid_estimate(self, t: float, observer: LiveObserver) -> PivotEstimate:
         """An estimate without values."""
         nan = math.nan
         return PivotEstimate(
@@ -107,20 +107,20 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
             side=0, touched=0.0, reason="the observer has failed",
         )  # fmt: skip
 
-    def excused(self, exploring: Explores) -> Collection[str]:
+    def suppressed_faults(self, exploring: ExplorationControl) -> Collection[str]:
         """No contact is no fault: the gripper lifts the body on purpose, and explorations report a loss themselves."""
         del exploring
         return _NO_CONTACT
 
-    def answered(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
+    def answer_message(self, t: float, answer: PivotAnswer) -> tuple[Topic, Fields]:
         """`palm/pivot_answer`."""
         return PIVOT_ANSWER, messages.answer_fields(t, answer)
 
-    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/pivot_shape`."""
         return PIVOT_SHAPE, messages.shape_fields(shape)
 
-    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """Joint positions and their limits as text, in millimetres."""
         return ", ".join(
             f"{axis} is {at * 1e3:.1f} mm, its limits are {low * 1e3:g} mm and {high * 1e3:g} mm"

@@ -1,13 +1,13 @@
-"""Compiles plans in a process of ordinary priority beside the loop, within bounds on time and size.
+"""Compiles plans in a process of ordinary priority beside the loop, with limits on time and size.
 
-The loop hands over a description of the work and finds the plan ready some ticks later. It never waits, and takes at
-most a few milliseconds to unpack a plan of the largest size.
+The loop submits a picklable call and finds the plan ready some ticks later. It never waits, and takes at most a few
+milliseconds to unpack a plan of the largest size.
 """
 
 from __future__ import annotations
 
 import importlib
-import pickle  # between a process and its own child, on a socket in a folder of their own
+import pickle  # between a process and its own child, on a socket in a private folder
 import signal
 import time
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from concurrent.futures import Executor, Future
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar
 
-from palmd.daemon.worker import WorkerProcess, meet
+from palmd.daemon.worker import WorkerProcess, worker_socket
 
-LONGEST_S = 10.0
-"""The most processor time that the compilation of a plan may take."""
+MAX_CPU_S = 10.0
+"""Largest processor time for compiling a plan."""
 
-PATIENCE_S = 40.0
-"""For an answer, on a busy machine and with a start of the process; then the process is started again."""
+TIMEOUT_S = 40.0
+"""For an answer, on a busy machine and including a start of the process; then the process is restarted."""
 
-LARGEST_BYTES = 100_000
-"""Of a compiled plan on its way to the loop, which unpacks it in 3 ms."""
+MAX_PLAN_BYTES = 100_000
+"""Largest size of a compiled plan, which the loop unpacks in 3 ms."""
 
 HIGH_WATER = 2
 NICENESS = 1
@@ -34,58 +34,58 @@ T = TypeVar("T")
 
 
 class CompilationError(Exception):
-    """A plan that cannot be had; says why."""
+    """A plan that could not be compiled, with the reason."""
 
 
-class _Awaited(Future[T]):
-    """A plan that is looked for whenever somebody asks whether it is there."""
+class _PolledFuture(Future[T]):
+    """A future that checks for its result whenever `done` is called."""
 
     def __init__(self, look: Callable[[], None]) -> None:
         super().__init__()
         self._look = look
 
     def done(self) -> bool:
-        """Whether it is there, or is known not to come."""
+        """Whether there is a result or an exception."""
         self._look()
         return super().done()
 
 
 class PlanCompiler(Executor):
-    """The loop's end; what is submitted is a picklable call that gives a plan. Safe inside the loop.
+    """The loop's side: an executor for picklable calls that return a plan. Safe inside the loop.
 
-    One plan at a time: whatever was submitted before is given up.
+    One plan at a time: a call submitted before is abandoned.
     """
 
     def __init__(self) -> None:
-        """Start the process, as a copy of this one, before it has other threads; raises OSError when it cannot be."""
-        self._process = WorkerProcess("planner", __name__, high_water=HIGH_WATER, copied=True)
+        """Start the process as a fork of this one, before it has other threads; raises OSError if that fails."""
+        self._process = WorkerProcess("planner", __name__, high_water=HIGH_WATER, forked=True)
         self._count = 0
         self._message = b""
-        self._sent_to = 0  # the start of the process that has the message
+        self._sent_to = 0  # number of the process start that has the message
         self._future: Future[Any] | None = None
         self._t_end = 0.0
 
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Have the plan compiled."""
+        """Submit a call that returns a plan; abandons the one submitted before."""
         t = time.monotonic()
         if self._future is not None:
-            self._process.restart(t)  # nobody waits for that plan any more
-        future: Future[T] = _Awaited(self._look)
+            self._process.restart(t)  # that plan is not needed any more
+        future: Future[T] = _PolledFuture(self._look)
         self._count += 1
         self._message = pickle.dumps((self._count, work, args, kwargs))
-        self._future, self._sent_to, self._t_end = future, 0, t + PATIENCE_S
+        self._future, self._sent_to, self._t_end = future, 0, t + TIMEOUT_S
         return future
 
     def tend(self, t: float) -> None:
-        """Start the process again at `t` (s) if it does not run."""
+        """Restart the process at `t` (s) if it does not run."""
         self._process.tend(t)
 
     def close(self) -> None:
-        """End the process."""
+        """Stop the process."""
         self._process.close()
 
     def _look(self) -> None:
-        """Pass on what the process has not got yet, and take its answer."""
+        """Send the message if the present process does not have it, and receive its answer."""
         future = self._future
         if future is None:
             return
@@ -103,35 +103,35 @@ class PlanCompiler(Executor):
         if time.monotonic() > self._t_end:
             self._future = None
             self._process.restart(time.monotonic())
-            future.set_exception(CompilationError(f"the plan was not compiled within {PATIENCE_S:g} s"))
+            future.set_exception(CompilationError(f"the plan was not compiled within {TIMEOUT_S:g} s"))
 
 
 def serve(address: str) -> None:
-    """The process's work, for ever: compile what comes."""
-    importlib.import_module("palmd.daemon.planner")  # before the first plan comes
-    signal.signal(signal.SIGPROF, _give_up)
-    with meet(address, NICENESS) as socket:
+    """Main function of the process, endless: compile the plans it receives."""
+    importlib.import_module("palmd.daemon.planner")  # loaded before the first plan arrives
+    signal.signal(signal.SIGPROF, _raise_timeout)
+    with worker_socket(address, NICENESS) as socket:
         while True:
             socket.send(pickle.dumps(compiled(socket.recv())))
 
 
 def compiled(message: bytes) -> tuple[int, bytes, str]:
-    """The number of a message, the plan that its call gives, packed, and why there is none."""
+    """(number of the message, the packed plan, why there is none)."""
     number, work, args, kwargs = pickle.loads(message)
-    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
+    signal.setitimer(signal.ITIMER_PROF, MAX_CPU_S)
     try:
         packed = pickle.dumps(work(*args, **kwargs))
-    except Exception as error:  # a plan from outside may be wrong in any way; the loop hears how
+    except Exception as error:  # a plan from outside can fail in any way; the reason is sent to the loop
         return number, b"", str(error) or type(error).__name__
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-    if len(packed) > LARGEST_BYTES:
-        size = f"{len(packed) / 1e3:.0f} kB once compiled, more than {LARGEST_BYTES / 1e3:.0f} kB"
-        return number, b"", f"the plan is too large: {size}; leave out segments, or let each round end where it began"
+    if len(packed) > MAX_PLAN_BYTES:
+        size = f"{len(packed) / 1e3:.0f} kB once compiled, more than {MAX_PLAN_BYTES / 1e3:.0f} kB"
+        return number, b"", f"the plan is too large: {size}; use fewer segments, or let each round end at its start"
     return number, packed, ""
 
 
-def _give_up(_signal: int, _frame: FrameType | None) -> None:
+def _raise_timeout(_signal: int, _frame: FrameType | None) -> None:
     raise CompilationError(
-        f"the plan takes more than {LONGEST_S:g} s of processor time to compile: make it shorter or divide it"
+        f"compiling the plan takes more than {MAX_CPU_S:g} s of processor time: shorten or divide it"
     )

@@ -1,4 +1,4 @@
-"""Plans for the daemon: read from a file, and compiled for the pose where the palms stand."""
+"""Motion plans for the daemon: read from files and compiled for the present pose of the palms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from palmd.yamlfile import ConfigError, Document, is_plan, read_document
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A plan and its trajectory within `limits`, for palms that stand at `start` (rad)."""
+    """A plan and its trajectory within `limits`, for palms at `start` (rad)."""
 
     spec: AnyPlanSpec
     trajectory: Trajectory
@@ -28,7 +28,7 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """The plan's own name."""
+        """The plan's name."""
         return self.spec.name
 
     @property
@@ -36,14 +36,14 @@ class Plan:
         """Whether it ends with an exploration."""
         return isinstance(self.spec.segments[-1], ExploreSpec)
 
-    def serves(self, limits: MotionLimits, start: Angles) -> bool:
-        """Whether the trajectory is right for these limits and this start; that of an exploration serves but once."""
+    def is_valid_for(self, limits: MotionLimits, start: Angles) -> bool:
+        """Whether the trajectory fits these limits and this start; that of an exploration can be used only once."""
         if self.explores:
             return False
-        return limits is self.limits and (start == self.start or _begins_anywhere(self.spec))
+        return limits is self.limits and (start == self.start or _independent_of_start(self.spec))
 
-    def within(self, limits: MotionLimits) -> Plan:
-        """The same plan with the caller's own object for its limits: a plan from another process has a copy."""
+    def with_limits(self, limits: MotionLimits) -> Plan:
+        """The same plan with the caller's own limits object: a plan from another process has a copy."""
         return replace(self, limits=limits)
 
     def compiled(self, limits: MotionLimits, start: Angles) -> Plan:
@@ -52,26 +52,26 @@ class Plan:
 
 
 def read_plan(path: Path, limits: MotionLimits, start: Angles | None) -> Plan:
-    """The plan in a file; not for the loop. Raises ConfigError with file:line:col for all that is wrong."""
-    with contextlib.suppress(OSError):  # which the reading tells
+    """The plan in a file; not for the loop. Raises ConfigError with file:line:col for each error."""
+    with contextlib.suppress(OSError):  # reported by `read_document` below
         if path.is_fifo() or path.is_char_device() or path.is_socket():
-            raise ConfigError([f"{path}: is no file but something that may never end"])
+            raise ConfigError([f"{path}: is not a regular file"])
     return _plan(read_document(path), limits, start)
 
 
 def plan_in(text: str, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
-    """The plan that `text` says, `name` its file somewhere else; not for the loop. Raises ConfigError, as `read_plan`.
+    """The plan in `text`; `name` is its file on the sender's machine. Not for the loop. Raises as `read_plan`.
 
-    The text may be quoted: it is the sender's own.
+    Errors may quote the text, since it is the sender's own.
     """
     return _plan(read_document(Path(name), text), limits, start)
 
 
 @dataclass(frozen=True, slots=True)
 class PlanFolder:
-    """The folder out of which plans are loaded by name: that of the configured plan, None without one.
+    """The folder from which plans are loaded by name: that of the configured plan, None without one.
 
-    `base` is the configuration's folder, from which names may be told, too.
+    `base` is the configuration's folder, relative to which names may also be given.
     """
 
     folder: Path | None
@@ -79,19 +79,19 @@ class PlanFolder:
 
     @classmethod
     def of(cls, config: AnyConfig, base: Path) -> Self:
-        """That of a configuration in the folder `base`."""
+        """The plan folder of a configuration in the folder `base`."""
         return cls(None if config.plan is None else config.plan.parent, base)
 
     def load(self, name: str, limits: MotionLimits, start: Angles | None) -> Plan:
-        """The plan in the file called `name`; not for the loop. Raises ConfigError, as `read_plan`.
+        """The plan in the file `name`; not for the loop. Raises ConfigError as `read_plan` does.
 
-        Nothing outside the folder is opened, wherever `..` and links lead, and of a file that is no plan no word is
-        told: it may be a key.
+        Nothing outside the folder is opened, whatever `..` and links point to, and no content of a file that is not a
+        plan is reported: it may be a key.
         """
         path = self._file(name)
         if path is None:
             raise ConfigError(
-                [f"{name}: no file of that name lies beside the configured plan; palmd ctl plan FILE sends any other"]
+                [f"{name}: no such file beside the configured plan; palmd ctl plan FILE sends a file from elsewhere"]
             )
         try:
             document = read_document(path)
@@ -102,7 +102,7 @@ class PlanFolder:
         return _plan(replace(document, path=Path(name)), limits, start)
 
     def names(self) -> list[str]:
-        """What plans there are, as `load` takes them, in the order of the alphabet; not for the loop."""
+        """The names of all plans, as `load` takes them, in alphabetical order; not for the loop."""
         if self.folder is None:
             return []
         with contextlib.suppress(OSError):
@@ -113,11 +113,11 @@ class PlanFolder:
     def _file(self, name: str) -> Path | None:
         if self.folder is None:
             return None
-        with contextlib.suppress(OSError, RuntimeError):  # the latter for links that lead to themselves
-            inside = self.folder.resolve()
-            for place in (self.folder, self.base):
-                path = (place / name).resolve()
-                if path.parent == inside and path.is_file():
+        with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: links that form a cycle
+            root = self.folder.resolve()
+            for parent in (self.folder, self.base):
+                path = (parent / name).resolve()
+                if path.parent == root and path.is_file():
                     return path
         return None
 
@@ -129,7 +129,7 @@ def _holds_plan(path: Path) -> bool:
 
 
 def _no_plan(name: str) -> ConfigError:
-    return ConfigError([f"{name}: is no motion plan; palmd check tells what is wrong with a file"])
+    return ConfigError([f"{name}: is not a motion plan; palmd check reports what is wrong with a file"])
 
 
 def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Plan:
@@ -137,7 +137,7 @@ def _plan(document: Document, limits: MotionLimits, start: Angles | None) -> Pla
     return Plan(spec, compiled(document, spec, limits, start), limits, start)
 
 
-def _begins_anywhere(spec: AnyPlanSpec) -> bool:
-    """Whether the plan begins by moving both palms, so that it does not matter where they stand."""
+def _independent_of_start(spec: AnyPlanSpec) -> bool:
+    """Whether the plan begins by moving both palms, so that their start pose does not matter."""
     first = spec.segments[0]
     return isinstance(first, MoveSpec) and None not in first.move.each()

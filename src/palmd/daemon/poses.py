@@ -1,6 +1,6 @@
-"""What the actuator is told for joint angles, and what its reports say of them: one for each kind of mechanism. Pure.
+"""Conversion between joint angles and actuator poses, one class for each kind of mechanism. Pure.
 
-An arm that holds the far end of palm 2 takes the pose of its tool; servos that turn the palms themselves take angles.
+An arm that holds the far end of palm 2 takes poses of its tool; servos that turn the palms directly take angles.
 """
 
 from __future__ import annotations
@@ -15,45 +15,45 @@ from palmd.motion.limits import Workspace
 
 
 class Poses(Protocol):
-    """Joint angles (rad) and the actuator's poses; a tool may be twisted against palm 2 (rad)."""
+    """Joint angles (rad) to the actuator's poses and back; a tool may be twisted against palm 2 (rad)."""
 
     def pose(self, angles: Joints, twist: float = 0.0) -> Place:
-        """For these joint angles; raises PoseError where there is none."""
+        """The actuator's pose for these joint angles; raises PoseError if there is none."""
 
     def angles(self, pose: Place) -> Joints:
-        """That belong to a pose; raises PoseError where none do."""
+        """The joint angles for a pose; raises PoseError if there are none."""
 
     def twist(self, pose: Place, angles: Joints) -> float:
-        """Of the tool in a pose against palm 2 at these joint angles."""
+        """Twist of the tool against palm 2 in a pose with these joint angles."""
 
     def workspace(self, reach: Reach) -> Workspace | None:
-        """What the actuator's own limits are to a motion, None where they are no more than those of the joints."""
+        """The actuator's limits that apply to a motion, None where only the joint limits apply."""
 
 
 class ArcPoses:
-    """Of an arm that holds palm 2's far end, where palm 1 is hinged to the base."""
+    """Poses of an arm that holds palm 2's far end; palm 1 is hinged to the base."""
 
     def __init__(self, geometry: RigGeometry) -> None:
         self.geometry = geometry
 
     def pose(self, angles: Joints, twist: float = 0.0) -> Pose:
-        """The tool's, in arm coordinates."""
+        """The tool's pose in arm coordinates."""
         x, y, tool = self.geometry.arm_pose(angles)
         return Pose(x, y, wrapped(tool + twist))
 
     def angles(self, pose: Place) -> Joints:
-        """From the tool's place alone."""
+        """From the tool's position alone."""
         if not isinstance(pose, Pose):
-            raise PoseError("the arm reports no place of its tool")
+            raise PoseError("the arm reports no position of its tool")
         return self.geometry.palm_angles(pose.x_m, pose.y_m)
 
     def twist(self, pose: Place, angles: Joints) -> float:
-        """As the gripper holds the palm."""
+        """The tool angle minus the one that follows from the joint angles."""
         straight = self.geometry.arm_pose(angles)[2]
         return wrapped(pose.t_rad - straight) if isinstance(pose, Pose) else 0.0
 
     def workspace(self, reach: Reach) -> Workspace:
-        """A box for the tool, its speed and acceleration."""
+        """A box for the tool's position, and limits of its speed and acceleration."""
         return Workspace(
             self.geometry,
             reach.x_min_m,
@@ -66,7 +66,7 @@ class ArcPoses:
 
 
 class JointPoses:
-    """Of servos that turn the palms themselves about a fixed hinge."""
+    """Poses of servos that turn the palms about a fixed hinge: the joint angles."""
 
     def pose(self, angles: Joints, twist: float = 0.0) -> JointPose:  # noqa: ARG002
         """The joint angles themselves."""
@@ -88,5 +88,5 @@ class JointPoses:
 
 
 def make_poses(config: Config) -> Poses:
-    """Of the configured mechanism."""
+    """The conversion for the configured mechanism."""
     return ArcPoses(RigGeometry.from_config(config)) if config.arm.hinge == "arc" else JointPoses()

@@ -1,4 +1,4 @@
-"""What the recorder says of itself, which faults that means, and what no recording has. Pure."""
+"""State of the recorder as it reports it, the faults that follow, and gaps in the recording. Pure."""
 
 from __future__ import annotations
 
@@ -9,42 +9,40 @@ from typing import Any
 from palmd.daemon.journal import Journal
 
 SILENT_S = 3.0
-"""It speaks each second."""
+"""Time without a report after which the recorder counts as silent; it reports each second."""
 
 
 class RecorderWatch:
-    """Remembers the recorder's last words; there need not be a recorder. Times are seconds."""
+    """Keeps the recorder's last report; there may be no recorder. Times are seconds."""
 
     def __init__(self, journal: Journal) -> None:
-        """`journal` takes where one recorder has followed another, so that the recording itself marks its gap."""
+        """`journal` gets an entry when one recorder replaces another, so that the recording itself marks the gap."""
         self._journal = journal
-        self._told: dict[str, Any] = {}
+        self._report: dict[str, Any] = {}
         self._t = math.nan
 
-    def hear(self, told: dict[str, Any], t: float) -> None:
-        """The arguments of a `recorder` command that came at `t`."""
-        before, number = self._told.get("process"), told.get("process")
+    def update(self, report: dict[str, Any], t: float) -> None:
+        """Process the arguments of a `recorder` command received at `t`."""
+        before, number = self._report.get("process"), report.get("process")
         if before is not None and number is not None and before != number:
             gap = t - self._t
-            file = self._told.get("path", "no file")
-            text = (
-                f"recorder {before:.0f} has ended and {number:.0f} goes on: between them up to {gap:.1f} s are missing"
-            )
+            file = self._report.get("path", "no file")
+            text = f"recorder {before:.0f} ended, {number:.0f} continues: up to {gap:.1f} s are missing between them"
             self._journal.add("recorder", "gap", f"{text}, after {file}", lasted_s=gap)
-        self._told, self._t = told, t
+        self._report, self._t = report, t
 
     def conditions(self, t: float) -> Iterator[str]:
-        """The codes of the fault table that hold at `t`."""
+        """The fault codes whose condition holds at `t`."""
         if t - self._t > SILENT_S:
             yield "recorder-silent"
-        elif "problem" in self._told:
+        elif "problem" in self._report:
             yield "recorder-failed"
 
     def evidence(self, code: str, t: float) -> str:
-        """What speaks for one of its codes at `t`."""
-        silent = f"it was last heard {t - self._t:.1f} s ago, the limit is {SILENT_S:g} s"
-        return silent if code == "recorder-silent" else str(self._told.get("problem", ""))
+        """Evidence for one of its codes at `t`, in words."""
+        silent = f"its last report was {t - self._t:.1f} s ago, the limit is {SILENT_S:g} s"
+        return silent if code == "recorder-silent" else str(self._report.get("problem", ""))
 
     def last(self, t: float) -> dict[str, Any] | None:
-        """What it said last, and how long ago; None when it was never heard."""
-        return None if math.isnan(self._t) else {**self._told, "age_s": t - self._t}
+        """The last report and its age; None if there was none."""
+        return None if math.isnan(self._t) else {**self._report, "age_s": t - self._t}

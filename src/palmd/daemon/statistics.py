@@ -1,4 +1,4 @@
-"""How punctual the loop is, in constant memory."""
+"""Timing statistics of the loop, in constant memory."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from array import array
 
 
 class Window:
-    """The last `size` values, with their median, 99th percentile and maximum."""
+    """The last `size` values, with median, 99th percentile and maximum."""
 
     def __init__(self, size: int) -> None:
         """Raises ValueError if `size` is not positive."""
         if size <= 0:
-            raise ValueError(f"a window needs room for a value, not {size}")
+            raise ValueError(f"the size of a window must be positive, not {size}")
         self._values = array("d", bytes(8 * size))
         self._count = 0
 
     def add(self, value: float) -> None:
-        """Take one value; it drives out the oldest when the window is full."""
+        """Add a value; it replaces the oldest if the window is full."""
         self._values[self._count % len(self._values)] = value
         self._count += 1
 
     def values(self) -> list[float]:
-        """The values from the oldest to the newest."""
+        """The values, oldest first."""
         size = len(self._values)
         start = max(0, self._count - size)
         return [self._values[i % size] for i in range(start, self._count)]
@@ -36,7 +36,7 @@ class Window:
 
 
 class LoopStatistics:
-    """Ticks, skipped ticks, and how late and long those of the last second were."""
+    """Number of ticks and skipped ticks; lateness and duration of those of the last second."""
 
     def __init__(self, rate_hz: float) -> None:
         size = max(1, round(rate_hz))
@@ -46,14 +46,14 @@ class LoopStatistics:
         self._work = Window(size)
 
     def tick(self, lateness_s: float, work_s: float, skipped: int) -> None:
-        """Note one tick: how late it began, how long it took, how many it made the loop skip."""
+        """Add a tick: how late it began, how long it took, how many ticks were skipped after it."""
         self.ticks += 1
         self.overruns += skipped
         self._lateness.add(lateness_s)
         self._work.add(work_s)
 
     def fields(self) -> dict[str, float | list[float]]:
-        """The statistics by the names of `palm/loop`."""
+        """The statistics under their names in `palm/loop`."""
         fields: dict[str, float | list[float]] = {"ticks": self.ticks, "overruns": self.overruns}
         for name, window in (("lateness", self._lateness), ("work", self._work)):
             for part, value in zip(("p50", "p99", "max"), window.summary(), strict=True):

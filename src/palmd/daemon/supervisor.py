@@ -1,6 +1,6 @@
-"""The supervisor of commands, faults and states: who may do what when, and what becomes of it. Pure.
+"""The supervisor of commands, faults and lifecycle states: which commands are allowed when, and their execution. Pure.
 
-An answer that depends on the arm or on a plan being compiled comes later; `replies` collects them all.
+Answers that depend on the arm, or on a plan being compiled, come later; all of them are collected in `replies`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from palmd.daemon.commands import COMMANDS, Reply, Request
 from palmd.daemon.drivers import RESTING, ArmDriver
-from palmd.daemon.exploring import Explores
+from palmd.daemon.exploring import ExplorationControl
 from palmd.daemon.journal import Journal
 from palmd.daemon.lifecycle import COMMANDED, State, Trigger, next_state
 from palmd.daemon.ownership import ALWAYS_OBEYED, Client, Control, client_of
@@ -39,28 +39,28 @@ RESET_S = 1.0
 SETTLED_S = 1.0
 """How long the rig must be up before `autostart` arms it."""
 
-LOG_TOLD = 8
-"""So many of the last entries of the log are told with the status."""
+STATUS_LOG_ENTRIES = 8
+"""Number of the newest log entries in the status."""
 
-LOST_SAID_S = 2.0
-"""That an operator was lost is said for so long after somebody has control again, for those who look once a second."""
+LOST_REPORTED_S = 2.0
+"""A lost operator is reported for this time after a client has control again, for clients that poll once a second."""
 
 JOG_PAUSE_S = 1.0
-"""Steps that follow each other sooner are one jog, and told as one."""
+"""Jog steps closer together than this are one jog, logged once."""
 
 _AUTOSTART_ID = "autostart"
 
 _ENDING_MOTION = frozenset({Trigger.HOLD, Trigger.STOP, Trigger.STOP_FAULT})
-_WISHES = frozenset({Trigger.HOLD, Trigger.STOP})
+_REQUESTS = frozenset({Trigger.HOLD, Trigger.STOP})
 
 
 class RefusedError(Exception):
-    """A command that cannot be done now; says why and what would help."""
+    """A command that cannot be executed now; states why and what would help."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Slow work beside the loop for a request, and what to do with its outcome."""
+    """Slow work beside the loop for a request, and what to do with its result."""
 
     request: Request
     future: Future[Plan]
@@ -70,7 +70,7 @@ class _Job:
 
 @dataclass(frozen=True, slots=True)
 class _Wait:
-    """A request whose answer depends on the arm, until when (s) to wait for it, and which faults stood then."""
+    """A request whose answer depends on the arm: how long to wait (s), and the faults active when it came."""
 
     request: Request
     t_end: float
@@ -84,10 +84,10 @@ class Supervisor:
         self,
         arm: ArmDriver,
         setpoints: SetPoints,
-        exploring: Explores,
+        exploring: ExplorationControl,
         faults: FaultMonitor,
         journal: Journal,
-        aside: Executor,
+        background: Executor,
         plan: Plan | None,
         plans: PlanFolder,
         *,
@@ -95,9 +95,9 @@ class Supervisor:
         system: AnySystem,
         forget_object: Callable[[], bool],
     ) -> None:
-        """`aside` does slow work beside the loop; plans without their text come from the `plans`.
+        """`background` does slow work beside the loop; plans sent without their text are loaded from `plans`.
 
-        `forget_object` has the observer begin a new object; False where it cannot.
+        `forget_object` makes the observer start a new object; it returns False if the observer cannot.
         """
         self._forget_object = forget_object
         self.state = State.IDLE
@@ -105,19 +105,19 @@ class Supervisor:
         self.plan_refused = False
         self.refusal = ""
         self.cause = ""
-        self.wish = ""  # hold or stop, from when somebody asks for it until arm, start or reset is granted
+        self.requested_state = ""  # hold or stop, from its request until arm, start or reset is granted
         self.at_rest = True
         self.replies: list[Reply] = []
         self.estimate: LiveEstimate | None = None
         self.recorder = RecorderWatch(journal)
         self.control = Control()
-        self.operator_lost = ""  # the client whose lease has run out in motion, until somebody has had control again
+        self.operator_lost = ""  # the client whose lease ran out during motion; cleared when a client has control again
         self._arm = arm
         self._setpoints = setpoints
         self._exploring = exploring
         self._faults = faults
         self._journal = journal
-        self._aside = aside
+        self._background = background
         self._plans = plans
         self._system = system
         self._autostart = ["arm", "start"] if autostart else []
@@ -130,7 +130,7 @@ class Supervisor:
         self._t_up = math.inf
         self._t_jog = -math.inf
         self._t = -math.inf
-        self._t_regained = math.inf  # since when somebody has control after that
+        self._t_regained = math.inf  # since when a client has control again
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
             "status": self._status,
             "arm": self._start_arming,
@@ -141,32 +141,32 @@ class Supervisor:
             "plan": self._load_plan,
             "jog": self._jog,
             "note": self._note,
-            "new_object": self._begin_anew,
-            "recorder": self._hear_recorder,
+            "new_object": self._new_object,
+            "recorder": self._update_recorder,
             "alive": self._alive,
         }
 
     @property
     def armed(self) -> bool:
-        """Whether the arm is commanded, or about to be."""
+        """Whether the arm is commanded, or being armed."""
         return self.state in COMMANDED or self._arming is not None
 
     @property
     def plan_name(self) -> str:
-        """The name of the plan in hand, empty without one."""
+        """The name of the loaded plan, empty without one."""
         return self._setpoints.plan or (self.plan.name if self.plan is not None else "")
 
     @property
     def unattended(self) -> bool:
-        """Whether a plan moves the palms and no client with a declared lease answers for it."""
+        """Whether a plan moves the palms while no client with a declared lease has control."""
         return self.state is State.TRACKING and self._setpoints.running and not self.control.attended
 
     def handle(self, request: Request, t: float) -> None:
-        """Do what a valid command asks at `t` (s), or refuse; the answer is in `replies`, now or later."""
+        """Execute a valid command at `t` (s), or refuse it; the answer is added to `replies`, now or later."""
         self._t = t
         self._expire_control(t)
         client = client_of(request)
-        self.control.hear(client, t, request.lease_s)
+        self.control.renew(client, t, request.lease_s)
         try:
             self._check_control(request, client)
             result = self._commands[request.name](request, t)
@@ -176,19 +176,19 @@ class Supervisor:
             if result is not None:
                 self._answer(request, None, result)
 
-    def settle(self, t: float, *, up: bool) -> None:
-        """Let the faults and the rig's being there at `t` (s) have their effect. Once a tick."""
+    def update(self, t: float, *, up: bool) -> None:
+        """Apply the effects of faults and of the rig's presence at `t` (s). Call once a tick."""
         self._t = t
         self._expire_control(t)
         self._learn_workspace()
         self._finish_job()
         self._finish_arming(t)
         self._finish_reset(t)
-        if up and self.state is State.IDLE:  # before the faults: with one that is latched no command finds it ready
+        if up and self.state is State.IDLE:  # before the faults: a latched one would prevent it
             self._change(Trigger.RIG_UP, str(Trigger.RIG_UP))
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
-                self.fall()
+                self.stop_on_fault()
         elif self.state is State.TRACKING and self._faults.standing(Severity.HOLD):
             self._change(Trigger.HOLD, self._standing(Severity.HOLD))
             self._setpoints.hold()
@@ -196,16 +196,16 @@ class Supervisor:
             self._change(Trigger.RIG_DOWN, str(Trigger.RIG_DOWN))
         self._t_up = min(self._t_up, t) if up else math.inf
         self._enforce(t)
-        self._start_by_itself(t)
+        self._autostart_step(t)
 
-    def fall(self) -> None:
-        """A stop fault: a planned stop, whatever is going on."""
-        self._autostart.clear()  # who resets it must not be surprised by an arm that moves
+    def stop_on_fault(self) -> None:
+        """React to a stop fault: a planned stop in any state."""
+        self._autostart.clear()  # after a reset the arm must not move without a command
         self._change(Trigger.STOP_FAULT, self._standing(Severity.STOP))
-        self._stand_down("a fault came up; see status")
+        self._stand_down("a fault occurred; see status")
 
     def close(self) -> None:
-        """Make for a planned stop, and take no more commands that move."""
+        """Begin a planned stop and accept no more moving commands."""
         self._closing = True
         self._autostart.clear()
         self._change(Trigger.STOP, "palmd is stopping")
@@ -214,8 +214,8 @@ class Supervisor:
     # ---- control -----------------------------------------------------------------------------------------
 
     def _expire_control(self, t: float) -> None:
-        """A client that has declared its lease and is gone by `t` (s) leaves no moving palms behind."""
-        if self.operator_lost and t - self._t_regained > LOST_SAID_S:
+        """Hold moving palms if the client in control has let its declared lease run out by `t` (s)."""
+        if self.operator_lost and t - self._t_regained > LOST_REPORTED_S:
             self.operator_lost = ""
         lost = self.control.expire(t)
         if lost is None or self.state is not State.TRACKING:
@@ -226,20 +226,20 @@ class Supervisor:
             self._setpoints.hold()
 
     def _check_control(self, request: Request, client: Client) -> None:
-        """Refuse what another client's control forbids; `take` ends that, `hold` and `stop` always do."""
+        """Refuse a command that another client's control forbids; `take`, `hold` and `stop` take control."""
         if request.name in ALWAYS_OBEYED:
-            self._gain(client)
+            self._give_control(client)
             return
         other = self.control.other(client) or self._busy_for_another(client)
         if request.args.get("take"):
             if other is not None:
                 self._journal.add("control", "taken", f"{client.name} took control from {other.name}", who=request.who)
-            self._gain(client)
+            self._give_control(client)
         elif COMMANDS[request.name].moves and other is not None:
-            raise RefusedError(f"{other.name} has control; args {{take: true}} takes it over")
+            raise RefusedError(f"{other.name} has control; args {{take: true}} takes control")
 
     def _busy_for_another(self, client: Client) -> Client | None:
-        """The client of a moving command that is under way, if it is another one."""
+        """The client of a moving command that is being executed, if it is another one."""
         for pending in (self._arming, self._resetting, self._job):
             if pending is not None and (other := client_of(pending.request)).key != client.key:
                 return other
@@ -250,7 +250,7 @@ class Supervisor:
         if other is not None:
             raise RefusedError(f"{other.name} has control now")
 
-    def _gain(self, client: Client) -> None:
+    def _give_control(self, client: Client) -> None:
         self.control.gain(client, self._t)
         self._t_regained = min(self._t_regained, self._t)
 
@@ -264,11 +264,11 @@ class Supervisor:
 
     def _status(self, _request: Request, t: float) -> dict[str, Any]:
         host, place, faults = self._arm.host, self._setpoints.place, self._faults.active
-        explored, recorder = self._exploring.told(), self.recorder.last(t)
+        explored, recorder = self._exploring.summary(), self.recorder.last(t)
         status = {
             "state": str(self.state),
             "cause": self.cause,
-            "wish": self.wish,
+            "wish": self.requested_state,
             "control": self.control.name,
             "unattended": self.unattended,
             "faults": [fault.code for fault in faults],
@@ -284,17 +284,17 @@ class Supervisor:
             "arm_error": host.error,
             "arm_linked": host.linked(t),
             "t_s": t,
-            "log": log_fields(self._journal.entries[-LOG_TOLD:]),
+            "log": log_fields(self._journal.entries[-STATUS_LOG_ENTRIES:]),
         }
         if self.estimate is not None:
-            status["estimate"] = self._system.glance(self.estimate)
+            status["estimate"] = self._system.estimate_summary(self.estimate)
         if self._arm.actual is not None:
             status |= dict(zip(self._system.joints, self._arm.actual.angles, strict=True))
-        told = {"explored": explored, "recorder": recorder}
-        return status | {name: what for name, what in told.items() if what is not None}
+        optional = {"explored": explored, "recorder": recorder}
+        return status | {name: value for name, value in optional.items() if value is not None}
 
-    def _hear_recorder(self, request: Request, t: float) -> dict[str, Any]:
-        self.recorder.hear(request.args, t)
+    def _update_recorder(self, request: Request, t: float) -> dict[str, Any]:
+        self.recorder.update(request.args, t)
         return {}
 
     def _start_arming(self, request: Request, t: float) -> None:
@@ -305,13 +305,13 @@ class Supervisor:
         if self.state is not State.READY or actual is None:
             raise RefusedError(f"the state is {self.state}, it must be ready")
         if self._arming is not None:
-            raise RefusedError("it is being done already")
+            raise RefusedError("arming is already in progress")
         self._refuse_faults(Severity.STOP)
         if host.state is not ArmState.READY or host.busy:
-            raise RefusedError(f"the controller is in state {_named(host.state)}, it must be R (READY)")
-        problems = self._setpoints.may_stand(actual)
+            raise RefusedError(f"the controller is in state {_state_name(host.state)}, it must be R (READY)")
+        problems = self._setpoints.tracking_problems(actual)
         if problems:
-            raise RefusedError(f"{'; '.join(problems)}: bring the palms inside with the pendant")
+            raise RefusedError(f"{'; '.join(problems)}: move the palms inside the limits with the pendant")
         host.want_tracking()
         self.at_rest = False
         self._arming = _Wait(request, t + ARMING_S, self._faults.active)
@@ -323,19 +323,19 @@ class Supervisor:
         if self.state is State.HOLD and setpoints.held:
             setpoints.resume()
             self._change(Trigger.START, "start", request)
-            return self._told()
+            return self._state_result()
         if setpoints.moving or setpoints.held:
             raise RefusedError("the palms are moving already")
         plan = self.plan
         if plan is None:
             raise RefusedError("there is no plan: load one with the plan command")
         if plan.explores and not self._exploring.possible:
-            raise RefusedError("exploring needs an outline to go by: set observer.primary to shape")
+            raise RefusedError("exploring needs an estimated outline: set observer.primary to shape")
         assert commanded is not None, "the arm follows"
         limits, start = setpoints.limits, commanded.angles
-        if plan.serves(limits, start):
+        if plan.is_valid_for(limits, start):
             self._run(plan, request)
-            return self._told()
+            return self._state_result()
         self._begin(request, partial(plan.compiled, limits, start), limits, self._run)
         return None
 
@@ -350,19 +350,19 @@ class Supervisor:
 
     def _hold(self, request: Request, _t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        self._change(Trigger.HOLD, "hold was asked for", request)
+        self._change(Trigger.HOLD, "hold was requested", request)
         self._setpoints.hold()
-        return self._told()
+        return self._state_result()
 
     def _stop(self, request: Request, _t: float) -> dict[str, Any]:
         self._autostart.clear()
-        self._change(Trigger.STOP, "stop was asked for", request)
+        self._change(Trigger.STOP, "stop was requested", request)
         self._stand_down("stop came first")
-        return self._told()
+        return self._state_result()
 
     def _reset(self, request: Request, t: float) -> None:
         if self._arming is not None or self._resetting is not None:
-            raise RefusedError("another command is under way")
+            raise RefusedError("another command is in progress")
         host = self._arm.host
         if host.state is ArmState.FAULT and not self._closing:
             host.request_reset()
@@ -383,33 +383,33 @@ class Supervisor:
     def _adopt(self, plan: Plan, request: Request) -> None:
         self._refuse_if_overtaken(request)
         self._refuse_while_moving()
-        self._setpoints.put_away()
+        self._setpoints.discard_plan()
         self.plan = plan
         self.plan_refused = False
 
     def _jog(self, request: Request, t: float) -> dict[str, Any]:
         self._refuse_unless_commanded()
-        if not self._system.jogs:
-            raise RefusedError("jogging turns palms, and there are none: load a plan with a move")
-        told = any(name.startswith("whole_") for name in request.args)
-        clipped = self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if told else None)
-        return self._told() | ({"clipped": clipped} if clipped else {})
+        if not self._system.can_jog:
+            raise RefusedError("jogging turns palms, and this rig has none to turn: load a plan with a move")
+        has_total = any(name.startswith("whole_") for name in request.args)
+        clipped = self._setpoints.jog(_turn(request, ""), t, _turn(request, "whole_") if has_total else None)
+        return self._state_result() | ({"clipped": clipped} if clipped else {})
 
-    def taken_notes(self) -> list[tuple[float, str]]:
-        """What was noted since the last call, and when (s)."""
+    def take_notes(self) -> list[tuple[float, str]]:
+        """Notes given since the last call, with their times (s)."""
         notes, self._notes = self._notes, []
         return notes
 
-    def _begin_anew(self, _request: Request, _t: float) -> dict[str, Any]:
+    def _new_object(self, _request: Request, _t: float) -> dict[str, Any]:
         if not self._forget_object():
             raise RefusedError("this system's observer cannot forget its object: take it off and put it back")
-        return self._told()
+        return self._state_result()
 
     def _note(self, request: Request, t: float) -> dict[str, Any]:
         self._notes.append((t, request.args["text"]))
         return {}
 
-    def _told(self) -> dict[str, Any]:
+    def _state_result(self) -> dict[str, Any]:
         return {"state": str(self.state)}
 
     def _refuse_while_closing(self) -> None:
@@ -425,7 +425,7 @@ class Supervisor:
             raise RefusedError(f"the state is {self.state}, it must be tracking or hold: arm first")
 
     def _refuse_contradiction(self) -> None:
-        """An arm that cannot be this rig's is not armed, whatever else is missing."""
+        """Refuse to arm an arm whose pose contradicts the configured rig, before checking anything else."""
         contradiction, row = self._arm.guards.contradiction, TABLE["pose-contradicts-rig"]
         if contradiction:
             raise RefusedError(f"{row.code}: {row.text}: {contradiction}: {row.hint}")
@@ -435,7 +435,7 @@ class Supervisor:
         if faults:
             raise RefusedError("; ".join(f"{fault.text}: {fault.hint}" for fault in faults))
 
-    # ---- what comes of them later ------------------------------------------------------------------------
+    # ---- results that come later ------------------------------------------------------------------------
 
     def _begin(
         self,
@@ -444,10 +444,10 @@ class Supervisor:
         limits: MotionLimits,
         done: Callable[[Plan, Request], None],
     ) -> None:
-        """Have `work`, which can be pickled, give a plan within `limits` beside the loop."""
+        """Compute a plan within `limits` by the picklable call `work` beside the loop."""
         if self._job is not None:
             raise RefusedError("another plan is still being checked")
-        self._job = _Job(request, self._aside.submit(work), limits, done)
+        self._job = _Job(request, self._background.submit(work), limits, done)
 
     def _finish_job(self) -> None:
         job = self._job
@@ -455,8 +455,8 @@ class Supervisor:
             return
         self._job = None
         try:
-            plan = job.future.result().within(job.limits)
-        except Exception as error:  # a plan from outside may be wrong in any way; the loop goes on
+            plan = job.future.result().with_limits(job.limits)
+        except Exception as error:  # a plan from outside can fail in any way; the loop continues
             if job.done == self._run:
                 self.plan_refused, self.refusal = True, str(error)
             self._answer(job.request, f"{job.request.name} refused: {error}")
@@ -466,21 +466,21 @@ class Supervisor:
         except (RefusedError, MotionError) as error:
             self._answer(job.request, f"{job.request.name} refused: {error}")
         else:
-            self._answer(job.request, None, {**self._told(), "plan": plan.name})
+            self._answer(job.request, None, {**self._state_result(), "plan": plan.name})
 
     def _finish_arming(self, t: float) -> None:
         wait, host = self._arming, self._arm.host
         if wait is None:
             return
         if self._faults.standing(Severity.STOP):
-            self._stand_down("a fault came up; see status")
+            self._stand_down("a fault occurred; see status")
         elif host.tracking:
             self._arming = None
             self._change(Trigger.ARMED, "arm", wait.request)
-            self._answer(wait.request, None, self._told())
+            self._answer(wait.request, None, self._state_result())
         elif not host.busy:
             self._arming = None
-            self._answer(wait.request, host.refusal or "arm refused: the controller went on to something else")
+            self._answer(wait.request, host.refusal or "arm refused: the controller did something else")
         elif t > wait.t_end:
             self._stand_down("the controller does not answer")
 
@@ -489,23 +489,23 @@ class Supervisor:
         if wait is None:
             return
         self._faults.reset()
-        left = self._faults.standing(Severity.STOP)
-        if left and self._arm.host.busy and t <= wait.t_end:
+        remaining = self._faults.standing(Severity.STOP)
+        if remaining and self._arm.host.busy and t <= wait.t_end:
             return
         self._resetting = None
-        if left:
-            why = "; ".join(f"{fault.text}: {fault.hint}" for fault in left)
-            self._answer(wait.request, f"reset refused: {why}")
+        if remaining:
+            reasons = "; ".join(f"{fault.text}: {fault.hint}" for fault in remaining)
+            self._answer(wait.request, f"reset refused: {reasons}")
         else:
             self._change(Trigger.CLEARED, "reset", wait.request)
             cleared = [fault.code for fault in wait.faults if fault not in self._faults.active]
-            self._answer(wait.request, None, {**self._told(), "cleared": cleared})
+            self._answer(wait.request, None, {**self._state_result(), "cleared": cleared})
 
     def _stand_down(self, reason: str) -> None:
-        """Planned stop, as far as the arm is commanded; an `arm` under way comes to nothing."""
+        """Planned stop if the arm is commanded; an `arm` in progress is refused."""
         host = self._arm.host
         if self._setpoints.retreating:
-            pass  # `_enforce` stops the arm when the set-point is back
+            pass  # `_enforce` stops the arm when the retreat is complete
         elif host.tracking or self._arming is not None:
             host.want_stop()
             self._setpoints.leave()
@@ -513,17 +513,17 @@ class Supervisor:
             wait, self._arming = self._arming, None
             self._answer(wait.request, f"arm refused: {reason}")
 
-    # ---- keeping order -----------------------------------------------------------------------------------
+    # ---- state and arm -----------------------------------------------------------------------------------
 
     def _learn_workspace(self) -> None:
         reach = self._arm.host.reach
         if self.armed or reach is None or reach == self._reach:
             return
         self._reach = reach
-        self._setpoints.learn(self._setpoints.poses.workspace(reach))
+        self._setpoints.set_workspace(self._setpoints.poses.workspace(reach))
 
     def _enforce(self, t: float) -> None:
-        """Keep the arm to what the state allows, whatever has happened."""
+        """Make the arm comply with the state, whatever has happened."""
         host = self._arm.host
         if host.tracking and not self.armed and self._setpoints.retreated(t):
             host.want_stop()
@@ -534,7 +534,7 @@ class Supervisor:
         if not self.armed and not host.busy and (host.state in RESTING or host.state is ArmState.MANUAL):
             self.at_rest = True
 
-    def _start_by_itself(self, t: float) -> None:
+    def _autostart_step(self, t: float) -> None:
         if not self._autostart:
             return
         ready = self.state is State.READY and not self._faults.standing(Severity.STOP)
@@ -543,19 +543,19 @@ class Supervisor:
         ):
             self.handle(Request(self._autostart.pop(0), id=_AUTOSTART_ID, who="autostart"), t)
 
-    def _change(self, trigger: Trigger, why: str, request: Request | None = None) -> None:
+    def _change(self, trigger: Trigger, reason: str, request: Request | None = None) -> None:
         if trigger in _ENDING_MOTION:
             self._forget_start(trigger)
         if request is not None:
-            self.wish = request.name if trigger in _WISHES else ""
+            self.requested_state = request.name if trigger in _REQUESTS else ""
         before, self.state = self.state, next_state(self.state, trigger) or self.state
         if self.state is not before:
-            who = "" if request is None else request.who or "somebody"
-            self.cause = f"{why}, by {who}" if who else why
+            who = "" if request is None else request.who or "an unnamed client"
+            self.cause = f"{reason}, by {who}" if who else reason
             self._journal.add("state", str(self.state), f"{before} -> {self.state}: {self.cause}", who=who)
 
     def _forget_start(self, trigger: Trigger) -> None:
-        """A start whose plan is still being compiled comes to nothing: it was given before what ends the motion."""
+        """Cancel a start whose plan is still being compiled: it was given before the command that ends the motion."""
         job = self._job
         if job is not None and self._compiles_start():
             self._job = None
@@ -571,26 +571,26 @@ class Supervisor:
         if error is None and COMMANDS[request.name].moves:
             client = client_of(request)
             if self.control.other(client) is None:
-                self._gain(client)
+                self._give_control(client)
         done = request.args["text"] if request.name == "note" else "done"
-        self._tell(request, done if error is None else error)
+        self._log_command(request, done if error is None else error)
         self.replies.append(Reply(request, error, result))
 
-    def _tell(self, request: Request, outcome: str) -> None:
-        """Have the log tell what was asked for and what became of it; of a jog, that it has begun."""
-        if not COMMANDS[request.name].told:
+    def _log_command(self, request: Request, outcome: str) -> None:
+        """Log a command and its result; of a jog, only its begin."""
+        if not COMMANDS[request.name].logged:
             return
         if request.name == "jog":
             t_before, self._t_jog = self._t_jog, self._journal.t
             if self._t_jog - t_before < JOG_PAUSE_S:
                 return
-        self._journal.add("command", request.name, outcome, who=request.who or "somebody")
+        self._journal.add("command", request.name, outcome, who=request.who or "an unnamed client")
 
 
 def _turn(jog: Request, of: str) -> Angles:
-    """By how much a jog turns the palms (rad): its step, or the whole of which that is the first."""
+    """The rotation (rad) that a jog requests: its step (`of` empty), or the sum of all its steps."""
     return tuple(math.radians(jog.args.get(f"{of}{joint}_deg", 0.0)) for joint in JOINTS)
 
 
-def _named(state: ArmState | None) -> str:
+def _state_name(state: ArmState | None) -> str:
     return "unknown" if state is None else f"{state} ({state.name})"

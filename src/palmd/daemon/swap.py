@@ -1,4 +1,4 @@
-"""Are the pads swapped? The pressures tell, since statics fixes how the weight moves between the palms. Pure."""
+"""Detection of swapped pads from the pressures: statics fixes how the weight moves between the palms. Pure."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from palmd.events import PadSample, PalmMotion
 from palmd.system.mechanism import PALMS, directions
 
 MEMORY_S = 8.0
-ENOUGH_S = 3.0  # of both pads pressed, before anything is said
-SPREAD_LEAST = 0.1  # one-sigma of the expected log ratio: below it the palms have not moved enough to tell
+ENOUGH_S = 3.0  # of readings from both pads before a verdict
+SPREAD_LEAST = 0.1  # standard deviation of the expected log ratio; below it the palms have not moved enough
 SLOPE_SWAPPED, SLOPE_RIGHT = -0.3, 0.3
 FRESH_S = 0.05
 
 
 class SwapWatch:
-    """Compares ln(F1/F2) as pressed with their log at rest, ln(sin φ12 / sin φ1), the contact forces at rest.
+    """Regresses the measured ln(F1/F2) on the ratio of static contact forces, ln(sin φ12 / sin φ1).
 
-    Gains of the pads shift the first by a constant, the object's shape and motion disturb it a little; neither turns
-    its sense. Right pads give a slope of about +1 of the one on the other, swapped pads about −1.
+    Gains of the pads shift the former by a constant; the object's shape and motion disturb it little; neither changes
+    its sign. The slope is about +1 for correct pads and −1 for swapped ones.
     """
 
     def __init__(self) -> None:
@@ -28,12 +28,12 @@ class SwapWatch:
         self._weight = self._x = self._y = self._xy = self._yy = 0.0
 
     def feed(self, sample: PadSample) -> None:
-        """Take a reading; one without a force says nothing. Safe in the loop."""
+        """Add a reading; readings without a force are ignored. Safe in the loop."""
         if sample.force is not None and sample.force > 0.0:
             self._force[sample.pad] = (sample.t_sample, sample.force)
 
     def look(self, t: float, palms: PalmMotion | None) -> None:
-        """Judge anew at `t` (s), once a tick."""
+        """Update the verdict at `t` (s); call once a tick."""
         dt, self._t = t - self._t, t
         if palms is None or not 0.0 < dt < 1.0 or len(self._force) < len(PALMS):
             return
@@ -42,7 +42,7 @@ class SwapWatch:
         if t - min(times) > FRESH_S or not (0.0 < first < math.pi and 0.0 < second < math.pi):
             return
         x, y = math.log(one / two), math.log(math.sin(second) / math.sin(first))
-        # exponentially weighted means and products; the sums keep their scale, so that any number of ticks will do
+        # exponentially weighted means and products, normalised so that the number of ticks does not matter
         fading = math.exp(-dt / MEMORY_S)
         self._weight = self._weight * fading + dt
         gain = dt / self._weight

@@ -1,4 +1,4 @@
-"""The service manager's notification socket; does nothing where there is none. Never blocks, never raises."""
+"""The service manager's notification socket; does nothing if there is none. Never blocks, never raises."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ FEEDS_PER_TIMEOUT = 4
 
 
 class Notifier:
-    """Tells the service manager what becomes of the process."""
+    """Notifies the service manager of the process's state."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        """`environment` names the socket (NOTIFY_SOCKET) and the watchdog's time-out (WATCHDOG_USEC)."""
+        """`environment` gives the socket (NOTIFY_SOCKET) and the watchdog's time-out (WATCHDOG_USEC)."""
         self._socket: socket.socket | None = None
         self._status = ""
         self._feed_every_s = _watchdog_s(environment) / FEEDS_PER_TIMEOUT
@@ -28,27 +28,27 @@ class Notifier:
                 self._socket.connect("\0" + address[1:] if address.startswith("@") else address)
 
     def ready(self) -> None:
-        """The start-up is over."""
+        """Report that start-up is complete."""
         self._send("READY=1")
 
     def status(self, text: str) -> None:
-        """One line for `systemctl status`; sent when it changes."""
+        """Set the line for `systemctl status`; sent when it changes."""
         if text != self._status:
             self._status = text
             self._send(f"STATUS={text}")
 
     def healthy(self, t: float) -> None:
-        """The tick at `t` (s) went well: feed the watchdog, as often as it needs."""
+        """The tick at `t` (s) succeeded: feed the watchdog as often as it needs."""
         if t >= self._t_feed:
             self._t_feed = t + self._feed_every_s
             self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """The process is about to end."""
+        """Report that the process is about to end."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -60,7 +60,7 @@ class Notifier:
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """The watchdog's time-out, infinite if none is set for this process."""
+    """The watchdog's time-out (s), infinite if none is set for this process."""
     try:
         timeout_s = int(environment["WATCHDOG_USEC"]) * 1e-6
         pid = int(environment.get("WATCHDOG_PID", os.getpid()))

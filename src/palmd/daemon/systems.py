@@ -1,6 +1,7 @@
-"""What of the daemon depends on the system that the rig is: pads, poses, limits, observers, and how all is told.
+"""The system-dependent part of the daemon: pads, poses, limits, observers and messages.
 
-`Core` asks one of these and knows no palm by itself. Another system is another class, named in `palmd.systems`.
+`Core` gets all of this from one `LiveSystem` and has no knowledge of palms. A further system is a further class, listed
+in `palmd.systems`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from palmd import __version__
 from palmd.config.any_config import AnyConfig
 from palmd.config.guards import pad_force_limits
 from palmd.daemon.drivers import EndName
-from palmd.daemon.exploration_requests import Source
+from palmd.daemon.exploration_requests import DecisionSource
 from palmd.daemon.explorer_process import ExplorerProcess
-from palmd.daemon.exploring import Explores, Exploring
+from palmd.daemon.exploring import DelegatedExploration, ExplorationControl
 from palmd.daemon.guards.arm import GuardLimits
 from palmd.daemon.guards.force import ForceGuard
 from palmd.daemon.poses import Poses
@@ -26,7 +27,7 @@ from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.smoothing import BatchingProcess
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.events import Event, FloatArray, LiveEstimate, PadSample, PalmMotion, ShapeEstimate
-from palmd.messages import Fields, MessageCodec, sound
+from palmd.messages import Fields, MessageCodec, named_state_is_finite
 from palmd.motion.check import motion_limits
 from palmd.motion.limits import MotionLimits
 from palmd.observer.observer import LiveObserver
@@ -41,30 +42,30 @@ Estimated = TypeVar("Estimated", bound=LiveEstimate)
 
 
 class LiveSystem(ABC, Generic[Configured, Estimated]):
-    """See the module. Everything is safe in the loop, but for what is there to start it."""
+    """See the module. All methods are safe in the loop, except those that start it."""
 
     poses: Poses
     guards: GuardLimits
-    """What the arm's reports are judged by."""
-    says: ClassVar[MessageCodec]
-    """Its messages."""
+    """Limits for judging the arm's reports."""
+    codec: ClassVar[MessageCodec]
+    """Builders of its messages."""
     naming: ClassVar[Naming]
-    """What joints and pads are called."""
-    outside: ClassVar[float]
-    """How far outside the limits the joints may be found while commanded (their unit)."""
-    jogs: ClassVar[bool] = False
-    """Whether the `jog` command, which turns palms, is for it."""
+    """Names of its joints and pads."""
+    limit_tolerance: ClassVar[float]
+    """How far outside the limits the joints may be while commanded (their unit)."""
+    can_jog: ClassVar[bool] = False
+    """Whether the `jog` command, which turns palms, applies to it."""
 
     def __init__(self, config: Configured) -> None:
         self._config, self.topics = config, SYSTEM_TOPICS[config.system]
-        self._named = tuple(each.source for each in self.topics.estimate.quantities if each.role == "named")
+        self._named_fields = tuple(each.source for each in self.topics.estimate.quantities if each.role == "named")
         self.limits: MotionLimits = motion_limits(config)
         self.joints = self.naming.measured
-        """How the status names them, unit included."""
+        """Names of the joint angles in the status, unit included."""
         self.free: Collection[int] = ()
-        """Joints that need not go where they are commanded, and tell nothing of how late the arm follows."""
-        self.rig_priors: FloatArray = np.zeros(0)
-        """One-sigma of each of the rig's constants that are estimated and told; none: no such message."""
+        """Joints that need not follow their set-points and are not used to estimate the arm's lag."""
+        self.rig_prior_sds: FloatArray = np.zeros(0)
+        """Prior standard deviation of each estimated rig constant; empty: `palm/rig` is not published."""
 
     # ---- before the loop ---------------------------------------------------------------------------------
 
@@ -72,16 +73,16 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
     def observer(
         self, outlines: Sequence[Outline], stack: ExitStack
     ) -> tuple[LiveObserver, BatchingProcess[Any] | None]:
-        """Who estimates, and the smoother's process beside the loop, if any, which ends with `stack`."""
+        """The observer, and the smoother's process beside the loop, if any, which ends with `stack`."""
 
     def explorer(self, stack: ExitStack) -> ExplorerProcess | None:
-        """Who decides explorations beside the loop, if anybody does, which ends with `stack`."""
+        """The process that decides explorations, if any, which ends with `stack`."""
         del stack
         return None
 
     def info(self, observer: str, plans: Sequence[str]) -> Fields:
-        """What is published of the rig as configured."""
-        return self.says.info_fields(__version__, observer, self._config, plans)
+        """The fields published about the configured rig."""
+        return self.codec.info_fields(__version__, observer, self._config, plans)
 
     def pads(self) -> dict[EndName, PadDriver]:
         """A driver for each pad."""
@@ -89,77 +90,77 @@ class LiveSystem(ABC, Generic[Configured, Estimated]):
         return {f"pad{number}": make_pad(number, pad) for number, pad in pads}
 
     def force_guard(self) -> ForceGuard:
-        """What watches the forces that the pads tell."""
+        """The guard of the pads' forces."""
         named = dict(zip(self.naming.pads, self._config.pads.each(), strict=True))
         return ForceGuard(pad_force_limits(self._config.limits.force_n, named), self.naming.pads)
 
-    def exploring(self, setpoints: SetPoints, source: Source | None) -> Explores:
-        """The loop's side of explorations, which are decided beside it or in it."""
-        return Exploring(setpoints, source)
+    def exploration_control(self, setpoints: SetPoints, source: DecisionSource | None) -> ExplorationControl:
+        """The loop's side of explorations."""
+        return DelegatedExploration(setpoints, source)
 
     # ---- in the loop -------------------------------------------------------------------------------------
 
     @abstractmethod
-    def unknown(self, t: float, observer: LiveObserver) -> Estimated:
-        """An estimate that says nothing."""
+    def invalid_estimate(self, t: float, observer: LiveObserver) -> Estimated:
+        """An estimate without values."""
 
-    def sound(self, estimate: Estimated) -> bool:
-        """Whether everything is finite that must be when an estimate says `valid`."""
-        return sound(estimate, self._named)
+    def is_finite(self, estimate: Estimated) -> bool:
+        """Whether all fields are finite that must be in a valid estimate."""
+        return named_state_is_finite(estimate, self._named_fields)
 
-    def felt(self, sample: PadSample) -> None:
-        """A reading was fed to the observer."""
+    def feed_reading(self, sample: PadSample) -> None:
+        """Take a reading that the observer was fed."""
         del sample
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """Codes of the fault table that hold by what only this system knows."""
+        """Fault codes whose condition only this system can judge."""
         del t, actual
         return iter(())
 
     def evidence(self, code: str) -> str:
-        """What speaks for one of these codes, in words with numbers; empty where there is no more to say."""
+        """Evidence for one of these codes, in words with numbers; empty if there is none."""
         del code
         return ""
 
     @property
     def sticking(self) -> tuple[float, ...] | None:
-        """Where the contacts of an object are that friction without dither holds (m); None: of none that is known."""
+        """Contact positions (m) of an object held by friction without dither; None if none is known to stick."""
         return None
 
-    def excused(self, exploring: Explores) -> Collection[str]:
-        """Codes that are no faults just now."""
+    def suppressed_faults(self, exploring: ExplorationControl) -> Collection[str]:
+        """Fault codes that do not apply at present."""
         del exploring
         return ()
 
-    def said(self, estimate: Estimated) -> Fields:
-        """What is published of an estimate."""
-        return self.says.estimate_fields(estimate)
+    def estimate_fields(self, estimate: Estimated) -> Fields:
+        """The message fields of an estimate."""
+        return self.codec.estimate_fields(estimate)
 
-    def fed(self, t: float, events: Sequence[Event]) -> Fields:
-        """What is published of the events that the observer was fed in the tick at `t` (s)."""
-        return self.says.events_fields(t, events)
-
-    @abstractmethod
-    def answered(self, t: float, answer: Any) -> tuple[Topic, Fields]:
-        """What is published of an answer of the smoother."""
+    def events_fields(self, t: float, events: Sequence[Event]) -> Fields:
+        """The message fields of the events that the observer was fed in the tick at `t` (s)."""
+        return self.codec.events_fields(t, events)
 
     @abstractmethod
-    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
-        """What is published of an outline."""
-
-    def glance(self, estimate: Estimated) -> Fields:
-        """What the status tells of the estimate."""
-        return self.says.estimate_at_a_glance(estimate)
+    def answer_message(self, t: float, answer: Any) -> tuple[Topic, Fields]:
+        """The message of a smoother's answer."""
 
     @abstractmethod
-    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
-        """Where the joints are and what their limits are, in words."""
+    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+        """The message of an outline."""
+
+    def estimate_summary(self, estimate: Estimated) -> Fields:
+        """The part of the estimate that the status contains."""
+        return self.codec.estimate_summary(estimate)
+
+    @abstractmethod
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+        """The joints' values and limits, in words."""
 
 
 AnySystem = LiveSystem[Any, Any]
 
 
 def live_system(config: AnyConfig) -> AnySystem:
-    """The one that is configured."""
+    """The configured system."""
     system: AnySystem = load_part(LIVE[config.system].loop)(config)
     return system

@@ -57,9 +57,9 @@ class TiltPoses:
 class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
     """A body between three palms; see `LiveSystem`."""
 
-    says: ClassVar[MessageCodec] = messages
+    codec: ClassVar[MessageCodec] = messages
     naming = NAMING
-    outside = OUTSIDE_RAD
+    limit_tolerance = OUTSIDE_RAD
 
     def __init__(self, config: ThreePalmsConfig) -> None:
         super().__init__(config)
@@ -91,7 +91,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
         stack.callback(explorer.close)
         return explorer
 
-    def unknown(self, t: float, observer: LiveObserver) -> BodyEstimate:
+    def invalid_estimate(self, t: float, observer: LiveObserver) -> BodyEstimate:
         """An estimate without values."""
         nan = (math.nan,) * 4
         return BodyEstimate(
@@ -99,7 +99,7 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
             touched=0.0, hypotheses=0, reason="the observer has failed",
         )  # fmt: skip
 
-    def sound(self, estimate: BodyEstimate) -> bool:
+    def is_finite(self, estimate: BodyEstimate) -> bool:
         """Whether all named quantities have finite values and 1σ."""
         named = (each.name for each in self.topics.estimate.quantities if each.role == "named")
         nan = math.nan
@@ -108,22 +108,22 @@ class ThreePalmsInSpace(LiveSystem[ThreePalmsConfig, BodyEstimate]):
             for name in named
         )
 
-    def said(self, estimate: BodyEstimate) -> Fields:
+    def estimate_fields(self, estimate: BodyEstimate) -> Fields:
         """`palm3/estimate`."""
         self._latest = estimate
         return messages.estimate_fields(estimate)
 
-    def answered(self, t: float, answer: BodyAnswer) -> tuple[Topic, Fields]:
+    def answer_message(self, t: float, answer: BodyAnswer) -> tuple[Topic, Fields]:
         """`palm3/answer`."""
         return PALM3_ANSWER, messages.answer_fields(t, answer)
 
-    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm3/shape`."""
         latest = self._latest
         count, valid = (0, False) if latest is None else (latest.object_count, latest.valid)
         return PALM3_SHAPE, messages.shape_fields(shape, count, valid)
 
-    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """Joint angles and their limits as text, in degrees."""
         return ", ".join(
             f"{joint} is {math.degrees(at):.1f}°, its limits are {math.degrees(low):g}° and {math.degrees(high):g}°"

@@ -1,4 +1,4 @@
-"""What of the daemon is that of two palms on a hinge: see `daemon.systems`."""
+"""The daemon's system of two palms on a hinge: see `daemon.systems`."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ log = logging.getLogger(__name__)
 class LiveTwoPalms(LiveSystem[Config, Estimate]):
     """Two palms on a hinge; see `LiveSystem`."""
 
-    says: ClassVar[MessageCodec] = messages
+    codec: ClassVar[MessageCodec] = messages
     naming = NAMING
-    outside = math.radians(1.0)
-    jogs = True
+    limit_tolerance = math.radians(1.0)
+    can_jog = True
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
         self.poses = make_poses(config)
         self.guards = _guard_limits(config, self.poses)
         self._rig = rig_description(config)
-        self.rig_priors = prior_sds(self._rig)
+        self.rig_prior_sds = prior_sds(self._rig)
         self._swap, self._sticking = SwapWatch(), StickingWatch(self._rig.vibration, self._rig.gravity)
         pads = config.pads.each()
         self._signs = SignWatch([pad.zero_mm * 1e-3 for pad in pads], [pad.length_mm * 5e-4 for pad in pads])
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[Observer, SmootherProcess | None]:
-        """As configured."""
+        """The configured observer and its smoother process."""
         smoother = self._smoother(stack)
         name = self._config.observer.primary
         return observer.make(name, self._rig, smoothing=smoother, outlines=outlines), smoother
@@ -64,21 +64,21 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         try:
             smoother = SmootherProcess(self._rig)
         except OSError as error:
-            log.warning("no smoother beside the loop: %s", error)
+            log.warning("the smoother process cannot be started: %s", error)
             return None
         stack.callback(smoother.close)
         return smoother
 
     def explorer(self, stack: ExitStack) -> ExplorerProcess | None:
-        """Who foresees motions of an outline."""
+        """The process that predicts motions and decides explorations."""
         if not self._config.explores:
             return None
         explorer = ExplorerProcess(self._rig)
         stack.callback(explorer.close)
         return explorer
 
-    def unknown(self, t: float, observer: LiveObserver) -> Estimate:
-        """Without a number."""
+    def invalid_estimate(self, t: float, observer: LiveObserver) -> Estimate:
+        """All values are NaN."""
         values: dict[str, Any] = {
             field.name: math.nan
             for field in dataclasses.fields(Estimate)
@@ -86,16 +86,16 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
         }
         return Estimate(t=t, valid=False, observer=observer.name, object_count=observer.object_count, sd={}, **values)
 
-    def felt(self, sample: PadSample) -> None:
-        """Are the pads swapped, their signs right, does the object stick?"""
+    def feed_reading(self, sample: PadSample) -> None:
+        """Pass a reading to the tests for swapped pads, wrong signs and a sticking object."""
         self._swap.feed(sample)
         self._signs.feed(sample)
         self._sticking.feed(sample)
 
     def conditions(self, t: float, actual: PalmMotion | None) -> Iterator[str]:
-        """Pads that are swapped or mirrored. Whether the object sticks is judged as well, and is no fault."""
+        """Swapped or mirrored pads. Whether the object sticks is updated as well, but is no fault."""
         self._swap.look(t, actual)
-        if not self._rig.curved:  # there the normals that forces press along are not the palms'
+        if not self._rig.curved:  # on curved palms the contact normals are not the palms' normals
             self._sticking.look(t, actual)
             self._signs.look(t, actual)
         if self._swap.swapped:
@@ -112,20 +112,20 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
 
     @property
     def sticking(self) -> tuple[float, ...] | None:
-        """By the pads' forces."""
+        """Judged by the pads' forces."""
         return self._sticking.contacts
 
-    def answered(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
-        """`palm/improvement`, or `palm/unexplained`."""
+    def answer_message(self, t: float, answer: Improvement | Unexplained) -> tuple[Topic, Fields]:
+        """`palm/improvement` or `palm/unexplained`."""
         if isinstance(answer, Unexplained):
             return UNEXPLAINED, unexplained_fields(t, answer)
         return IMPROVEMENT, improvement_fields(t, answer)
 
-    def shaped(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
+    def shape_message(self, shape: ShapeEstimate) -> tuple[Topic, Fields]:
         """`palm/shape`."""
         return SHAPE, shape_fields(shape)
 
-    def place(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
+    def describe_joints(self, angles: Sequence[float], limits: Sequence[tuple[float, float]]) -> str:
         """In degrees."""
         deg = math.degrees
         each = [
@@ -136,7 +136,7 @@ class LiveTwoPalms(LiveSystem[Config, Estimate]):
 
 
 def _guard_limits(config: Config, poses: Poses) -> GuardLimits:
-    """Of the configured rig; a tool is watched where an arm holds palm 2."""
+    """Limits of the configured rig; a tool is checked if an arm holds palm 2."""
     error, arm = config.limits.following_error, config.arm
     held = poses if isinstance(poses, ArcPoses) else None
     play = 2.0 * math.radians(arm.play_sd_deg)

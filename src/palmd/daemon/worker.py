@@ -1,7 +1,7 @@
-"""Work in a process of its own beside the loop: they meet on ZeroMQ, and the loop never waits.
+"""A process beside the loop, connected by ZeroMQ; the loop never waits for it.
 
-What the process cannot take at once is refused. It gives a sign of life four times a second, also while it computes;
-a process that has died or gives none is ended and started again.
+Messages that the process cannot take at once are rejected. It sends a heartbeat four times a second, also while it
+computes; a process that has died or sends none is killed and restarted.
 """
 
 from __future__ import annotations
@@ -27,49 +27,49 @@ from palmd.daemon.realtime import freeze_collector
 
 log = logging.getLogger(__name__)
 
-RESTART_S = 5.0  # from one start of the process to the next at least
+RESTART_S = 5.0  # shortest time between two starts of the process
 SILENT_S = 1.5
-"""Without a sign of life for so long a process counts as stopped; a busy machine gives it its milliseconds sooner."""
-SAID_S = 3.0
-"""So long after a restart it is still said to have been silent, for those who look once a second."""
+"""Time without a heartbeat after which a process counts as stopped; even a busy machine lets it send one sooner."""
+RESTART_REPORTED_S = 3.0
+"""Time after a restart during which it is still reported as silent, for clients that poll once a second."""
 CLOSE_S = 1.0
 
 
 class WorkerProcess:
-    """The loop's end; all but `close` is safe inside the loop, starting the process again takes it 1 ms."""
+    """The loop's side; all methods but `close` are safe inside the loop, restarting the process takes 1 ms."""
 
-    def __init__(self, name: str, module: str, *arguments: str, high_water: int, copied: bool = False) -> None:
-        """Start a process that calls `serve` of `module` with an address for `meet` and the arguments.
+    def __init__(self, name: str, module: str, *arguments: str, high_water: int, forked: bool = False) -> None:
+        """Start a process that calls `serve` of `module` with an address for `worker_socket` and the arguments.
 
-        `name` is for people, `high_water` the most messages on their way. `copied`: the first process is a copy of this
-        one (fork), so that it need not load its modules; only before this one has other threads. Raises OSError when it
-        cannot be started.
+        `name` is for messages; `high_water` is the largest number of messages in transit. `forked`: the first process
+        is a fork of this one and need not load its modules; possible only before this one has other threads. Raises
+        OSError if it cannot be started.
         """
         self._name = name
         self._folder = for_sockets("palmd-", name)
         address = f"ipc://{Path(self._folder.name) / name}"
         self._command = [sys.executable, "-m", "palmd.daemon.worker_main", module]
         self._arguments = [address, *arguments]
-        self._copied = copied
-        self._signs = -1  # the pipe on which signs of life come
-        self._t_sign = math.inf  # of the last one; infinite until the first
+        self._forked = forked
+        self._heartbeat_fd = -1  # pipe on which heartbeats arrive
+        self._t_heartbeat = math.inf  # of the last heartbeat; infinite before the first
         self._t_restarted = -math.inf
-        self._ended: list[subprocess.Popen[bytes] | _Copy] = []  # still to be waited for
+        self._ended: list[subprocess.Popen[bytes] | _ForkedProcess] = []  # not reaped yet
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.set(zmq.SNDHWM, high_water)
         self._socket.set(zmq.LINGER, 0)
         self._socket.bind(address)
         self.starts = 0
-        self._process: subprocess.Popen[bytes] | _Copy
+        self._process: subprocess.Popen[bytes] | _ForkedProcess
         try:
             self._start()
         except OSError:
-            self._tidy_up()
+            self._clean_up()
             raise
 
     def send(self, message: bytes) -> bool:
-        """Pass a message on; False when the process does not take it: it is starting, or stuck, or gone."""
+        """Send a message; False if the process does not take it: it is starting, stuck or gone."""
         try:
             self._socket.send(message, zmq.NOBLOCK)
         except zmq.Again:
@@ -77,24 +77,26 @@ class WorkerProcess:
         return True
 
     def tend(self, t: float) -> None:
-        """Look for signs of life at `t` (s, monotonic clock), a few times a second; without any start it again."""
+        """Check for heartbeats at `t` (s, monotonic clock), a few times a second; restarts a dead process."""
         self._ended = [each for each in self._ended if each.poll() is None]
         with contextlib.suppress(BlockingIOError):
-            if os.read(self._signs, 4096):
-                self._t_sign = t
+            if os.read(self._heartbeat_fd, 4096):
+                self._t_heartbeat = t
         died = self._process.poll() is not None
-        if (died or t - self._t_sign > SILENT_S) and t - self._t_started > RESTART_S:
-            how = (
-                f"ended with status {self._process.returncode}" if died else f"was silent for {t - self._t_sign:.1f} s"
+        if (died or t - self._t_heartbeat > SILENT_S) and t - self._t_started > RESTART_S:
+            reason = (
+                f"ended with status {self._process.returncode}"
+                if died
+                else f"was silent for {t - self._t_heartbeat:.1f} s"
             )
-            log.warning("the %s (process %d) %s: started again", self._name, self._process.pid, how)
+            log.warning("the %s (process %d) %s: restarted", self._name, self._process.pid, reason)
             self.restart(t)
 
     def restart(self, t: float) -> None:
-        """End the process and start another one, at `t` (s)."""
+        """Kill the process and start another one, at `t` (s)."""
         self._process.kill()
         self._ended.append(self._process)
-        os.close(self._signs)
+        os.close(self._heartbeat_fd)
         self._t_restarted = t
         try:
             self._start()
@@ -102,67 +104,71 @@ class WorkerProcess:
             log.warning("the %s cannot be started: %s", self._name, error)
 
     def silent(self, t: float) -> bool:
-        """Whether the process gives no sign of life at `t` (s), or did not until shortly before."""
-        return t - self._t_sign > SILENT_S or t - self._t_restarted < SAID_S or self._process.returncode is not None
+        """Whether the process sends no heartbeat at `t` (s), or did not until recently."""
+        return (
+            t - self._t_heartbeat > SILENT_S
+            or t - self._t_restarted < RESTART_REPORTED_S
+            or self._process.returncode is not None
+        )
 
     @property
     def number(self) -> int:
-        """Of the process."""
+        """The process id."""
         return self._process.pid
 
     def received(self) -> Iterator[bytes]:
-        """The messages that have come."""
+        """The messages that have arrived."""
         with contextlib.suppress(zmq.Again):
             while True:
                 yield self._socket.recv(zmq.NOBLOCK)
 
     def close(self) -> None:
-        """End the process."""
+        """Stop the process."""
         self._process.terminate()
         try:
             self._process.wait(CLOSE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._tidy_up()
+        self._clean_up()
 
-    def _tidy_up(self) -> None:
-        if self._signs >= 0:
-            os.close(self._signs)
+    def _clean_up(self) -> None:
+        if self._heartbeat_fd >= 0:
+            os.close(self._heartbeat_fd)
         self._socket.close()
         self._context.term()
         self._folder.cleanup()
 
     def _start(self) -> None:
         self._t_started = time.monotonic()
-        self._t_sign = math.inf
+        self._t_heartbeat = math.inf
         self.starts += 1
-        self._signs, theirs = os.pipe()
-        os.set_blocking(self._signs, False)
-        os.set_blocking(theirs, False)
+        self._heartbeat_fd, child_fd = os.pipe()
+        os.set_blocking(self._heartbeat_fd, False)
+        os.set_blocking(child_fd, False)
         try:
-            self._process = self._copy(theirs) if self._copied else self._fresh(theirs)
+            self._process = self._fork(child_fd) if self._forked else self._spawn(child_fd)
         finally:
-            self._copied = False
-            os.close(theirs)
+            self._forked = False
+            os.close(child_fd)
 
-    def _fresh(self, signs: int) -> subprocess.Popen[bytes]:
-        command = [*self._command, str(os.getpid()), str(signs), *self._arguments]
-        return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(signs,))
+    def _spawn(self, heartbeat_fd: int) -> subprocess.Popen[bytes]:
+        command = [*self._command, str(os.getpid()), str(heartbeat_fd), *self._arguments]
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(heartbeat_fd,))
 
-    def _copy(self, signs: int) -> _Copy:
+    def _fork(self, heartbeat_fd: int) -> _ForkedProcess:
         parent, number = os.getpid(), os.fork()
         if number:
-            return _Copy(number)
+            return _ForkedProcess(number)
         try:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            worker_main.main(self._command[-1], parent, signs, self._arguments)
+            worker_main.main(self._command[-1], parent, heartbeat_fd, self._arguments)
         finally:
-            os._exit(1)  # nothing of what the parent has to tidy up is ours
+            os._exit(1)  # skip the parent's clean-up handlers
 
 
-class _Copy:
-    """A process made by fork, as far as it is used like one of `subprocess`."""
+class _ForkedProcess:
+    """A process made by fork, with the methods of `subprocess.Popen` that are used here."""
 
     def __init__(self, number: int) -> None:
         self.pid = number
@@ -177,7 +183,7 @@ class _Copy:
         return self.returncode
 
     def wait(self, timeout: float = math.inf) -> int:
-        """The exit status, once there is one; raises subprocess.TimeoutExpired."""
+        """The exit status; raises subprocess.TimeoutExpired."""
         t_end = time.monotonic() + timeout
         while (status := self.poll()) is None:
             if time.monotonic() > t_end:
@@ -186,11 +192,11 @@ class _Copy:
         return status
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         self._send(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Make it end."""
+        """Send SIGKILL."""
         self._send(signal.SIGKILL)
 
     def _send(self, number: signal.Signals) -> None:
@@ -199,8 +205,8 @@ class _Copy:
 
 
 @contextlib.contextmanager
-def meet(address: str, niceness: int) -> Iterator[zmq.Socket[bytes]]:
-    """The process's end: a socket on which messages come and go, and no more of the machine than is left over."""
+def worker_socket(address: str, niceness: int) -> Iterator[zmq.Socket[bytes]]:
+    """The process's side: a socket for messages to and from the loop; lowers the process's priority."""
     os.nice(niceness)
     freeze_collector()
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
@@ -209,11 +215,11 @@ def meet(address: str, niceness: int) -> Iterator[zmq.Socket[bytes]]:
         yield socket
 
 
-def give_back_memory() -> None:
-    """Return to the system what this process needs no longer; once an answer is out, takes milliseconds.
+def release_memory() -> None:
+    """Return memory that is no longer needed to the system; takes milliseconds, call after an answer has been sent.
 
-    Else cycles wait for the collector, and with glibc one small block that is still in use above a solver's many freed
-    ones keeps them all resident: the process's memory wanders by tens of megabytes, under which no leak would be seen.
+    Otherwise reference cycles wait for the collector, and with glibc one small block in use above a solver's many freed
+    ones keeps them all resident: resident memory would vary by tens of megabytes and hide a leak.
     """
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)

@@ -1,6 +1,6 @@
-"""`python -m palmd.daemon.worker_main MODULE PARENT SIGNS ARGUMENT…`: a process beside the loop (`daemon.worker`).
+"""`python -m palmd.daemon.worker_main MODULE PARENT FD ARGUMENT…`: a process beside the loop (`daemon.worker`).
 
-Its life is tied to its parent's before anything slow is imported, so that it never outlives a daemon that was killed.
+It is tied to its parent's life before anything slow is imported, so that it never outlives a daemon that was killed.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from palmd import blas
 _PR_SET_PDEATHSIG = 1
 
 
-SIGN_S = 0.25
-"""From one sign of life to the next."""
+HEARTBEAT_S = 0.25
+"""Period of heartbeats."""
 
 
-def main(module: str, parent: int, signs: int, arguments: Sequence[str]) -> None:
-    """Call `serve` of a module with the arguments, for the daemon with process number `parent`.
+def main(module: str, parent: int, heartbeat_fd: int, arguments: Sequence[str]) -> None:
+    """Call `serve` of a module with the arguments, for the daemon with process id `parent`.
 
-    `signs` is the descriptor on which it hears that this process lives.
+    `heartbeat_fd` is the file descriptor on which the daemon receives heartbeats.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it has died already
+    if os.getppid() != parent:  # the parent has already died
         return
-    threading.Thread(target=_give_signs, args=(signs,), name="signs", daemon=True).start()
+    threading.Thread(target=_send_heartbeats, args=(heartbeat_fd,), name="signs", daemon=True).start()
     blas.one_thread_from_here()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process in its turn
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the loop, which then stops this process
     importlib.import_module(module).serve(*arguments)
 
 
-def _give_signs(descriptor: int) -> None:
-    """In a thread of its own, so that a long computation is not taken for a process that was stopped."""
+def _send_heartbeats(descriptor: int) -> None:
+    """Runs in its own thread, so that a long computation does not look like a stopped process."""
     while True:
         with contextlib.suppress(BlockingIOError):
             os.write(descriptor, b".")
-        time.sleep(SIGN_S)
+        time.sleep(HEARTBEAT_S)
 
 
 if __name__ == "__main__":

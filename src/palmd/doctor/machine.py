@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.console.folders import nearest, takes_files
-from palmd.daemon.realtime import PRIORITY, allowing, user
+from palmd.daemon.realtime import PRIORITY, limits_command, user
 from palmd.doctor.finding import Finding
 
 PROC = Path("/proc")
@@ -118,7 +118,7 @@ def real_time() -> Finding:
     allowed, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if allowed >= PRIORITY or allowed == resource.RLIM_INFINITY or _capable(_CAP_SYS_NICE):
         return Finding("real time", "ok", f"priority {PRIORITY} is allowed")
-    mend = f"{allowing(f'rtprio {PRIORITY}')}; or run the service"
+    mend = f"{limits_command(f'rtprio {PRIORITY}')}; or run the service"
     return Finding("real time", "missing", f"no right to priority {PRIORITY}", mend)
 
 
@@ -127,7 +127,7 @@ def locked_memory() -> Finding:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
         return Finding("locked memory", "ok", "no limit")
-    mend = f"{allowing('memlock unlimited')}; or run the service"
+    mend = f"{limits_command('memlock unlimited')}; or run the service"
     return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", mend)
 
 

@@ -1,1 +1,1 @@
-"""What starts and operates a whole stack, and the loop without wires."""
+"""Parts shared by the demo, guided captures and studies: processes, an operator, and comparisons with the truth."""

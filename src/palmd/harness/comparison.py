@@ -1,4 +1,4 @@
-"""What a daemon estimates against what its emulated rig knows to be true. Pure: messages in, words out."""
+"""Comparison of a daemon's estimates with the truth of its emulated rig. Pure: messages in, text out."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from typing import Any
 import numpy as np
 
 from palmd.bus.subscriber import Message
+from palmd.harness.object_losses import ObjectLosses
 from palmd.harness.scorer import COMPARED, Scorer
-from palmd.harness.standing import Standing
 from palmd.score import OutlineScore
 from palmd.system.mechanism import RADII
 
-LOOPS = 300  # of palm/loop, one a second
+LOOPS = 300  # messages of palm/loop kept, one per second
 TRUTHS = 100
 GRID_TICKS = 100
 LATE_S = 2e-3
-SAME_AGAIN_S = 10.0
-"""After which an unchanged line of progress is worth repeating (convention)."""
+REPEAT_S = 10.0
+"""Time after which an unchanged progress line is repeated (convention)."""
 PERIOD_S = 0.01
 _RADII = tuple(f"{name}_m" for name in RADII)
 
 
 class AnyComparison(ABC):
-    """Takes the messages of both as they come, of whichever system; needs the same memory however long it runs."""
+    """Processes the messages of daemon and rig, for any system; memory does not grow with the duration."""
 
     def __init__(self, seed: int, rig: str) -> None:
-        """The rig's `seed`, and how far off it is, in words: to be named in the summary."""
+        """The rig's `seed`, and a description of its imperfections, for the summary."""
         self._seed, self._rig = seed, rig
         self.t_started: float | None = None
         self._state: Mapping[str, Any] = {}
         self._work_p99_ms: deque[float] = deque(maxlen=LOOPS)
-        self._shown, self._t_shown = "", -math.inf
+        self._last_progress, self._t_shown = "", -math.inf
 
     @property
     @abstractmethod
     def settled(self) -> bool:
-        """Whether an estimate has been called valid since the rig began to move."""
+        """Whether an estimate has been valid since the rig began to move."""
 
     def started(self, t: float) -> None:
         """The rig begins to move at t (s, monotonic clock), for the first time or again."""
@@ -48,7 +48,7 @@ class AnyComparison(ABC):
             self.t_started = t
 
     def take(self, message: Message) -> None:
-        """One message of the daemon or of the rig."""
+        """Process a message of the daemon or the rig."""
         match message.topic:
             case "palm/state":
                 self._state = message.fields
@@ -59,27 +59,27 @@ class AnyComparison(ABC):
 
     @abstractmethod
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
-        """One of the system's own."""
+        """Process a message of one of the system's own topics."""
 
     def progress(self, t: float) -> str:
-        """One line on how it stands at t (s, monotonic clock); empty for less than `SAME_AGAIN_S` of no change."""
+        """One line of progress at t (s, monotonic clock); empty if unchanged for less than `REPEAT_S`."""
         parts = [f"{self._state.get('state', ''):8}", *self._progress()]
         words = "  ".join(parts)
-        if words == self._shown and t < self._t_shown + SAME_AGAIN_S:
+        if words == self._last_progress and t < self._t_shown + REPEAT_S:
             return ""
-        self._shown, self._t_shown = words, t
+        self._last_progress, self._t_shown = words, t
         return f"{t - (self.t_started or t):5.0f} s  {words}"
 
     @abstractmethod
     def _progress(self) -> list[str]:
-        """What there is to say of it, but for the daemon's state."""
+        """The parts of the progress line except the daemon's state."""
 
     @abstractmethod
     def summary(self) -> str:
-        """The closing line."""
+        """The final line."""
 
-    def _grave(self) -> list[str]:
-        """The faults that are more than a note."""
+    def _serious_faults(self) -> list[str]:
+        """Codes of the faults that are more than a note."""
         faults = zip(self._state.get("faults", ()), self._state.get("severities", ()), strict=False)
         return [fault for fault, severity in faults if severity != "note"]
 
@@ -88,27 +88,27 @@ class AnyComparison(ABC):
 
 
 class Comparison(AnyComparison):
-    """Of two palms."""
+    """Comparison for two palms."""
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
         self._scorer = Scorer()
         self._object: Mapping[str, Any] | None = None
         self._truths: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)
-        self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth is to come
+        self._waiting: deque[tuple[float, ...]] = deque(maxlen=TRUTHS)  # valid ticks whose truth has not arrived
         self._punctuality = Punctuality()
-        self._stalled: list[float] = []  # how long each standstill of the emulated rig lasted (s), since the last word
+        self._stalled: list[float] = []  # duration (s) of each stall of the emulated rig since the last progress line
         self._stalls, self._stalled_s = 0, 0.0
         self._ticks = 0
-        self._standing = Standing()
+        self._losses = ObjectLosses()
 
     @property
     def settled(self) -> bool:
-        """By the scorer."""
+        """According to the scorer."""
         return self._scorer.t_settled is not None
 
     def started(self, t: float) -> None:
-        """The scorer's time begins."""
+        """Start the scorer's clock as well."""
         super().started(t)
         self._scorer.t_started = self.t_started
 
@@ -132,20 +132,22 @@ class Comparison(AnyComparison):
         t = _seconds(fields)
         self._ticks += 1
         self._punctuality.tick(t)
-        self._standing.take(t, fields["valid"], fields.get("object", 0))
+        self._losses.take(t, fields["valid"], fields.get("object", 0))
         if self._scorer.take(t, fields):
             self._waiting.append((t, *(fields[name] for name in COMPARED)))
 
     def _compare(self) -> None:
-        """Compare the ticks that now lie between two truths, by interpolation."""
-        known = np.array(self._truths)
-        while self._waiting and self._waiting[0][0] <= known[-1, 0]:
+        """Compare the ticks that now lie between two truth messages, by interpolation."""
+        truths = np.array(self._truths)
+        while self._waiting and self._waiting[0][0] <= truths[-1, 0]:
             t, *estimated = self._waiting.popleft()
-            if t >= known[0, 0]:
-                self._scorer.compare(t, estimated, [float(np.interp(t, known[:, 0], each)) for each in known.T[1:]])
+            if t >= truths[0, 0]:
+                self._scorer.compare(
+                    t, estimated, [float(np.interp(t, truths[:, 0], column)) for column in truths.T[1:]]
+                )
 
     def _progress(self) -> list[str]:
-        """The estimate or why there is none, and grave faults."""
+        """The estimate or why there is none, and serious faults."""
         parts = []
         e = self._scorer.estimate
         if e.get("valid"):
@@ -155,19 +157,21 @@ class Comparison(AnyComparison):
             score = self._score()
             if score is not None:
                 parts.append(f"outline ± {self._band() * 1e6:.0f} µm (1σ) on {score.touched:.0%}")
-                parts.append(f"[truth: {score.e_h * 1e6:.0f} µm RMS off]")
+                parts.append(f"[true error: {score.e_h * 1e6:.0f} µm RMS]")
         else:
-            why = ", ".join(e.get("invalid_reasons", ()))
-            parts.append(("lost, searching again" if self.settled else "no valid estimate yet") + (why and f" ({why})"))
-        grave = self._grave()
+            reasons = ", ".join(e.get("invalid_reasons", ()))
+            parts.append(
+                ("lost, re-initialising" if self.settled else "no valid estimate yet") + (reasons and f" ({reasons})")
+            )
+        remarks = self._serious_faults()
         if self._stalled:
-            grave.append(f"(the emulated rig got no processor for {max(self._stalled) * 1e3:.0f} ms)")
+            remarks.append(f"(the emulated rig got no processor time for {max(self._stalled) * 1e3:.0f} ms)")
             self._stalled.clear()
-        return parts + grave
+        return parts + remarks
 
     def summary(self) -> str:
-        """The closing line."""
-        parts = [f"seed {self._seed}", *filter(None, (self._settling(), self._standing.words()))]
+        """The final line."""
+        parts = [f"seed {self._seed}", *filter(None, (self._settling(), self._losses.summary()))]
         score, everywhere = self._score(), self._score(all_normals=True)
         if score is not None and everywhere is not None and self._scorer.shape is not None:
             sd, band = np.array(self._scorer.shape["h_sd_m"]), self._band()
@@ -190,11 +194,11 @@ class Comparison(AnyComparison):
             f"rig {self._rig}",
         ]
         if self._stalls:
-            parts.append(f"which {self._stalls} times got no processor, for {self._stalled_s:.2f} s in all")
+            parts.append(f"which got no processor time {self._stalls} times, {self._stalled_s:.2f} s in total")
         return "palmd demo: " + ", ".join(parts)
 
     def _band(self) -> float:
-        """RMS of the last valid outline's 1σ where it was touched (m)."""
+        """RMS of the last valid outline's standard deviation on touched normals (m)."""
         shape = self._scorer.shape or {}
         sd, touched = (np.array(shape[name]) for name in ("h_sd_m", "touched"))
         return math.sqrt(np.mean(sd[touched > 0] ** 2))
@@ -206,12 +210,12 @@ class Comparison(AnyComparison):
         return f"{name} observer settled after {self._scorer.settling_s:.1f} s"
 
     def _score(self, *, all_normals: bool = False) -> OutlineScore | None:
-        """The outline against the true one, where it was touched or everywhere; None before there are both."""
+        """The outline compared with the true one, on touched or all normals; None before both are available."""
         return None if self._object is None else self._scorer.outline(self._object["h_m"], all_normals=all_normals)
 
 
 class Punctuality:
-    """How many ticks began late or not at all, judged from their times alone: the grid is where most of them are."""
+    """Counts ticks that began late or were skipped, judged by their times only; most of them define the grid."""
 
     def __init__(self) -> None:
         self._first: list[float] = []
@@ -231,7 +235,7 @@ class Punctuality:
             self._late = sum(map(self._is_late, self._first))
 
     def late_share(self, ticks: int) -> float:
-        """The share of ticks later than `LATE_S`, given how many there were; NaN before `GRID_TICKS` of them."""
+        """Fraction of ticks later than `LATE_S` or skipped, given their number; NaN before `GRID_TICKS` of them."""
         if math.isnan(self._grid):
             return math.nan
         due = round((self._latest - self._first[0]) / PERIOD_S) + 1

@@ -1,4 +1,4 @@
-"""Other palmd commands as processes of this one, which are asked to end when it ends."""
+"""Other palmd commands as child processes, which are asked to end when this one ends."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def _die_with_parent() -> None:
 
 
 def start_beside(arguments: list[str]) -> subprocess.Popen[bytes]:
-    """Start another command that is asked to end when this one ends, and takes its time; raises OSError.
+    """Start another command that is asked to end when this process ends, and may take its time; raises OSError.
 
-    It shares standard error, unless that is a pipe: who reads it to its end waits for us alone. It takes a millisecond,
-    also where this process is large: nothing of ours runs between fork and exec.
+    It shares standard error unless that is a pipe, whose reader waits for this process alone. It takes 1 ms even if
+    this process is large, because nothing of ours runs between fork and exec.
     """
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "palmd", *arguments],
@@ -53,13 +53,13 @@ def _never() -> bool:
 
 
 class Child:
-    """One command, what it says and its temporary files kept in `folder`; a terminal's Ctrl-C does not reach it.
+    """One command, with its output and temporary files in `folder`; a terminal's Ctrl-C does not reach it.
 
-    Its daemon has no keys, so neither has it one.
+    Its daemon has no keys, so it gets none either.
     """
 
     def __init__(self, arguments: list[str], folder: Path, environment: Mapping[str, str] | None = None) -> None:
-        """`arguments` begin with the command's name, which its files bear too; `environment` comes on top of ours."""
+        """`arguments` begin with the command's name, also used for its files; `environment` is added to ours."""
         self.name = arguments[0]
         self._out, self._err = folder / f"{self.name}.out", folder / f"{self.name}.err"
         with self._out.open("wb") as out, self._err.open("wb") as err:
@@ -77,7 +77,7 @@ class Child:
 
     @property
     def number(self) -> int:
-        """Of the process."""
+        """The process id."""
         return self._process.pid
 
     @property
@@ -85,14 +85,14 @@ class Child:
         """The exit status, None while it runs; negative for a signal."""
         return self._process.poll()
 
-    def said(self) -> str:
+    def error_output(self) -> str:
         """The last lines of its standard error, without log levels below a warning."""
         lines = self._err.read_text(encoding="utf-8", errors="replace").splitlines()
         return "\n".join([line for line in lines if not line.startswith(("INFO ", "DEBUG "))][-20:])
 
-    def first_line(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str | None:
-        """The first line of its standard output; None if it ends without, takes too long, or `give_up` says so."""
-        t_end = time.monotonic() + patience_s
+    def first_line(self, timeout_s: float, give_up: Callable[[], bool] = _never) -> str | None:
+        """The first line of its standard output; None if it ends without one, at a time-out, or if `give_up()`."""
+        t_end = time.monotonic() + timeout_s
         while True:
             ended = self.status is not None
             line, end, _ = self._out.read_text(encoding="utf-8").partition("\n")
@@ -102,33 +102,33 @@ class Child:
                 return None
             time.sleep(_LOOK_S)
 
-    def started(self, patience_s: float, give_up: Callable[[], bool] = _never) -> str:
-        """The same for one that must start; raises CliError with what it says for itself."""
-        line = self.first_line(patience_s, give_up)
+    def started(self, timeout_s: float, give_up: Callable[[], bool] = _never) -> str:
+        """The same for a command that must start; raises CliError with its error output."""
+        line = self.first_line(timeout_s, give_up)
         if line is None:
-            raise CliError(RIG_FAILED, self.said() or f"palmd {self.name} did not start")
+            raise CliError(RIG_FAILED, self.error_output() or f"palmd {self.name} did not start")
         return line
 
     def lines(self) -> list[str]:
-        """What it has said on its standard output."""
+        """The lines of its standard output."""
         return self._out.read_text(encoding="utf-8").splitlines()
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
         self._process.send_signal(number)
 
-    def stop(self, patience_s: float = _STOPPING_S) -> None:
-        """Ask it to end, and make it end if it has not after so long."""
+    def stop(self, timeout_s: float = _STOPPING_S) -> None:
+        """Ask it to end, and kill it after `timeout_s`."""
         self._process.terminate()
         try:
-            self._process.wait(patience_s)
+            self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
 
 
 class StopRequest:
-    """While it is entered, SIGINT and SIGTERM only set `made`."""
+    """Context in which SIGINT and SIGTERM only set `made`."""
 
     def __init__(self) -> None:
         self.made = False

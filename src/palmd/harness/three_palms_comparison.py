@@ -1,4 +1,4 @@
-"""What a daemon estimates of a body between three palms against what its emulated rig knows to be true. Pure."""
+"""Comparison of a daemon's estimates of a body between three palms with the truth of its emulated rig. Pure."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from palmd.three_palms_quantities import PALM3, PALM3_BODY, PALM3_SHAPE, PALM3_T
 
 SPIN = tuple(f"omega_{axis}_rad_s" for axis in WORLD_AXES)
 CENTRE = tuple(f"com_{axis}_m" for axis in WORLD_AXES)
-TURNS = 6  # steps of Gauss–Newton towards the best turn
-COMPARED = 120  # directions that are looked at, at most
-REACH = 60  # directions next to one, for h between them
+ROTATION_STEPS = 6  # Gauss–Newton steps for the best rotation
+MAX_DIRECTIONS = 120  # largest number of directions compared
+NEIGHBOURS = 60  # neighbouring directions used for interpolating h
 
 
 class ThreePalmsComparison(SettlingComparison):
-    """Of three palms in space."""
+    """Comparison for three palms in space."""
 
     shape = "surface"
     normals = "directions"
 
     def __init__(self, seed: int, rig: str) -> None:
         super().__init__(seed, rig)
-        self._turn: FloatArray | None = None  # from the estimate's frame to the truth's, when the shape came
-        self._off: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # in spin and centre, with bands
+        self._rotation: FloatArray | None = None  # from the estimate's frame to the true one, at the time of the shape
+        self._deviations: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=6000)  # of spin and centre, with sds
 
     def _take(self, topic: str, fields: Mapping[str, Any]) -> None:
         if topic == PALM3.name:
@@ -40,7 +40,7 @@ class ThreePalmsComparison(SettlingComparison):
             self._shape = fields
             if self._truth and math.isfinite(self._estimate["quat_xyzw"][0]):
                 own, true = matrix(self._estimate["quat_xyzw"]), matrix(self._truth["quat_xyzw"])
-                self._turn = true.T @ own
+                self._rotation = true.T @ own
         elif topic == PALM3_TRUTH.name:
             self._truth = fields
         elif topic == PALM3_BODY.name:
@@ -48,66 +48,67 @@ class ThreePalmsComparison(SettlingComparison):
 
     def _compare(self, estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
         names = (*SPIN, *CENTRE)
-        off = np.array([estimate[name] - truth[name] for name in names])
-        self._off.append((off, np.array([estimate["sd"][name] for name in names])))
+        deviation = np.array([estimate[name] - truth[name] for name in names])
+        self._deviations.append((deviation, np.array([estimate["sd"][name] for name in names])))
 
     def _errors(self) -> list[str]:
-        if not self._off:
+        if not self._deviations:
             return []
-        off, sd = (np.array(each) for each in zip(*self._off, strict=True))
-        spin, centre = np.sqrt(np.mean(off[:, :3] ** 2)), np.sqrt(np.mean(off[:, 3:] ** 2))
-        square = np.mean((off / sd) ** 2)
+        deviations, sd = (np.array(each) for each in zip(*self._deviations, strict=True))
+        spin, centre = np.sqrt(np.mean(deviations[:, :3] ** 2)), np.sqrt(np.mean(deviations[:, 3:] ** 2))
+        square = np.mean((deviations / sd) ** 2)
         return [f"omega {spin:.3f} rad/s, centre {centre * 1e6:.0f} µm RMS, (error/sd)² {square:.2f}"]
 
     def _outline(self) -> OutlineFigures | None:
         shape, body = self._shape, self._body
-        if shape is None or body is None or self._turn is None or shape["object"] != self._estimate.get("object"):
+        if shape is None or body is None or self._rotation is None or shape["object"] != self._estimate.get("object"):
             return None
-        return OutlineFigures(*surface_error(shape, np.array(body["h_m"]), self._turn))
+        return OutlineFigures(*surface_error(shape, np.array(body["h_m"]), self._rotation))
 
 
 def matrix(quaternion: tuple[float, ...]) -> FloatArray:
-    """(3, 3) of x, y, z, w."""
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w."""
     x, y, z, w = quaternion
     v = np.array([x, y, z])
     half = np.linalg.norm(v)
     return exp(v * (0.0 if half == 0.0 else 2.0 * math.atan2(half, w) / half))
 
 
-def surface_error(shape: Mapping[str, Any], true: FloatArray, turn: FloatArray) -> tuple[float, float, float]:
-    """(RMS error of h where touched (m) after the best turn near `turn`, RMS of its band there, share touched).
+def surface_error(shape: Mapping[str, Any], true: FloatArray, rotation: FloatArray) -> tuple[float, float, float]:
+    """(RMS error of h (m), RMS of its standard deviation, fraction touched), on touched directions.
 
-    Some of the touched directions, all over, are looked at.
+    The error is that after the best rotation near `rotation`. At most `MAX_DIRECTIONS` directions are used, evenly
+    chosen.
 
-    true: h in the directions of the icosphere, in a frame that the estimate's is brought to by `turn`.
+    true: h in the directions of the icosphere, in a frame to which `rotation` maps the estimate's.
     """
     directions, _ = icosphere()
     touched = np.array(shape["touched"]) > 0
-    felt = np.flatnonzero(touched)
-    some = felt[:: max(1, -(-len(felt) // COMPARED))]
-    h, sd = np.array(shape["h_m"])[some], np.array(shape["h_sd_m"])[some]
-    u: FloatArray = np.asarray(directions[some] @ turn.T, np.float64)
-    for _ in range(TURNS):
-        near, slope = between(true, u)
-        step: FloatArray = np.asarray(np.linalg.lstsq(np.cross(u, slope), h - near, rcond=None)[0], np.float64)
+    touched_indices = np.flatnonzero(touched)
+    chosen = touched_indices[:: max(1, -(-len(touched_indices) // MAX_DIRECTIONS))]
+    h, sd = np.array(shape["h_m"])[chosen], np.array(shape["h_sd_m"])[chosen]
+    u: FloatArray = np.asarray(directions[chosen] @ rotation.T, np.float64)
+    for _ in range(ROTATION_STEPS):
+        interpolated, slope = between(true, u)
+        step: FloatArray = np.asarray(np.linalg.lstsq(np.cross(u, slope), h - interpolated, rcond=None)[0], np.float64)
         u = np.asarray(u @ exp(step).T, np.float64)
-    off = h - between(true, u)[0]
-    return float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(sd**2))), float(touched.mean())
+    error = h - between(true, u)[0]
+    return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(sd**2))), float(touched.mean())
 
 
 def between(h: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(h (T,), its slope (T, 3) along the sphere) at unit vectors u (T, 3), by a cubic through those about."""
+    """(h (T,), its slope (T, 3) along the sphere) at unit vectors u (T, 3), by a local cubic fit."""
     directions, _ = icosphere()
     values, slopes = np.empty(len(u)), np.empty((len(u), 3))
     for i, each in enumerate(u):
-        close = directions @ each
-        some = np.argpartition(-close, REACH)[:REACH]
-        one = np.cross(each, np.eye(3)[np.abs(each).argmin()])
-        one /= np.linalg.norm(one)
-        other = np.cross(each, one)
-        x, y = directions[some] @ one, directions[some] @ other
+        cosines = directions @ each
+        nearest = np.argpartition(-cosines, NEIGHBOURS)[:NEIGHBOURS]
+        axis1 = np.cross(each, np.eye(3)[np.abs(each).argmin()])
+        axis1 /= np.linalg.norm(axis1)
+        axis2 = np.cross(each, axis1)
+        x, y = directions[nearest] @ axis1, directions[nearest] @ axis2
         rows = np.stack([x**j * y**k for j in range(5) for k in range(5 - j)], axis=1)
         weight = np.exp(-0.5 * (np.hypot(x, y) / 0.15) ** 2)
-        found = np.linalg.lstsq(weight[:, None] * rows, weight * h[some], rcond=None)[0]
-        values[i], slopes[i] = found[0], found[5] * one + found[1] * other
+        fit = np.linalg.lstsq(weight[:, None] * rows, weight * h[nearest], rcond=None)[0]
+        values[i], slopes[i] = fit[0], fit[5] * axis1 + fit[1] * axis2
     return values, slopes

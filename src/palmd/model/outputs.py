@@ -35,7 +35,7 @@ def rig_inputs(rig: RigDescription) -> FloatArray:
     """
     base, arm = rig.arc
     vibration = rig.vibration
-    law = vibration.kappa, vibration.likeliest_transmission, float(vibration.averaged)
+    law = vibration.kappa, vibration.nominal_transmission, float(vibration.averaged)
     return np.array([rig.gravity, arm, *base, 0.0, *rig.curvatures, *law, vibration.half_period, 0.0, 0.0, 0.0, 0.0])
 
 

@@ -23,7 +23,7 @@ from palmd.motion.shaking import shaking_by, shaking_of
 from palmd.outlinefile import OutlineError, read_library
 from palmd.plausibility import implausible
 from palmd.systems import LIVE, load_part
-from palmd.yamlfile import ConfigError, Document, is_plan, parse, parse_config, read_document, system_meant
+from palmd.yamlfile import ConfigError, Document, configured_system, is_plan, parse, parse_config, read_document
 
 DEFAULT_PAD_LENGTH_MM: float = PadBase.model_fields["length_mm"].default
 
@@ -220,7 +220,7 @@ def _limits_of_faulty(document: Document) -> list[MotionLimits]:
     """Return the limits of a configuration with errors elsewhere, so that plans can still be checked."""
     section = document.data.get("limits", {}) if isinstance(document.data, dict) else None
     try:
-        return [_limits(system_meant(document), section)]
+        return [_limits(configured_system(document), section)]
     except (ConfigError, ValidationError):
         return []
 

@@ -81,5 +81,5 @@ class Contacts:
 
 def finite(event: PadSample | PalmSample) -> bool:
     """Whether every number that the event tells is one."""
-    told = event.s + (event.force or 0.0) if isinstance(event, PadSample) else sum(event.told)
+    told = event.s + (event.force or 0.0) if isinstance(event, PadSample) else sum(event.values)
     return math.isfinite(event.t_sample + told)  # a sum is so only if all its terms are

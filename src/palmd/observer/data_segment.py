@@ -194,5 +194,5 @@ def _finite(event: Event) -> bool:
     if isinstance(event, PadSample):
         return math.isfinite(event.t_sample) and math.isfinite(event.s)
     if isinstance(event, PalmSample):
-        return all(map(math.isfinite, (event.t_sample, *event.told)))
+        return all(map(math.isfinite, (event.t_sample, *event.values)))
     return math.isfinite(event.t_sample)

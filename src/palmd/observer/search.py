@@ -466,7 +466,7 @@ def minima(
 
 def noise_on(rig: RigDescription) -> ProcessNoise:
     """Process noise, uneven rotation of this rig's palms included."""
-    return replace(NOISE, omega0=NOISE.omega0 + rig.uneven_spin)
+    return replace(NOISE, omega0=NOISE.omega0 + rig.rounding_spin_density)
 
 
 def diverged(residuals: FloatArray) -> npt.NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from palmd.chords import MEANT, chords_of
+from palmd.chords import STRAIGHT_LABEL, chords_of
 from palmd.events import FloatArray
 from palmd.polygon import boundary, normals, resampled, turned
 
@@ -65,7 +65,7 @@ class OutlineCurves:
             f"units: mm; origin: {self.origin}; its turn about it is arbitrary",
             f"band: {SDS:g} one-sigmas to either side, along the normal",
             f"touched: {np.mean(self.touched):.1%} of the normals; the rest is what the body's smoothness lets expect",
-            *(f"straight over {math.dist(*chord):.2f} mm of the hull: {MEANT}" for chord in self.chords),
+            *(f"straight over {math.dist(*chord):.2f} mm of the hull: {STRAIGHT_LABEL}" for chord in self.chords),
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
-from palmd.chords import MEANT, chords_of
+from palmd.chords import STRAIGHT_LABEL, chords_of
 from palmd.events import FloatArray
 from palmd.polygon import normals
 from palmd.report.axes import BLACK, BLUE, GREY, ORANGE
@@ -76,7 +76,7 @@ def _outline(axes: Axes, found: Found) -> None:
     axes.plot(*_where(curve, outline.touched), color=BLUE, linewidth=2.0, label="touched")
     for number, chord in enumerate(chords_of(outline.theta, outline.h, outline.touched)):
         axes.plot(*np.array([chord.begin, chord.end]).T * 1e3, color=ORANGE, linewidth=1.6, linestyle=_DASHED,
-                  label=MEANT if number == 0 else None)  # fmt: skip
+                  label=STRAIGHT_LABEL if number == 0 else None)  # fmt: skip
     if found.against is not None:
         axes.plot(*closed(points(outline.theta, found.against.h) * 1e3), color=BLACK, linewidth=0.7,
                   linestyle=_DASHED, label="truth")  # fmt: skip

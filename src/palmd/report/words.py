@@ -9,7 +9,7 @@ from datetime import datetime
 
 import numpy as np
 
-from palmd.chords import MEANT, chords_of
+from palmd.chords import STRAIGHT_LABEL, chords_of
 from palmd.observer.shape_classification import root_of_band, shape_class
 from palmd.observer.validity import MOST_NIS
 from palmd.quantities import ESTIMATE, MOTION
@@ -93,7 +93,7 @@ def under_outline(series: Series, outline: OutlineAt) -> str:
     if outline.valid and (form := shape_class(outline.theta, outline.h, root, outline.touched)).text:
         said += f"; looks like: {form.text}"
     if chords := chords_of(outline.theta, outline.h, outline.touched):
-        said += f"; of the hull, which is what palms feel, straight ({MEANT}, dashed): "
+        said += f"; of the hull, which is what palms feel, straight ({STRAIGHT_LABEL}, dashed): "
         said += ", ".join(_mm(chord.length) for chord in chords)
     body = body_at(series, outline.t)
     if body is None:

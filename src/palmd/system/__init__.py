@@ -1,1 +1,1 @@
-"""What the rig is: its mechanism, its palms, its sensors, and how all of them are called."""
+"""Description of the rig: mechanism, palms, sensors, and the names of their quantities."""

@@ -1,4 +1,4 @@
-"""What a measured map adds to a pad's readings: a natural cubic spline through its points. Pure."""
+"""Correction of a pad's readings by a measured map: a natural cubic spline through its points. Pure."""
 
 from __future__ import annotations
 
@@ -8,32 +8,35 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-LEAST_POINTS = 2  # (derivation: a line has as many)
-CLOSEST_MM = 1e-3  # of two points (derivation: less than any pad resolves)
-FARTHEST_MM = 1000.0  # of a point from the hinge, and of a correction (convention: longer is no pad)
+LEAST_POINTS = 2  # (derivation: a line needs as many)
+CLOSEST_MM = 1e-3  # smallest distance of two points (derivation: finer than any pad's resolution)
+FARTHEST_MM = (
+    1000.0  # largest distance of a point from the hinge, and largest correction (convention: no pad is longer)
+)
 STEEPEST = 0.2
-"""Of corrections along a pad (convention; from 1 on readings run backwards, and a reading has no place of its own)."""
+"""Largest slope of corrections along a pad (convention; from 1 on readings run backwards and have no unique position).
+"""
 
 
 def fault_of(points_mm: Sequence[tuple[float, float]]) -> str:
-    """Why these pairs (mm) are no map of a pad; empty where they are one."""
+    """Why these pairs (mm) are not a valid map of a pad; empty if they are."""
     if len(points_mm) < LEAST_POINTS:
         return f"must have {LEAST_POINTS} pairs [place_mm, correction_mm] or more"
     if any(not abs(value) <= FARTHEST_MM for point in points_mm for value in point):
-        return f"must have no place or correction beyond {FARTHEST_MM:g} mm"
-    for (place, correction), (next_place, next_correction) in pairwise(points_mm):
-        if next_place < place + CLOSEST_MM:
-            return f"must be in order of place, {CLOSEST_MM:g} mm apart or more, and {next_place:g} mm is not"
-        if abs(next_correction - correction) > STEEPEST * (next_place - place):
-            return f"must change by {STEEPEST:.0%} of the way at most, and from {place:g} to {next_place:g} mm does not"
+        return f"must have no position or correction beyond {FARTHEST_MM:g} mm"
+    for (position, correction), (next_position, next_correction) in pairwise(points_mm):
+        if next_position < position + CLOSEST_MM:
+            return f"must be in order of position, {CLOSEST_MM:g} mm apart or more; {next_position:g} mm is not"
+        if abs(next_correction - correction) > STEEPEST * (next_position - position):
+            return f"must have a slope of {STEEPEST:.0%} at most; {position:g} to {next_position:g} mm is steeper"
     return ""
 
 
 def corrections(points: Sequence[tuple[float, float]], places: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """What is added to readings at `places` (n,), by `points` of (place, correction) in order of place.
+    """Corrections to add to readings at `places` (n,), from `points` of (position, correction) in order of position.
 
-    In the points' units. Beyond the first and the last point it is as there. The second derivative is zero at both
-    (natural spline; de Boor, A Practical Guide to Splines, 1978, chapter IV).
+    In the points' units. Constant beyond the first and the last point, where the second derivative is zero (natural
+    spline; de Boor, A Practical Guide to Splines, 1978, chapter IV).
     """
     at, values = np.array(points, dtype=np.float64).T
     steps, rises = np.diff(at), np.diff(values)
@@ -45,5 +48,5 @@ def corrections(points: Sequence[tuple[float, float]], places: npt.ArrayLike) ->
     k = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(steps) - 1)
     u, step = (x - at[k]) / steps[k], steps[k]
     cubic = (u**3 - u) * bends[k + 1] + ((1.0 - u) ** 3 - (1.0 - u)) * bends[k]
-    found: npt.NDArray[np.float64] = values[k] + u * rises[k] + step**2 / 6.0 * cubic
-    return found
+    interpolated: npt.NDArray[np.float64] = values[k] + u * rises[k] + step**2 / 6.0 * cubic
+    return interpolated

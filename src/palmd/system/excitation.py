@@ -1,8 +1,8 @@
-"""Which law of friction an excitation of the palms asks for, by frequency and speed (docs/theory/vibration.md). Pure.
+"""Friction law for an excitation of the palms, by its frequency and speed (docs/theory/vibration.md). Pure.
 
-Motion of the plan is slow: friction is dry, the object sticks and slips, and models follow it in steps. A vibration is
-averaged where it is much faster than the object moves and strong enough that no contact sticks through a reversal.
-What is between is neither, and must be resolved step by step.
+Motion of the plan is slow: friction is dry, the object sticks and slips, and models follow it step by step. A vibration
+can be averaged if it is much faster than the object's motion and strong enough that no contact sticks during a
+reversal. Anything in between must be resolved step by step.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 PLAN_MOST_HZ = 20.0
-"""Up to which a plan may shake the palms: that is motion."""
+"""Highest frequency that a plan may move the palms with; up to here it counts as motion."""
 SLOW_HZ = 5.0
-"""Bandwidth of what an object between palms does: it rocks at 1 to 5 Hz."""
+"""Bandwidth of the motion of an object between palms: it rocks at 1 to 5 Hz."""
 FASTER = 10.0
-"""By which factor a vibration must be faster than that to be averaged."""
+"""Factor by which a vibration must be faster than that to be averaged."""
 STICKS = 1.9
-"""2πfV over the acceleration that friction gives a contact, below which the contact sticks while slip reverses."""
+"""2πfV over the acceleration due to friction, below which a contact sticks while its slip reverses."""
 FRICTION_SHARE = 2.4
-"""That acceleration over μg: 1.3 on the average of ellipses between palms at rest, below this in 95 % of them."""
+"""That acceleration over μg: 1.3 on average for ellipses between palms at rest, below this value for 95 % of them."""
 MOST_FRICTION = 0.3
-"""Coefficient of friction that a vibration should be strong enough for: objects with more are rare."""
+"""Coefficient of friction for which a vibration should be strong enough; objects with more are rare."""
 STEPS_A_PERIOD = 20
-"""Of an excitation that is resolved."""
+"""Steps per period for an excitation that is resolved."""
 RESONANT = (0.5, 2.0)
-"""Of a frequency over a resonance: between them normal forces answer friction by up to 2.6 times, or the wrong way."""
+"""Range of frequency over resonance in which normal forces follow friction up to 2.6-fold, or with the wrong sign."""
 
 
 class Regime(StrEnum):
-    """What a model must do with an excitation."""
+    """How a model must treat an excitation."""
 
     AVERAGED = "averaged"
-    """Average over it: signs of slip are shared out in time."""
+    """Average over it: the fractions of time of each slip sign matter."""
     STEPS = "resolved in substeps"
-    """Resolve it: it is neither slow nor fast and strong."""
+    """Resolve it: it is neither slow nor both fast and strong."""
     DRY = "dry"
-    """Follow it as motion: dry friction, which sticks."""
+    """Treat it as motion with dry friction, which sticks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,27 +49,27 @@ class Excitation:
 
     @property
     def acceleration(self) -> float:
-        """Its amplitude, 2πfV (m/s²)."""
+        """Amplitude of the acceleration, 2πfV (m/s²)."""
         return 2.0 * math.pi * self.frequency * self.speed
 
     @property
     def longest_step_s(self) -> float:
-        """Of a model that resolves it."""
+        """Longest time step of a model that resolves it (s)."""
         return 1.0 / (STEPS_A_PERIOD * self.frequency)
 
 
 def friction_acceleration(mu: float, gravity: float) -> float:
-    """By how much friction accelerates a contact at most, along the palm (m/s²), for a coefficient of friction."""
+    """Largest acceleration of a contact along the palm due to friction (m/s²)."""
     return FRICTION_SHARE * mu * gravity
 
 
 def sticks(excitation: Excitation, friction: float) -> bool:
-    """Whether a contact sticks through it, against so much acceleration by friction (m/s²)."""
+    """Whether a contact sticks during the excitation, with an acceleration `friction` due to friction (m/s²)."""
     return excitation.acceleration <= STICKS * friction
 
 
 def regime(excitation: Excitation, friction: float, slow_hz: float = SLOW_HZ) -> Regime:
-    """What a model must do with it; slow_hz: bandwidth of the object's own motion."""
+    """How a model must treat the excitation; slow_hz: bandwidth of the object's own motion."""
     if excitation.frequency <= PLAN_MOST_HZ:
         return Regime.DRY
     fast = excitation.frequency >= FASTER * slow_hz
@@ -77,20 +77,20 @@ def regime(excitation: Excitation, friction: float, slow_hz: float = SLOW_HZ) ->
 
 
 def least_speed(frequency: float, friction: float) -> float:
-    """The amplitude of speed (m/s) from which a vibration of this frequency does not let a contact stick."""
+    """Smallest amplitude of speed (m/s) at which a vibration of this frequency keeps contacts from sticking."""
     return STICKS * friction / (2.0 * math.pi * frequency)
 
 
 def resonance_hz(stiffness: float, mass: float) -> float:
-    """f_c of a mass (kg) on a contact or mount of so much stiffness (N/m)."""
+    """Resonance frequency f_c of a mass (kg) on a contact or mount of this stiffness (N/m)."""
     return math.sqrt(stiffness / mass) / (2.0 * math.pi)
 
 
 def resonates(frequency: float, resonance: float) -> bool:
-    """Whether a frequency is so near to a resonance that nothing is known of how normal forces answer."""
+    """Whether a frequency is so close to a resonance that the response of the normal forces is unknown."""
     return RESONANT[0] < frequency / resonance < RESONANT[1]
 
 
 def swung(amplitude_rad: float, frequency: float, reach: float) -> Excitation:
-    """What palms that turn to and fro do at a contact that is so far from the hinge (m), at most."""
+    """Excitation of a contact at distance `reach` (m) from the hinge by palms that oscillate about it."""
     return Excitation(frequency, 2.0 * math.pi * frequency * amplitude_rad * reach)

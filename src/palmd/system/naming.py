@@ -1,18 +1,18 @@
-"""What a system's joints and pads are called, wherever something is published of them."""
+"""Names of a system's joints and pads in everything that is published."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 PAD_NUMBERS = (1, 2, 3)
-"""The numbers that pads have in any system: each has faults and counters of its own."""
+"""Numbers of pads in any system: each has its own faults and counters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """The joints' names in the order of every joint vector, their unit's, and the pads' numbers.
+    """Names of the joints in the order of every joint vector, the name of their unit, and the pads' numbers.
 
-    along, across: what the coordinates of a contact are called; `across` is empty where pads read but one.
+    along, across: names of a contact's coordinates; `across` is empty for pads that read only one.
     """
 
     joints: tuple[str, ...]
@@ -23,15 +23,15 @@ class Naming:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The fields of the joints as they are."""
+        """Field names of the measured joint angles."""
         return tuple(f"{joint}_{self.unit}" for joint in self.joints)
 
     @property
     def commanded(self) -> tuple[str, ...]:
-        """The fields of the joints as they are told to be."""
+        """Field names of the commanded joint angles."""
         return tuple(f"{joint}_cmd_{self.unit}" for joint in self.joints)
 
     @property
     def following(self) -> tuple[str, str]:
-        """The fields of the following error and of its limit, of all joints."""
+        """Field names of the following error and its limit, for all joints."""
         return f"following_error_{self.unit}", f"following_limit_{self.unit}"

@@ -36,7 +36,7 @@ _AS = {
     getattr(topics, field.name).name: getattr(SYSTEM_TOPICS[TWO_PALMS], field.name).name
     for topics in SYSTEM_TOPICS.values()
     for field in fields(topics)
-    if field.name != "besides"
+    if field.name != "extra"
 }
 
 

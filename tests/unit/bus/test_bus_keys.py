@@ -250,7 +250,7 @@ def test_strangers_are_logged_once_in_a_while(rig, caplog):
     caplog.set_level(logging.WARNING)
     clients = [rig.client(zmq.DEALER, rig.credentials("stranger")) for _ in range(5)]
     rig.until(lambda: rig.bus.fields()["bus_turned_away"] >= len(clients))
-    (line,) = [record.getMessage() for record in caplog.records if "turned away" in record.getMessage()]
+    (line,) = [record.getMessage() for record in caplog.records if "bus: rejected" in record.getMessage()]
     assert "1 connection(s) with unknown keys, the last from 127.0.0.1" in line
     assert rig.credentials("stranger").pair.public.decode() in line
 
@@ -275,7 +275,7 @@ def test_who_proves_no_key_is_counted_and_logged(rig, caplog, what):
 
 
 def test_without_its_doorkeeper_the_bus_lets_nobody_in(rig):
-    rig.bus._door.close()
+    rig.bus._authenticator.close()
     client = rig.client(zmq.SUB, rig.credentials("ann"))
     with client.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL) as monitor:
         rig.until(lambda: monitor.poll(0))

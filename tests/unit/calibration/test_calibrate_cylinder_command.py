@@ -233,7 +233,7 @@ def test_the_cylinder_is_lost_on_the_way(rig, mine, capsys, monkeypatch):
         thread.start()
         said = refused(mine, 3, capsys)
         thread.join()
-    assert said.startswith("held for 0.5 s, so given up; pad")
+    assert said.startswith("held for 0.5 s, so ended; pad")
 
 
 def test_no_daemon(mine, capsys):

@@ -91,7 +91,7 @@ class Daemon:
         if self.state == "fault":
             self.fault_told.set()
         grave = ["arm-estop"] if self.state == "fault" else []
-        return {"state": self.state, "cause": "stop was asked for", "over": self._rolling, "moving": False,
+        return {"state": self.state, "cause": "stop was requested", "over": self._rolling, "moving": False,
                 "faults": grave, "severities": ["stop"] * len(grave), "hints": ["release it"] * len(grave)}  # fmt: skip
 
     def events(self):

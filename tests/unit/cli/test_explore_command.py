@@ -58,7 +58,7 @@ class Daemon:
         going = self._seen is not None and self._seen <= self._looks
         grave = {"fault": "stop", "hold": "hold"}.get(self.state)
         return {
-            "state": self.state, "cause": "stop was asked for", "moving": False,
+            "state": self.state, "cause": "stop was requested", "moving": False,
             "over": self._seen is not None and not going,
             "faults": ["explorer-silent", *(["pad1-lifted"] if grave else [])],
             "severities": ["note", *([grave] if grave else [])],

@@ -92,13 +92,13 @@ MISTAKES = {
     "a plan for a configuration": Mistake(
         "run p.yaml",
         1,
-        "p.yaml:1:1: this is a motion plan; wanted is a configuration, which may name it (plan: FILE)",
+        "p.yaml:1:1: this is a motion plan; expected a configuration, which may name it (plan: FILE)",
         {"p.yaml": FIRST},
     ),
     "an empty file": Mistake("check my.yaml", 1, "my.yaml:1:1: the file is empty", {"my.yaml": ""}),
     "a folder for a file": Mistake("check .", 1, ".:1:1: this is a folder, not a file"),
     "a key with a slip": Mistake(
-        "check my.yaml", 1, "my.yaml:3:1: limts: unknown key; is limits meant?", {"my.yaml": PORTS + "limts: {}\n"}
+        "check my.yaml", 1, "my.yaml:3:1: limts: unknown key; did you mean limits?", {"my.yaml": PORTS + "limts: {}\n"}
     ),
     "a key that is missing": Mistake(
         "check my.yaml", 1, "my.yaml:1:1: arm: is missing", {"my.yaml": PORTS.splitlines()[0] + "\n"}
@@ -106,7 +106,7 @@ MISTAKES = {
     "a key twice": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:4:1: loop: this key stands already in line 3",
+        "my.yaml:4:1: loop: this key is already in line 3",
         {"my.yaml": PORTS + "loop: {rate_hz: 100}\nloop: {rate_hz: 50}\n"},
     ),
     "a tab": Mistake(
@@ -136,14 +136,14 @@ MISTAKES = {
     "metres for millimetres": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:3:24: rig.palm1_length_mm: 0.12 mm can hardly be right: 20 to 1000 mm is usual; is 120 mm meant?",
+        "my.yaml:3:24: rig.palm1_length_mm: 0.12 mm is implausible: 20 to 1000 mm is usual; did you mean 120 mm?",
         {"my.yaml": PORTS + "rig: {palm1_length_mm: 0.12}\n"},
     ),
     "millimetres a count for counts a millimetre": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:45: pads.palm1.counts_per_mm: 0.127 counts/mm can hardly be right: 0.5 to 150 counts/mm is usual; is"
-        " 7.874 counts/mm meant?",
+        "my.yaml:1:45: pads.palm1.counts_per_mm: 0.127 counts/mm is implausible: 0.5 to 150 counts/mm is usual; did"
+        " you mean 7.874 counts/mm?",
         {"my.yaml": PORTS.replace("/dev/a", "/dev/a, counts_per_mm: 0.127")},
     ),
     "a plan that does not exist": Mistake(

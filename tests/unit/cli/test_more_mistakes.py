@@ -204,7 +204,7 @@ MISTAKES = {
     "a decimal comma": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:3:23: rig: a comma begins another entry: for 9,81 write 9.81",
+        "my.yaml:3:23: rig: a comma begins another entry; for 9,81 write 9.81",
         {"my.yaml": PORTS + "rig: {gravity_m_s2: 9,81}\n"},
     ),
     "not a number at all": Mistake(
@@ -222,8 +222,8 @@ MISTAKES = {
     "a system that there is not": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:15: rig.system: there is no system 'three'; there is pivot, three_palms, and "
-        "without this key two palms",
+        "my.yaml:1:15: rig.system: there is no system 'three'; the systems are pivot, three_palms, and "
+        "two palms without this key",
         {"my.yaml": "rig: {system: three}\n" + PORTS},
     ),
     "a zero beyond the pad": Mistake(

@@ -18,7 +18,7 @@ import recorded
 import zmq
 
 from palmd.cli import main
-from palmd.harness.rules import kept_by
+from palmd.harness.rules import check_run
 from palmd.quantities import ESTIMATE, EVENTS, IMPROVEMENT, LOG, REPLAY
 from palmd.record.mcapfile import Preface, RawMessage, RunWriter
 from palmd.record.metadata import METADATA
@@ -109,7 +109,7 @@ def without_granted(command):
 
 
 @pytest.mark.parametrize(
-    ("command", "told"), [("arm", "from ready to tracking though nobody armed"), ("start", "though nobody gave start")]
+    ("command", "told"), [("arm", "from ready to tracking without a granted arm"), ("start", "without a granted start")]
 )
 def test_what_nobody_granted_breaks_a_rule(tmp_path, capsys, command, told):
     path = rewritten(tmp_path / "a.mcap", without_granted(command))
@@ -118,7 +118,7 @@ def test_what_nobody_granted_breaks_a_rule(tmp_path, capsys, command, told):
 
 
 def test_what_the_log_does_not_tell_breaks_no_rule(tmp_path):
-    kept = kept_by(read_run(rewritten(tmp_path / "a.mcap", without(LOG.name))))
+    kept = check_run(read_run(rewritten(tmp_path / "a.mcap", without(LOG.name))))
     assert kept.states > 10
     assert (kept.entries, kept.broken) == (0, ())
 

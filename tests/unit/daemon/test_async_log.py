@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from palmd.daemon.async_log import LINES_WAITING_MAX, AsyncLog
+from palmd.daemon.async_log import MAX_QUEUED_LINES, AsyncLog
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_lines_arrive_in_order_with_their_level(pipe):
 def test_nobody_reading_holds_nothing_up(pipe):
     journal = AsyncLog(pipe[1])
     begun = time.monotonic()
-    for _ in range(3 * LINES_WAITING_MAX):
+    for _ in range(3 * MAX_QUEUED_LINES):
         say(journal, "x" * 200)
     assert time.monotonic() - begun < 1.0
     begun = time.monotonic()

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmd.daemon.command_queue import OWNER_MOST, PER_TICK, WAITING_MOST, CommandQueue
+from palmd.daemon.command_queue import MAX_OWNER_EXTRA, MAX_WAITING, PER_TICK, CommandQueue
 from palmd.daemon.commands import COMMANDS, Request
 from palmd.daemon.ownership import ALWAYS_OBEYED, client_of
 
@@ -44,15 +44,15 @@ def test_stop_and_hold_go_first_then_the_owner_then_commands_then_questions():
 
 
 def test_the_owner_gets_in_however_full_it_is():
-    queue, _ = filled(*crowd(WAITING_MOST))
-    own = [asked("jog", "owner", number) for number in range(OWNER_MOST + 1)]
+    queue, _ = filled(*crowd(MAX_WAITING))
+    own = [asked("jog", "owner", number) for number in range(MAX_OWNER_EXTRA + 1)]
     refused = [queue.add(each, OWNER) for each in own]
     assert not any(refused[:-1])
     assert queue.take(OWNER)[0] == own[:PER_TICK]
 
 
 def test_a_command_makes_a_question_give_way_and_a_modest_client_a_greedy_one():
-    greedy = [asked("status", "greedy", number) for number in range(WAITING_MOST)]
+    greedy = [asked("status", "greedy", number) for number in range(MAX_WAITING)]
     for newcomer in (asked("arm", "new"), asked("status", "modest")):
         queue, _ = filled(*greedy)
         assert queue.add(asked("status", "greedy", 99), OWNER)[0].id == 99
@@ -87,14 +87,14 @@ def test_each_request_comes_out_once_and_stop_and_hold_are_never_in_vain(story):
         refused = queue.add(request, OWNER)
         if refused is not None:
             out.append(refused[0].id)
-            assert refused[0].name not in ALWAYS_OBEYED or "waits already" in refused[1]
+            assert refused[0].name not in ALWAYS_OBEYED or "is already waiting" in refused[1]
         if tick:
             waited = any(each.name in ALWAYS_OBEYED for each, _ in queue._waiting)
             served, late = queue.take(OWNER)
             assert len([each for each in served if each.name not in ALWAYS_OBEYED]) <= PER_TICK
             assert waited == any(each.name in ALWAYS_OBEYED for each in served)
             out += [each.id for each in served] + [each.id for each, _ in late]
-        assert len(queue) <= WAITING_MOST + OWNER_MOST + len(ALWAYS_OBEYED)
+        assert len(queue) <= MAX_WAITING + MAX_OWNER_EXTRA + len(ALWAYS_OBEYED)
     while len(queue):
         served, late = queue.take(OWNER)
         out += [each.id for each in served] + [each.id for each, _ in late]

@@ -518,7 +518,7 @@ def test_plan_replaces_the_plan_and_a_bad_one_changes_nothing(tmp_path):
     assert "bad.yaml:3:" in ready.ask("plan", path="bad.yaml").error
     assert "no/such" in ready.ask("plan", path="no/such.yaml").error
     for path in (str(outside), "../outside.yaml"):
-        assert "no file of that name" in ready.ask("plan", path=path).error
+        assert "no such file" in ready.ask("plan", path=path).error
     assert ready.go(0.05).last("palm/motion")["plan"] == "other"
 
 
@@ -978,13 +978,13 @@ def test_the_log_tells_who_did_what_and_what_came_of_it(running):
     entries = logged(running)
     assert entries[0].line.startswith("palmd: palmd ")
     assert [entry.line for entry in entries if entry.kind == "state"] == [
-        "idle -> ready: all ports open and the arm has said hello",
-        "ready -> tracking: arm, by somebody",
-        "tracking -> hold: hold was asked for, by ann",
+        "idle -> ready: all ports open and the arm has answered hello",
+        "ready -> tracking: arm, by an unnamed client",
+        "tracking -> hold: hold was requested, by ann",
     ]
     assert [(entry.name, entry.who) for entry in entries if entry.kind == "command"] == [
-        ("arm", "somebody"),
-        ("start", "somebody"),
+        ("arm", "an unnamed client"),
+        ("start", "an unnamed client"),
         ("hold", "ann"),
         ("jog", "bob"),
     ]

@@ -11,13 +11,13 @@ from waiting import wait
 from palmd.bus.command_client import CommandClient, own_name
 from palmd.daemon import bus as daemon_bus
 from palmd.daemon.bus import (
-    FRAMES_MOST,
     FRAMES_PER_TICK,
-    PUBLISHED_HIGH_WATER,
+    MAX_FRAMES,
+    PUBLISH_HIGH_WATER,
     Bus,
     BusError,
 )
-from palmd.daemon.command_queue import PER_TICK, WAITING_MOST
+from palmd.daemon.command_queue import MAX_WAITING, PER_TICK
 from palmd.daemon.commands import Reply
 from palmd.daemon.ownership import NOBODY_KEY
 from palmd.messages import info_fields, state_fields
@@ -131,7 +131,7 @@ def crowded(rig, commands):
         before = rig.bus.counters.commands
         client.send(call(id=number, cmd=command))
         rig.bus._commands.poll(TIMEOUT_MS)
-        rig.bus._take_in(NOBODY_KEY)
+        rig.bus._enqueue_received(NOBODY_KEY)
         assert rig.bus.counters.commands == before + 1
     given = []
     while portion := rig.bus.receive():
@@ -148,26 +148,26 @@ def refusal(client):
 
 
 def test_who_comes_when_too_many_wait_is_refused(rig):
-    clients, given = crowded(rig, ["arm"] * (WAITING_MOST + 2))
-    assert given == [(number, "arm") for number in range(WAITING_MOST)]
-    for client in clients[WAITING_MOST:]:
+    clients, given = crowded(rig, ["arm"] * (MAX_WAITING + 2))
+    assert given == [(number, "arm") for number in range(MAX_WAITING)]
+    for client in clients[MAX_WAITING:]:
         assert refusal(client).startswith("arm refused: busy")
     assert rig.bus.counters.crowded == 2
 
 
 def test_a_stop_overtakes_the_crowd_and_nothing_that_moves_of_it_follows(rig):
-    clients, given = crowded(rig, [*("arm", "start") * (WAITING_MOST // 2), "stop", "start"])
-    assert given[0] == (WAITING_MOST, "stop")
+    clients, given = crowded(rig, [*("arm", "start") * (MAX_WAITING // 2), "stop", "start"])
+    assert given[0] == (MAX_WAITING, "stop")
     assert not [name for _, name in given[1:] if name != "start"]
-    for client, command in zip(clients[:WAITING_MOST], ("arm", "start") * (WAITING_MOST // 2), strict=True):
+    for client, command in zip(clients[:MAX_WAITING], ("arm", "start") * (MAX_WAITING // 2), strict=True):
         assert refusal(client) == f"{command} refused: a stop has overtaken it"
 
 
 @pytest.mark.parametrize(("waits", "comes"), [("hold", "stop"), ("stop", "hold")])
 def test_of_stop_and_hold_none_costs_the_other_its_turn(rig, waits, comes):
-    clients, given = crowded(rig, [waits] * WAITING_MOST + [comes, waits])
-    assert given == [*((number, waits) for number in range(WAITING_MOST)), (WAITING_MOST, comes)]
-    assert refusal(clients[-1]) == f"{waits} refused: a {waits} waits already"
+    clients, given = crowded(rig, [waits] * MAX_WAITING + [comes, waits])
+    assert given == [*((number, waits) for number in range(MAX_WAITING)), (MAX_WAITING, comes)]
+    assert refusal(clients[-1]) == f"{waits} refused: a {waits} is already waiting"
 
 
 def test_who_sends_without_end_does_not_keep_others_waiting(rig):
@@ -201,10 +201,10 @@ def test_a_message_of_very_many_frames_is_taken_in_portions_and_answered_once(ri
     while not requests and time.monotonic() < t_end:
         before = frames
         requests += rig.bus.receive()
-        assert frames - before < FRAMES_PER_TICK + FRAMES_MOST
+        assert frames - before < FRAMES_PER_TICK + MAX_FRAMES
         portions += frames > before
     assert [request.id for request in requests] == [7]
-    assert portions >= 2000 // (FRAMES_PER_TICK + FRAMES_MOST)
+    assert portions >= 2000 // (FRAMES_PER_TICK + MAX_FRAMES)
     assert rig.bus.counters.malformed == 1
     assert msgpack.unpackb(client.recv_multipart()[-1])["ok"] is False
 
@@ -271,13 +271,13 @@ def test_a_subscriber_that_does_not_listen_holds_nothing_up(rig):
 
 
 def test_the_last_messages_leave_before_the_sockets_close(tmp_path, monkeypatch):
-    monkeypatch.setattr(daemon_bus, "LAST_WORDS_MS", TIMEOUT_MS)
+    monkeypatch.setattr(daemon_bus, "LINGER_MS", TIMEOUT_MS)
     rig = Rig(tmp_path)
     client = rig.client(zmq.SUB, rig.publish)
     client.setsockopt(zmq.RCVHWM, 0)
     client.subscribe(b"")
     until_subscribed(client, lambda: rig.bus.publish(INFO, info_fields("0", "shape", default_config()), 0.0, 0.0))
-    count = PUBLISHED_HIGH_WATER // 10
+    count = PUBLISH_HIGH_WATER // 10
     for _ in range(count):
         rig.bus.publish(STATE, {"state": "x" * 20_000}, 0.0, 0.0)
     rig.bus.close()
@@ -328,8 +328,8 @@ def tick(rig, t=None):
 
 def test_a_recorder_that_comes_while_all_is_held_back_misses_nothing(rig):
     """The loop publishes, reads and answers meanwhile; nothing leaves before the recorder has spoken."""
-    rig.bus.hold_back("recorder", 60.0)
-    for _ in range(2 * daemon_bus.SENT_AT_ONCE):
+    rig.bus.buffer_until("recorder", 60.0)
+    for _ in range(2 * daemon_bus.BACKLOG_PER_PUBLISH):
         tick(rig)
     subscriber = subscribed(rig)
     recorder = rig.client(zmq.DEALER, rig.command)
@@ -339,31 +339,31 @@ def test_a_recorder_that_comes_while_all_is_held_back_misses_nothing(rig):
     assert not subscriber.poll(300)
     recorder.send(call(id=2, cmd="recorder", args={"bytes": 0, "messages": 0, "lost": 0}))
     assert [request.name for request in rig.received()] == ["recorder"]
-    soon = time.monotonic() + daemon_bus.CAUGHT_UP_S
+    soon = time.monotonic() + daemon_bus.SUBSCRIBE_GRACE_S
     for _ in range(3):
         tick(rig, soon)
-    assert messages(subscriber) == list(range(2 * daemon_bus.SENT_AT_ONCE + 4))
+    assert messages(subscriber) == list(range(2 * daemon_bus.BACKLOG_PER_PUBLISH + 4))
 
 
 def test_what_is_held_back_leaves_a_few_messages_at_a_time(rig):
     """Else a tick would have to send half a second's."""
-    rig.bus.hold_back("recorder", 60.0)
-    for _ in range(5 * daemon_bus.SENT_AT_ONCE):
+    rig.bus.buffer_until("recorder", 60.0)
+    for _ in range(5 * daemon_bus.BACKLOG_PER_PUBLISH):
         tick(rig)
     subscriber = subscribed(rig)
     tick(rig, time.monotonic() + 61.0)
-    assert len(messages(subscriber)) == daemon_bus.SENT_AT_ONCE
-    assert rig.bus.counters.published == 5 * daemon_bus.SENT_AT_ONCE + 1
+    assert len(messages(subscriber)) == daemon_bus.BACKLOG_PER_PUBLISH
+    assert rig.bus.counters.published == 5 * daemon_bus.BACKLOG_PER_PUBLISH + 1
 
 
 def test_nothing_is_held_back_for_longer_than_asked_nor_lost_at_the_end(rig):
     """From when the addresses were open: what the daemon did meanwhile was time enough."""
     rig.bus._t_open -= 61.0
     subscriber = subscribed(rig)
-    rig.bus.hold_back("recorder", 60.0, since_open=True)
+    rig.bus.buffer_until("recorder", 60.0, since_open=True)
     tick(rig)
     assert messages(subscriber) == [0]
-    rig.bus.hold_back("recorder", 60.0)
+    rig.bus.buffer_until("recorder", 60.0)
     tick(rig)
     rig.bus.close()
     assert messages(subscriber) == [1]

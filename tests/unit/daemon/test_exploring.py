@@ -25,8 +25,8 @@ from palmd.daemon.exploring import (
     OVERTIME_S,
     SILENT_S,
     STALE_S,
-    Exploring,
-    Senses,
+    DelegatedExploration,
+    ExplorationInputs,
 )
 from palmd.daemon.poses import make_poses
 from palmd.daemon.setpoints import SetPoints
@@ -94,7 +94,7 @@ class Stage:
         self.poses = make_poses(CONFIG)
         self.setpoints = SetPoints(self.poses, LIMITS)
         self.source = Scripted(decide)
-        self.exploring = Exploring(self.setpoints, self.source)
+        self.exploring = DelegatedExploration(self.setpoints, self.source)
         self.steps = 5000
         self.valid = self.touching = self.tracking = True
         self.object_count = 1
@@ -125,7 +125,7 @@ class Stage:
             self.steps += 1
             if self.steps % TICK_STEPS == 0:
                 known = self.tracking, self.touching, self.valid
-                senses = Senses(*known, self.object_count, self.look, self.sticking, self.cornered)
+                senses = ExplorationInputs(*known, self.object_count, self.look, self.sticking, self.cornered)
                 self.exploring.step(self.t, senses)
             if self.steps % CYCLE_STEPS == 0:
                 assert self.setpoints.target(self.t) is not None
@@ -137,7 +137,7 @@ class Stage:
         return list(self.go(seconds))[-1]
 
     def reason(self) -> str:
-        told = self.exploring.told()
+        told = self.exploring.summary()
         assert told is not None
         return str(told["reason"])
 
@@ -160,7 +160,7 @@ def test_it_goes_from_move_to_move_without_a_rest_and_never_jumps() -> None:
     rates = [abs(b.angles[0] - a.angles[0]) / 0.016 for a, b in itertools.pairwise(motions)]
     assert 1.7 * WAY / 0.8 < max(rates) < 2.0 * WAY / 0.8
     assert stage.setpoints.interventions == 0
-    assert stage.exploring.told() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
+    assert stage.exploring.summary() == {"coverage": 0.5, "reachable": 0.9, "reason": "goes on"}
     place = stage.setpoints.place
     assert place is not None
     assert place.progress == 0.5
@@ -228,7 +228,7 @@ def test_short_moves_wait_for_one_decision_each_and_for_nothing_else() -> None:
             return ExplorationAnswer(question.t, question.task.run, question.under_way.move, seen, decision)
 
     stage = Stage()
-    stage.exploring = Exploring(stage.setpoints, InlineExplorer(Quick(), latency_s=ASK_S))
+    stage.exploring = DelegatedExploration(stage.setpoints, InlineExplorer(Quick(), latency_s=ASK_S))
     for _ in stage.go(6.0):
         exploration = stage.setpoints.exploration
         if exploration is not None and exploration[0].last not in begun[-1:]:
@@ -334,7 +334,7 @@ def test_a_decision_of_an_earlier_exploration_is_not_followed() -> None:
     stage.source.answers = [left]
     list(stage.go(0.4))
     assert stage.setpoints.moving
-    assert stage.reason() == "it has just begun"
+    assert stage.reason() == "it has just started"
 
 
 def test_an_unsafe_move_is_stopped_on_its_path_dropped_and_another_one_followed() -> None:
@@ -387,7 +387,7 @@ def test_done_ends_it_when_the_move_in_hand_is_over() -> None:
     assert stage.setpoints.exploration is None
     assert not stage.setpoints.held
     assert stage.motions[-1].angles[0] == pytest.approx(HERE.angles[0] + WAY)
-    assert stage.exploring.told() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
+    assert stage.exploring.summary() == {"coverage": 0.96, "reachable": 0.9, "reason": "all that can be reached"}
     explored = stage.exploring.explored
     assert (explored.running, explored.coverage, explored.goal, explored.reachable) == (False, 0.96, 0.9, 0.9)
     assert 0.6 < explored.seconds < 1.4
@@ -410,7 +410,7 @@ def test_who_stops_it_is_remembered() -> None:
     stage = Stage()
     list(stage.go(0.5))
     stage.setpoints.leave()
-    stage.exploring.step(stage.t, Senses(False, True, True, 1, stage.look))
+    stage.exploring.step(stage.t, ExplorationInputs(False, True, True, 1, stage.look))
     assert stage.reason() == "it was stopped"
 
 

@@ -14,7 +14,7 @@ import msgpack
 import pytest
 import zmq
 
-from palmd.daemon.bus import TAKEN_PER_TICK, Bus
+from palmd.daemon.bus import MESSAGES_PER_TICK, Bus
 from palmd.daemon.command_queue import PER_TICK
 from palmd.daemon.commands import Reply
 
@@ -91,7 +91,7 @@ def test_a_tick_takes_in_a_few_and_a_stop_among_thousands_gets_its_turn(bus, kin
             for _ in range(100):
                 before = bus.counters.commands
                 ticks.append(tick(bus))
-                left.append(bus.counters.commands - before == TAKEN_PER_TICK)
+                left.append(bus.counters.commands - before == MESSAGES_PER_TICK)
             asks(operator, "stop")
             waited = until(bus, lambda request: request.name == "stop")
     assert max(len(requests) for requests, _ in ticks) <= PER_TICK

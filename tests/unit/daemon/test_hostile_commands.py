@@ -122,7 +122,7 @@ def test_a_first_move_in_no_time_takes_the_time_that_the_limits_ask_for():
 
 def test_a_plan_that_never_ends_to_be_read_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "plan.yaml")
-    assert "no file of that name" in armed(plan=tmp_path / "rock.yaml").ask("plan", path="plan.yaml").error
+    assert "no such file" in armed(plan=tmp_path / "rock.yaml").ask("plan", path="plan.yaml").error
 
 
 @pytest.mark.parametrize("beside", [True, False])
@@ -139,5 +139,5 @@ def test_the_answer_to_a_plan_that_is_none_does_not_read_out_the_file(tmp_path, 
 @pytest.mark.parametrize("path", ["/etc/passwd", "/proc/self/environ", "../../../../../../etc/passwd"])
 def test_a_plan_command_reads_out_no_file_of_the_machine(tmp_path, path):
     bench = armed(plan=tmp_path / "rock.yaml")
-    refused = "no file of that name lies beside the configured plan; palmd ctl plan FILE sends any other"
+    refused = "no such file beside the configured plan; palmd ctl plan FILE sends a file from elsewhere"
     assert bench.ask("plan", path=path).error == f"plan refused: {path}: {refused}"

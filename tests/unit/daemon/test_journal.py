@@ -83,12 +83,12 @@ def test_an_object_is_told_when_it_is_begun_known_lost_and_known_again(journal):
     live(2.0, 1, False)
     live(0.1, 2, False)
     assert [(entry.name, entry.text.split(":")[0]) for entry in journal.entries] == [
-        ("begun", "object 1 is begun"),
+        ("begun", "object 1 is new"),
         ("known", "object 1 is known"),
         ("lost", "object 1 is lost"),
         ("known", "object 1 is known again, after 2.0 s"),
         ("lost", "object 1 is lost"),
-        ("begun", "object 2 is begun"),
+        ("begun", "object 2 is new"),
     ]
     assert "no contact on pad 2" in journal.entries[2].text
     assert "NIS 3.1 (limit 2)" in journal.entries[4].text
@@ -103,7 +103,7 @@ def test_a_contradicted_constant_is_told_by_name_and_once(journal):
     notes.look(np.zeros(len(RIG_NAMES)), list)
     first, second = journal.entries
     assert (first.kind, first.name) == ("rig", RIG_NAMES[2])
-    assert "by 5.2 sigmas: pad 1's scale seems off" in first.text
+    assert "by 5.2σ: pad 1's scale seems off" in first.text
     assert "no longer" in second.text
 
 
@@ -122,9 +122,9 @@ def test_an_exploration_is_told_with_its_goal_and_its_end(journal):
     notes.look(None, "it is all touched", "explore", True, 21.0)
     notes.look(None, "it is all touched", "explore", True, 22.0)
     assert lines(journal) == [
-        "exploration: until 95% of the outline is touched, 60 s at most",
+        "exploration: until 95% of the outline has been touched, 60 s at most",
         "exploration: 97% of the outline touched; it is all touched",
-        "plan: the plan explore has run its course; the palms stand",
+        "plan: the plan explore is complete; the palms are at rest",
     ]
     assert journal.entries[1].lasted_s == 20.0
 

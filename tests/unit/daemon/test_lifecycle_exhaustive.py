@@ -147,8 +147,8 @@ def test_a_latched_fault_stays_until_reset_and_goes_with_it(fault):
 
 def test_rules_are_broken_by_what_breaks_them():
     rules = Rules(State.READY)
-    assert rules.tick([], [(State.READY, State.TRACKING)]) == ["from ready to tracking though nobody armed"]
-    assert rules.look(State.TRACKING, [], running=True) == ["a plan runs though nobody gave start"]
+    assert rules.tick([], [(State.READY, State.TRACKING)]) == ["from ready to tracking without a granted arm"]
+    assert rules.look(State.TRACKING, [], running=True) == ["a plan runs without a granted start"]
     assert rules.look(State.TRACKING, ["hold"], running=False) == ["the state is tracking while a hold fault stands"]
     assert rules.look(State.HOLD, ["stop"], running=False) == ["the state is hold while a stop fault stands"]
     assert rules.look(State.READY, [], running=True) == ["a plan runs in state ready"]

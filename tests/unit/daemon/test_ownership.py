@@ -25,7 +25,7 @@ class Story:
 
     def send(self, client, t, *, gains=True, lease_s=None):
         self.until(t)
-        self.control.hear(client, t, lease_s)
+        self.control.renew(client, t, lease_s)
         if gains and self.control.other(client) is None:
             self.control.gain(client, t)
 
@@ -68,10 +68,10 @@ def test_clients_are_known_by_their_text_else_by_their_connection_and_never_acro
 
 def test_declared_leases_do_not_pile_up():
     control = Control()
-    control.hear(A, 0.0, 60.0)
+    control.renew(A, 0.0, 60.0)
     control.gain(A, 0.0)
     for number in range(1000):
-        control.hear(client_of(Request("status", client=f"c{number}")), 0.01, 60.0)
+        control.renew(client_of(Request("status", client=f"c{number}")), 0.01, 60.0)
     assert len(control._declared) <= 64
     assert control.attended  # whoever has control is not forgotten for others
 
@@ -99,7 +99,7 @@ def test_control_is_never_lost_to_another_without_take_hold_or_stop(requests):
         if control.key == NOBODY_KEY and before != NOBODY_KEY:
             assert t - heard[before][0] > heard[before][1] - 1e-9
         client = client_of(Request(command, client=name))
-        control.hear(client, t, lease_s)
+        control.renew(client, t, lease_s)
         _, before_s, declared = heard.get(client.key, (0.0, LEASE_S, False))
         if lease_s is not None:
             heard[client.key] = t, lease_s, True

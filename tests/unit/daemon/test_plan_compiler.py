@@ -36,9 +36,9 @@ def asked(compiler, text=TEXT):
 
 
 def test_a_plan_comes_back_and_serves_within_the_callers_limits(compiler):
-    plan = outcome(asked(compiler)).result().within(LIMITS)
+    plan = outcome(asked(compiler)).result().with_limits(LIMITS)
     assert plan.name == "short"
-    assert plan.serves(LIMITS, (0.5, 1.5))
+    assert plan.is_valid_for(LIMITS, (0.5, 1.5))
 
 
 def test_what_is_wrong_with_a_plan_is_said_as_ever(compiler):
@@ -59,7 +59,7 @@ def test_a_plan_after_one_that_nobody_waits_for_any_more(compiler):
 
 def test_a_stopped_process_is_started_again_and_gets_the_plan(compiler, monkeypatch):
     monkeypatch.setattr("palmd.daemon.worker.RESTART_S", 0.0)
-    wait(lambda: compiler.tend(time.monotonic()) or compiler._process._t_sign < 1e300, "a sign of life")
+    wait(lambda: compiler.tend(time.monotonic()) or compiler._process._t_heartbeat < 1e300, "a sign of life")
     os.kill(compiler._process.number, signal.SIGSTOP)
     future = asked(compiler)
     wait(lambda: compiler.tend(time.monotonic()) or future.done(), "the plan")
@@ -73,15 +73,15 @@ def spin():
 
 
 def test_time_and_size_are_bounded(monkeypatch):
-    monkeypatch.setattr(plan_compiler, "LONGEST_S", 0.05)
-    before = signal.signal(signal.SIGPROF, plan_compiler._give_up)
+    monkeypatch.setattr(plan_compiler, "MAX_CPU_S", 0.05)
+    before = signal.signal(signal.SIGPROF, plan_compiler._raise_timeout)
     try:
         number, packed, error = compiled(pickle.dumps((7, spin, (), {})))
     finally:
         signal.signal(signal.SIGPROF, before)
     assert (number, packed) == (7, b"")
     assert "processor time" in error
-    _, packed, error = compiled(pickle.dumps((8, bytes, (plan_compiler.LARGEST_BYTES + 1,), {})))
+    _, packed, error = compiled(pickle.dumps((8, bytes, (plan_compiler.MAX_PLAN_BYTES + 1,), {})))
     assert (packed, "too large" in error) == (b"", True)
 
 

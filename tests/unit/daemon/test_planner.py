@@ -77,12 +77,12 @@ def test_a_plan_that_is_wrong_is_told_with_its_place_under_the_name_it_was_asked
     ],
 )  # fmt: skip
 def test_what_is_not_in_the_folder_is_not_opened_and_its_being_there_not_told(etc, name):
-    expected = "no file of that name lies beside the configured plan; palmd ctl plan FILE sends any other"
+    expected = "no such file beside the configured plan; palmd ctl plan FILE sends a file from elsewhere"
     assert refusal(etc, name) == f"{name}: {expected}"
 
 
 def test_without_a_configured_plan_there_are_none(etc):
-    with pytest.raises(ConfigError, match="no file of that name"):
+    with pytest.raises(ConfigError, match="no such file"):
         PlanFolder(None, etc).load("plans/rock.yaml", LIMITS, None)
 
 
@@ -104,21 +104,24 @@ NO_PLANS = {
 def test_of_what_is_no_plan_no_word_is_told(etc, what):
     (etc / "plans/other.yaml").write_text(NO_PLANS[what])
     told = refusal(etc, "other.yaml")
-    assert told == "other.yaml: is no motion plan; palmd check tells what is wrong with a file"
+    assert told == "other.yaml: is not a motion plan; palmd check reports what is wrong with a file"
 
 
 def test_of_a_key_no_word_is_told(etc):
     for path in keys.make_pair(etc / "plans", "server"):
-        assert refusal(etc, path.name) == f"{path.name}: is no motion plan; palmd check tells what is wrong with a file"
+        assert (
+            refusal(etc, path.name)
+            == f"{path.name}: is not a motion plan; palmd check reports what is wrong with a file"
+        )
 
 
 def test_of_bytes_that_are_no_text_nothing_is_told(etc):
     (etc / "plans/other.yaml").write_bytes(b"sesame\xff")
-    assert "is no motion plan" in refusal(etc, "other.yaml")
+    assert "is not a motion plan" in refusal(etc, "other.yaml")
 
 
 def test_a_text_that_was_sent_is_no_secret_to_who_sent_it():
     with pytest.raises(ConfigError) as caught:
         plan_in("name: x\nsegmets: 1\n", "mine.yaml", LIMITS, None)
-    assert "mine.yaml:2:1: segmets: unknown key; is segments meant?" in caught.value.errors
+    assert "mine.yaml:2:1: segmets: unknown key; did you mean segments?" in caught.value.errors
     assert plan_in(PLAN, str(Path("/nobody/here.yaml")), LIMITS, None).name == "rock"

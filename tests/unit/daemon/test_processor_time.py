@@ -25,7 +25,7 @@ def test_it_tells_what_was_lost_since_it_was_asked(proc):
     proc(5_021_400_000, 100)
     assert account.lost() == "it waited for a processor while other programs ran for 21 ms"
     proc(5_031_400_000, 103)
-    assert account.lost().endswith("for 10 ms and this virtual machine's host kept its processors for 30 ms")
+    assert account.lost().endswith("for 10 ms and this virtual machine's host withheld its processors for 30 ms")
     proc(9_000_000_000, 500)
     account.forget()
     assert account.lost() == ""
@@ -42,7 +42,7 @@ def test_this_machine_says():
 
 def test_the_fault_says_who_had_it():
     loop = LoopDiagnostics()
-    loop.overran(1.0, 0.023, "this virtual machine's host kept its processors for 30 ms")
+    loop.overran(1.0, 0.023, "this virtual machine's host withheld its processors for 30 ms")
     assert loop.evidence("loop-overrun").endswith(
-        "23 ms after its deadline; in the second before, this virtual machine's host kept its processors for 30 ms"
+        "23 ms after its deadline; in the second before, this virtual machine's host withheld its processors for 30 ms"
     )

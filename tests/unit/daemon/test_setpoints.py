@@ -44,7 +44,7 @@ class Drive:
 
     def __init__(self, pose=HERE, workspace=None):
         self.setpoints = SetPoints(POSES, LIMITS)
-        self.setpoints.learn(workspace)
+        self.setpoints.set_workspace(workspace)
         self.t = 10.0
         self.setpoints.stand(pose, POSES.pose(pose.angles), self.t)
 
@@ -134,7 +134,7 @@ def test_a_displaced_arm_walks_back_gently_and_then_goes_on():
     drive.setpoints.start(trajectory())
     before = drive.go(0.5)[-1]
     actual = PalmMotion.at_rest((before.angles[0] - math.radians(5.0), before.angles[1] + math.radians(3.0)))
-    drive.setpoints.displaced(actual, POSES.pose(actual.angles))
+    drive.setpoints.restart_at(actual, POSES.pose(actual.angles))
     motions = [actual, *drive.go(0.1)]
     steps = [b.angles[0] - a.angles[0] for a, b in itertools.pairwise(motions)]
     assert max(map(abs, steps)) <= 0.25 * LIMITS.rate * CYCLE * (1 + 1e-9)
@@ -147,7 +147,7 @@ def test_a_joint_that_need_not_follow_is_displaced_by_nothing():
     setpoints = SetPoints(POSES, LIMITS, free=(1,))
     setpoints.stand(HERE, POSES.pose(HERE.angles), 10.0)
     off = PalmMotion.at_rest(tuple(angle + math.radians(2.0) for angle in HERE.angles))
-    setpoints.displaced(off, POSES.pose(off.angles))
+    setpoints.restart_at(off, POSES.pose(off.angles))
     assert setpoints.commanded.angles == (off.angles[0], HERE.angles[1])
 
 
@@ -156,7 +156,7 @@ def test_the_path_waits_for_a_displaced_arm():
     drive.setpoints.start(trajectory(phi1_deg=45.0, then_phi1_deg=60.0))
     before = drive.go(1.4)[-1]
     actual = PalmMotion.at_rest((before.angles[0], before.angles[1] + math.radians(15.0)))
-    drive.setpoints.displaced(actual, POSES.pose(actual.angles))
+    drive.setpoints.restart_at(actual, POSES.pose(actual.angles))
     drive.go(0.2)
     waiting = drive.setpoints.place
     drive.go(0.2)
@@ -182,9 +182,9 @@ def test_a_twisted_tool_is_turned_back_gently():
 def test_outside_the_limits_it_may_not_stand_and_its_noise_is_allowed_for():
     setpoints = SetPoints(POSES, LIMITS)
     low = LIMITS.angles[0][0]
-    assert setpoints.may_stand(HERE) == []
-    assert setpoints.may_stand(PalmMotion.at_rest((low - math.radians(0.02), HERE.angles[1]))) == []
-    (problem,) = setpoints.may_stand(PalmMotion.at_rest((low - math.radians(0.1), HERE.angles[1])))
+    assert setpoints.tracking_problems(HERE) == []
+    assert setpoints.tracking_problems(PalmMotion.at_rest((low - math.radians(0.02), HERE.angles[1]))) == []
+    (problem,) = setpoints.tracking_problems(PalmMotion.at_rest((low - math.radians(0.1), HERE.angles[1])))
     assert "phi1 falls to 5.9°" in problem
 
 
@@ -192,7 +192,7 @@ def test_outside_the_arms_workspace_nothing_goes():
     drive = Drive()
     x, y, _ = GEOMETRY.arm_pose(HERE.angles)
     drive.setpoints.leave()
-    drive.setpoints.learn(Workspace(GEOMETRY, x - 0.005, x + 0.005, y - 0.005, y + 0.005, 2.0, 50.0))
+    drive.setpoints.set_workspace(Workspace(GEOMETRY, x - 0.005, x + 0.005, y - 0.005, y + 0.005, 2.0, 50.0))
     drive.setpoints.stand(HERE, POSES.pose(HERE.angles), drive.t)
     drive.setpoints.start(trajectory(then_phi1_deg=60.0, phi1_deg=45.0))
     motions = drive.go(3.0)
@@ -261,7 +261,7 @@ def test_a_jog_waits_for_an_arm_that_follows(why):
         drive.setpoints.freeze(True)
     else:
         away = PalmMotion.at_rest((HERE.angles[0] + 0.1, HERE.angles[1]))
-        drive.setpoints.displaced(away, POSES.pose(away.angles))
+        drive.setpoints.restart_at(away, POSES.pose(away.angles))
     with pytest.raises(MotionError, match="does not follow"):
         drive.setpoints.jog((math.radians(0.5), 0.0), drive.t)
 

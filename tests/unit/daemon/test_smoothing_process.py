@@ -140,7 +140,7 @@ def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.Monk
     """An answer costs a second of the processor, and `others_s` more without: the rest of its share is for others."""
     paused_s = max(1.0 / smoothing.SHARE - 1.0 - others_s, 0.0)
     clock = Clock(others_s)
-    monkeypatch.setattr(smoothing, "meet", clock.meet)
+    monkeypatch.setattr(smoothing, "worker_socket", clock.worker_socket)
     monkeypatch.setattr(smoothing, "time", clock)
     with pytest.raises(Clock.OverError):
         smoothing.work("", lambda *_: None, clock.answer, lambda: 0.1)
@@ -150,9 +150,9 @@ def test_it_pauses_for_what_others_have_not_had_already(monkeypatch: pytest.Monk
 
 def test_memory_is_given_back_after_an_answer_and_not_beside_a_thought(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, given = Clock(0.0), list[float]()
-    monkeypatch.setattr(smoothing, "meet", clock.meet)
+    monkeypatch.setattr(smoothing, "worker_socket", clock.worker_socket)
     monkeypatch.setattr(smoothing, "time", clock)
-    monkeypatch.setattr(smoothing, "give_back_memory", lambda: given.append(clock.t))
+    monkeypatch.setattr(smoothing, "release_memory", lambda: given.append(clock.t))
     for said in (None, [1.0]):
         given.clear()
         clock.said, clock.waited = said, 0
@@ -181,7 +181,7 @@ class Clock:
         return self.spent
 
     @contextmanager
-    def meet(self, *_: object) -> Iterator[Clock]:
+    def worker_socket(self, *_: object) -> Iterator[Clock]:
         yield self
 
     def recv(self) -> bytes:

@@ -23,7 +23,7 @@ def test_empty_window_has_zeros():
 
 
 def test_window_needs_room():
-    with pytest.raises(ValueError, match="room"):
+    with pytest.raises(ValueError, match="must be positive"):
         Window(0)
 
 

@@ -7,7 +7,7 @@ import weakref
 import pytest
 
 from palmd.daemon.realtime import rss_mb
-from palmd.daemon.worker import give_back_memory
+from palmd.daemon.worker import release_memory
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="the allocator is not glibc's")
@@ -16,7 +16,7 @@ def test_what_was_freed_between_blocks_still_in_use_is_given_back():
     kept = blocks[::100]
     del blocks
     before = rss_mb()
-    give_back_memory()
+    release_memory()
     assert before - rss_mb() > 30.0, "of the 40 MB"
     assert len(kept) == 100
 
@@ -32,7 +32,7 @@ def test_what_only_points_to_itself_is_given_back():
     try:
         del one, other
         assert gone() is not None
-        give_back_memory()
+        release_memory()
         assert gone() is None
     finally:
         gc.enable()

@@ -177,7 +177,7 @@ def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
     assert main(["doctor", str(path)]) == 1
     [line] = [line for line in capsys.readouterr().out.splitlines() if " configuration " in line]
     assert line.startswith("off ")
-    assert line.endswith(f"is 28 mm meant?: palmd check {path}")
+    assert line.endswith(f"did you mean 28 mm?: palmd check {path}")
 
 
 def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path):

@@ -184,10 +184,10 @@ def test_an_emulated_rig_that_stood_still_is_told_once_and_in_the_end():
     comparison = Comparison(7, "perfect")
     run_for(comparison, 2.0)
     tell(comparison, "rig/stall", 101.0, t_s=101.0, lasted_s=0.112, count=1)
-    assert comparison.progress(101.5).endswith("(the emulated rig got no processor for 112 ms)")
+    assert comparison.progress(101.5).endswith("(the emulated rig got no processor time for 112 ms)")
     assert "processor" not in comparison.progress(102.0)
     tell(comparison, "rig/stall", 102.0, t_s=102.0, lasted_s=0.05, count=2)
-    assert comparison.summary().endswith("rig perfect, which 2 times got no processor, for 0.16 s in all")
+    assert comparison.summary().endswith("rig perfect, which got no processor time 2 times, 0.16 s in total")
 
 
 def test_the_summary_compares_with_the_truth():
@@ -233,7 +233,7 @@ def test_progress_names_state_and_grave_faults():
     tell(comparison, "palm/state", state="hold", faults=["a", "b"], severities=["hold", "note"], hints=["", ""])
     told = comparison.progress(103.2)
     assert told.startswith("    3 s  hold")
-    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline ± 40 µm (1σ) on 16%  [truth: 0 µm RMS off]" in told
+    assert "rho 15.40 mm  mu 0.11  mass 99 g  outline ± 40 µm (1σ) on 16%  [true error: 0 µm RMS]" in told
     assert told.endswith("  a")
 
 

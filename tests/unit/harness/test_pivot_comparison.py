@@ -75,7 +75,7 @@ def test_the_outline_is_scored_where_it_was_touched_in_the_best_rotation(compare
 
 
 def test_what_never_settles_says_why_and_how_it_stands(compared):
-    assert "never settled: nothing is heard" in compared.summary()
+    assert "never settled: no message received" in compared.summary()
     compared.started(1.0)
     estimate(compared, 2.0, valid=False, mu=math.nan)
     said = {"state": "tracking", "reason": "lowered", "exploring": True, "faults": ["lost"], "severities": ["hold"]}

@@ -86,7 +86,7 @@ def test_palms_follow_and_readings_are_true(pads):
 
 def test_without_pressure_no_reading_has_a_force():
     run = moving("evdev", pressure=False)
-    events = [event for _ in run.run(0.5) for event in run.core._fed]
+    events = [event for _ in run.run(0.5) for event in run.core._fed_events]
     samples = [event for event in events if isinstance(event, PadSample)]
     assert len(samples) > 50
     assert all(sample.force is None for sample in samples)

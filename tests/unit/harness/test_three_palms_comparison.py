@@ -58,13 +58,13 @@ def test_the_surface_is_judged_after_the_best_turn(compared):
     line = compared.progress(5.0)
     assert not compared.progress(14.9)  # nothing has changed
     assert compared.progress(15.0).lstrip().startswith("13 s")
-    assert line.index("± 200 µm (1σ) on 49%") < line.index("truth: 100 µm")  # what a rig would show, the truth apart
+    assert line.index("± 200 µm (1σ) on 49%") < line.index("true error: 100 µm")
     estimate(compared, 4.0, valid=False)
     assert "µm" not in compared.progress(16.0)
 
 
 def test_without_a_valid_estimate_it_says_why(compared):
-    assert "never settled: nothing is heard" in compared.summary()
+    assert "never settled: no message received" in compared.summary()
     estimate(compared, 3.0, valid=False, mu=math.nan)
     assert "never settled: nothing is known yet" in compared.summary()
     assert "mu " not in compared.summary()

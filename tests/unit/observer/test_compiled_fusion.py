@@ -22,7 +22,7 @@ from palmd.observer.history import EVENTS, History
 from palmd.observer.palms import FORGOTTEN_S, PalmTracker
 from palmd.observer.prior import GYRATION, blind_start
 from palmd.observer.rig_error import RigError
-from palmd.system.description import ROUNDING_LASTS_S, PadSensor, RigDescription
+from palmd.system.description import ROUNDING_S, PadSensor, RigDescription
 
 RIGS = {
     "flat": RigDescription(),
@@ -225,7 +225,7 @@ def test_what_rounded_goals_do_to_the_palms_is_told_of_them(compiled):
     angle = rounding**2 / 12
     assert more["phi1"] == pytest.approx(angle)
     assert more["phi2"] == pytest.approx(2 * angle)  # from palm to palm
-    assert more["omega2"] == pytest.approx(2 * angle / ROUNDING_LASTS_S**2)
+    assert more["omega2"] == pytest.approx(2 * angle / ROUNDING_S**2)
     assert more["r1"] == 0.0
 
 

@@ -85,7 +85,7 @@ def test_what_rounded_goals_do_to_the_palms_is_as_much_as_is_told():
         really[:, 1:] += rates * step_s
         joints, turning = really[:, 2] - [0.0, really[0, 2]], rates[:, 1] - [0.0, rates[0, 1]]
         if k > 500 and k % 10 == 3:
-            angle_sd, rate_sd = np.hypot(tracker.sd(t), rig.uneven)
+            angle_sd, rate_sd = np.hypot(tracker.sd(t), rig.rounding_sd)
             now = tracker.at(t)
             squares.append([((now[:2] - joints) / angle_sd) ** 2, ((now[2:4] - turning) / rate_sd) ** 2])
         if k % 10 == 0:

@@ -10,7 +10,7 @@ import pytest
 from simulated import simulated
 
 from palmd.events import Event, PadLift, PadSample, PalmSample
-from palmd.messages import estimate_fields, sound, stamp
+from palmd.messages import estimate_fields, named_state_is_finite, stamp
 from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from palmd.observer.quasistatic import QuasistaticObserver
 from palmd.quantities import ESTIMATE
@@ -75,7 +75,7 @@ def test_what_it_says_of_an_object_with_friction_is_honest():
         observer = QuasistaticObserver(run.rig)
         for estimate in replayed(list(run.events), observer, 7.9):
             if estimate.valid:
-                assert sound(estimate)
+                assert named_state_is_finite(estimate)
                 k = round(estimate.t / 0.01)
                 normals = run.palms[k, 0] - run.truth.psi[k] - math.pi / 2
                 true = np.interp(normals % (2 * math.pi), run.truth.theta, run.truth.h)
@@ -184,7 +184,7 @@ def test_constant_readings_and_parallel_palms_do_not_raise():
             t = k * 0.01
             events += [PalmSample(t, (0.8, phi2)), PadSample(t, 1, 0.02), PadSample(t, 2, 0.02)]
         for estimate in replayed(events, observer, 4.0):
-            assert not estimate.valid or sound(estimate)
+            assert not estimate.valid or named_state_is_finite(estimate)
         observer.reset()
 
 

@@ -10,7 +10,7 @@ import msgpack
 import pytest
 
 from palmd.daemon.journal import Journal
-from palmd.daemon.recorder_process import AGAIN_S, RecorderProcess
+from palmd.daemon.recorder_process import RESTART_S, RecorderProcess
 from palmd.daemon.recorder_watch import RecorderWatch
 from palmd.record.lock import RecorderLockedError, only_recorder
 from palmd.record.mcapread import read_layout
@@ -97,8 +97,8 @@ def test_the_daemons_log_tells_of_the_gap_between_two_recorders():
     watch = RecorderWatch(journal)
     told = {"bytes": 1.0, "messages": 5.0, "lost": 0.0}
     for t, process in ((1.0, 11), (2.0, 11), (4.5, 12), (5.5, 12)):
-        watch.hear({**told, "process": process}, t)
-    watch.hear(told, 6.0)  # one that does not tell
+        watch.update({**told, "process": process}, t)
+    watch.update(told, 6.0)  # one that does not tell
     (entry,) = journal.entries
     assert (entry.kind, entry.name, entry.lasted_s) == ("recorder", "gap", 2.5)
 
@@ -123,4 +123,4 @@ def test_a_killed_recorder_is_started_again_and_one_that_has_ended_is_not():
     for tick in range(100):
         process.tend(0.25 * tick)
     assert len(starts) == 3
-    assert AGAIN_S > 0.25
+    assert RESTART_S > 0.25

@@ -215,7 +215,7 @@ def test_which_age_and_which_limit(tmp_path):
 
 def test_who_held_it_is_told_where_there_is_a_log(tmp_path):
     run, _ = run_of(tmp_path, PROVOKED["command"])
-    assert "hold was asked for, by ann" in explain(run).cause.sentence
+    assert "hold was requested, by ann" in explain(run).cause.sentence
     course = course_of(run)
     assert "somebody gave the command hold" in answer(run, replace(course, log=()), None).cause.sentence
 
@@ -266,7 +266,7 @@ def test_when_it_has_gone_on_the_question_is_about_what_was_then(tmp_path):
 def test_a_plan_that_is_over_and_an_end_that_was_asked_for(tmp_path):
     run, t = run_of(tmp_path, lambda _rig: None, spec=SHORT)
     begin = course_of(run).begin
-    assert "has run its course" in explain(run, t + 1.6 - begin).cause.sentence
+    assert "is complete" in explain(run, t + 1.6 - begin).cause.sentence
     run, _ = run_of(tmp_path / "ended", lambda rig: rig.core.close())
     assert explain(run).cause.name == "ended"
     with pytest.raises(RunError, match=r"there is nothing of 60\.00 s in it: it ends after .* in state ready"):

@@ -267,7 +267,7 @@ def test_a_configuration_asks_in_units_of_the_workshop():
     ("asked", "said"),
     [
         ("perfect", "4:18: rig.imperfections: must be one of none or calibrated; got the text perfect"),
-        ("{palm1: {zero_m: 1}}", "4:27: rig.imperfections.palm1.zero_m: unknown key; is zero_mm meant?"),
+        ("{palm1: {zero_m: 1}}", "4:27: rig.imperfections.palm1.zero_m: unknown key; did you mean zero_mm?"),
         ("{friction_asymmetry: 1}", "4:39: rig.imperfections.friction_asymmetry: must be less than 1; got 1"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from palmd.model.smoothing import RIG_CONSTANTS, R
 from palmd.system.description import AS_CALIBRATED, RigDescription
-from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, prior_sds, said_off
+from palmd.system.rig_constants import RIG_NAMES, RIG_TABLE, describe_rig_errors, prior_sds
 
 PRIORS = prior_sds(RigDescription().known_to(AS_CALIBRATED))
 
@@ -18,7 +18,7 @@ def off(name: str, sigmas: float, left: float, contradicted: bool = False) -> li
     sds[RIG_NAMES.index(name)] *= left
     values = np.zeros(RIG_CONSTANTS)
     values[RIG_NAMES.index(name)] = sigmas * sds[RIG_NAMES.index(name)]
-    return said_off(values, sds, PRIORS, contradicted * (values != 0.0))
+    return describe_rig_errors(values, sds, PRIORS, contradicted * (values != 0.0))
 
 
 def test_the_table_is_in_the_order_of_the_smoothers_constants():
@@ -36,9 +36,9 @@ UNCERTAIN = [constant for constant, sd in zip(RIG_TABLE, PRIORS, strict=True) if
 def test_only_what_readings_have_told_to_be_off_is_said(constant):
     assert off(constant.name, 3.9, 0.1) == off(constant.name, 50.0, 0.65) == []
     (said,) = off(constant.name, -4.1, 0.55)
-    assert said.startswith(constant.what)
-    assert said.endswith(f"{constant.off_below or constant.off}: {constant.mend}")
-    assert ("seems -" in said) == (not constant.off_below)
+    assert said.startswith(constant.subject)
+    assert said.endswith(f"{constant.negative_error_text or constant.error_text}: {constant.remedy}")
+    assert ("seems -" in said) == (not constant.negative_error_text)
 
 
 def test_a_constant_that_the_configuration_knows_is_never_told():
@@ -46,18 +46,18 @@ def test_a_constant_that_the_configuration_knows_is_never_told():
     exact = prior_sds(replace(rig, pads=(replace(rig.pads[0], zero_sd=0.0), rig.pads[1])))
     values, sds = np.zeros(RIG_CONSTANTS), np.maximum(exact, 1e-9)
     values[0] = 1e-3
-    assert said_off(values, sds, exact, np.zeros(RIG_CONSTANTS)) == []
+    assert describe_rig_errors(values, sds, exact, np.zeros(RIG_CONSTANTS)) == []
 
 
 def test_what_contradicts_the_configuration_is_said_however_wide_its_band():
     (said,) = off("pad1_scale", 2.0, 10.0, contradicted=True)
-    assert said.startswith("pad 1's scale may be what is off, and seems +6 ± 3 %")
+    assert said.startswith("pad 1's scale may be the cause, and seems +6 ± 3 %")
 
 
 def test_it_is_said_with_as_many_digits_as_are_known():
     assert off("pad2_zero_m", 10.3, 0.31) == [
         "pad 2's zero seems +0.32 ± 0.03 mm off: palmd calibrate self finds its zero_mm"
     ]
-    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: see to its adapter's latency timer"]
+    assert off("pad1_lag_s", -7.0, 0.2) == ["pad 1's time seems 2.8 ± 0.4 ms early: check its adapter's latency timer"]
     (said,) = off("friction_asymmetry", 30.0, 0.04)
     assert said.startswith("palm 1's friction seems 36 ± 1 % above the mean of both palms'")

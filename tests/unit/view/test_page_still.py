@@ -233,7 +233,7 @@ def test_a_body_in_space_is_seen_between_its_palms(still, bus):
     [
         ({"state": "hold", "cause": "pad 1 fell silent"}, "Held: pad 1 fell silent"),
         ({"state": "fault", "cause": "arm power is off"}, "Stopped: arm power is off"),
-        ({"state": "ready", "cause": "stop was asked for"}, "Disarmed: the arm is not commanded"),
+        ({"state": "ready", "cause": "stop was requested"}, "Disarmed: the arm is not commanded"),
         ({"explored_s": 28.2, "coverage": 0.98, "coverage_goal": 0.95}, "Done: 98 % in 28 s, ± 5 µm"),
         ({"explored_s": 60.0, "coverage": 0.7, "coverage_goal": 0.95}, "Ended at 70 % in 60 s"),
         ({}, "The arm follows, no plan is running"),

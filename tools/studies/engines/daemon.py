@@ -18,8 +18,8 @@ from palmd.config.two_palms import Config, PlanSpec, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.shipped import shipped
 from palmd.daemon.exploration_requests import Decider
+from palmd.harness.object_losses import ObjectLosses
 from palmd.harness.scorer import COMPARED, Scorer
-from palmd.harness.standing import Standing
 from palmd.observer import Simulated
 from palmd.rig.plant import PHYSICS, Physics, PlantOptions
 from palmd.rig.shapes import Kind
@@ -96,7 +96,7 @@ def run(task: DaemonTask) -> DaemonRow:
         config, plan, task.seed, kind=KIND, options=options, smoothing=Simulated(rig), explorer=explorer
     )  # fmt: skip
     loop.start()
-    scorer, standing, fault = Scorer(loop.t), Standing(), ""
+    scorer, standing, fault = Scorer(loop.t), ObjectLosses(), ""
     for instant in loop.run(task.seconds):
         t, estimate = instant.t, instant.messages["palm/estimate"]
         standing.take(t, bool(estimate["valid"]), int(estimate["object"]))

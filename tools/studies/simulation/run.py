@@ -229,7 +229,7 @@ class Simulation:
         truth = self.rig.truth() if isinstance(self.rig, FullRig) else {}
         if not _lies_on_palms(truth):
             watch.left(clock.now)
-        watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
+        watch.tick(self.core, self.ports, self.loop.pending_bytes, self.rig.palms(), clock.now)
         if truth:
             watch.compare(self.core, truth, clock.now)
 
@@ -276,7 +276,7 @@ class Simulation:
             self.loop.stop()
             while not self.loop.over():
                 self.loop.period()
-                self.watch.tick(self.core, self.ports, self.loop.in_hand, self.rig.palms(), clock.now)
+                self.watch.tick(self.core, self.ports, self.loop.pending_bytes, self.rig.palms(), clock.now)
         for port in self.ports.values():
             port.close()
         t_ended = clock.now

@@ -1,1 +1,1 @@
-"""Guards between observer and core: pure functions of what is commanded, reported and felt, and of time."""
+"""Guards of the arm and the pads: pure functions of commands, reports, contacts and time."""

@@ -1,10 +1,10 @@
-"""Are the pads' signs right? Geometry fixes how the contacts move along the palms as these open. Pure.
+"""Test of the pads' signs: geometry fixes how the contacts move along the palms as these open. Pure.
 
-The centre of mass is r1 and r2 from the palms, so that s1 + s2 = (r1 + r2)/tan(φ2/2) + (h′ terms of either palm): a
-line through the origin over x = 1/tan(φ2/2), and what the outline adds. A pad whose sign is wrong reads 2·c − s
-instead, c being where it counts 0, or its middle where zero_mm was set for the wrong end. Each combination of signs and
-of c is a hypothesis about which readings to mirror before the line is fitted; the Laplace evidence of a line with an
-unknown variance is −n/2·ln(sum of squares), n being the number of independent readings.
+The centre of mass is at distances r1 and r2 from the palms, so that s1 + s2 = (r1 + r2)/tan(φ2/2) + (h′ terms of both
+palms): a line through the origin over x = 1/tan(φ2/2), plus a term of the outline. A pad with a wrong sign reads 2·c −
+s instead, where c is its zero, or its middle if zero_mm was set for the wrong end. Each combination of signs and of c
+is a hypothesis about which readings to mirror before the line is fitted; the Laplace evidence of a line with unknown
+variance is −n/2·ln(sum of squares), n being the number of independent readings.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from palmd.system.mechanism import OPENING, PALMS
 MEMORY_S = 8.0
 LOOK_S = 0.05
 CORRELATED_S = 0.25
-"""Readings nearer to each other are of nearly the same normals of the object: they count as one."""
+"""Readings closer together have nearly the same normals of the object and count as one."""
 
 FRESH_S = 0.05
 TURNING_RAD_S = math.radians(2.0)
 OUTLINE_M = 1e-3
-"""What any outline adds, at the least: a line that fits better than that is no better evidence."""
+"""Smallest residual due to an outline: a line that fits better is no better evidence."""
 
 LOG_ODDS = math.log(1e4)
 Signs = tuple[int, int]
@@ -33,23 +33,23 @@ _WRONG: tuple[Signs, ...] = ((-1, -1), (1, -1), (-1, 1))
 
 
 class SignWatch:
-    """`wrong` are the numbers of the pads whose sign is wrong, empty as long as nothing speaks for that."""
+    """`wrong` are the numbers of the pads with a wrong sign, empty unless the evidence exceeds `LOG_ODDS`."""
 
     def __init__(self, zeros_m: Sequence[float], middles_m: Sequence[float]) -> None:
-        """`zeros_m`: where each pad counts 0, `middles_m`: its middle. A wrong sign mirrors readings at one of them."""
+        """`zeros_m`: position of each pad's count 0; `middles_m`: its middle. A wrong sign mirrors at one of them."""
         self.wrong: tuple[int, ...] = ()
         self.log_odds = 0.0
         self._mirrors = (tuple(zeros_m), tuple(middles_m))
         self._last: dict[int, tuple[float, float]] = {}
         self._t = self._t_judged = -math.inf
-        self._sums = [0.0] * len(_PRODUCTS)  # of products of x, 1 and both places, weighted
+        self._sums = [0.0] * len(_PRODUCTS)  # weighted sums of products of x, 1 and both contact positions
 
     def feed(self, sample: PadSample) -> None:
         """Take a reading."""
         self._last[sample.pad] = (sample.t_sample, sample.s)
 
     def look(self, t: float, palms: PalmMotion | None) -> None:
-        """Judge anew at `t` (s), once a tick."""
+        """Update the verdict at `t` (s); call once a tick."""
         if t - self._t < LOOK_S or palms is None or len(self._last) < len(PALMS):
             return
         dt, self._t = min(t - self._t, LOOK_S), t
@@ -58,9 +58,10 @@ class SignWatch:
         if t - min(times) > FRESH_S or abs(palms.rates[OPENING]) < TURNING_RAD_S or not 0.0 < opening < math.pi:
             return
         fading = math.exp(-dt / MEMORY_S)
-        seen = (1.0 / math.tan(0.5 * opening), 1.0, *places)
+        regressors = (1.0 / math.tan(0.5 * opening), 1.0, *places)
         self._sums = [
-            fading * before + dt * seen[i] * seen[j] for before, (i, j) in zip(self._sums, _PRODUCTS, strict=True)
+            fading * before + dt * regressors[i] * regressors[j]
+            for before, (i, j) in zip(self._sums, _PRODUCTS, strict=True)
         ]
         if t - self._t_judged >= CORRELATED_S:
             self._t_judged = t
@@ -76,9 +77,9 @@ class SignWatch:
             self.wrong = ()
 
     def _evidence(self, signs: Signs, mirrors: Sequence[float]) -> float:
-        """Logarithm, but for what all have in common, of how well a line fits with these readings mirrored there."""
-        mirrored = sum(2.0 * at for at, sign in zip(mirrors, signs, strict=True) if sign < 0)
-        row = (0.0, mirrored, *signs)  # of the reading y in x, 1 and both places
+        """Log evidence, up to a constant, of a line through readings mirrored at `mirrors` where `signs` are −1."""
+        mirrored = sum(2.0 * mirror for mirror, sign in zip(mirrors, signs, strict=True) if sign < 0)
+        row = (0.0, mirrored, *signs)  # coefficients of y in x, 1 and both contact positions
         sums = dict(zip(_PRODUCTS, self._sums, strict=True))
         xx, weight = sums[0, 0], sums[1, 1]
         xy = sum(row[j] * sums[0, j] for j in range(1, 4))

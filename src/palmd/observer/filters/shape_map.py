@@ -88,7 +88,7 @@ class ShapeFilters:
         n = shape_map.size(order)
         # variances, before a smoother has estimated the rig's constants, and after
         self._besides = np.zeros((2, len(NAMED)))
-        self._besides[:, _JOINTS_AT] = np.ravel(rig.uneven) ** 2
+        self._besides[:, _JOINTS_AT] = np.ravel(rig.rounding_sd) ** 2
         self._besides[:, _ANGLES[0]] += rig.gravity_sd**2  # readings tell φ1 about gravity, not about the rig
         self._besides[0, _ANGLES] += rig.angle_sd**2
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()

@@ -44,7 +44,7 @@ def test_a_blocked_arm_is_named_within_300_ms_of_passing_the_limit_and_500_of_th
     assert named - block <= 0.5
     passed = LIMITS.joint(math.radians(rate)) / math.radians(rate)
     assert named - block <= passed + 0.3
-    assert guard.stands
+    assert guard.shows_no_motion
     assert "phi1" in guard.reason
 
 
@@ -90,7 +90,7 @@ def test_a_joint_that_need_not_follow_is_not_judged():
 
 def test_after_the_controller_has_paused_nothing_is_judged_for_a_while():
     guard = FollowingGuard(LIMITS, SCALE)
-    guard.part(0.0)
+    guard.suspend(0.0)
     named = drive(guard, 45.0, lambda _t, _c: 0.0)
     assert SETTLE_S <= named <= SETTLE_S + 2.5 * CYCLE
 

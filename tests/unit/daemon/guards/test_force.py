@@ -24,7 +24,7 @@ def test_above_its_limit_a_pad_holds_and_above_half_as_much_again_stops():
     assert not codes(guard)
     readings(guard, 1.2, 30)
     assert codes(guard) == {"force-limit"}
-    assert "pad 1 feels 1.2" in guard.evidence()
+    assert "pad 1 measures 1.2" in guard.evidence()
     readings(guard, 1.7, 30)
     assert codes(guard) == {"force-limit", "force-excess"}
     readings(guard, 1.7, 30, pad=2)

@@ -40,7 +40,7 @@ def test_a_jump_that_stays_is_named_after_three_reports():
     assert guard.report(0.0, HERE, REACH, errors=(0.0, 0.0), peak=PEAK)
     for n in range(1, 1 + MOST_REPORTS):
         assert not guard.report(n * CYCLE, HERE, REACH, errors=jump, peak=PEAK)
-    assert "phi1 has jumped by +7.00°" in guard.reason
+    assert "phi1 jumped by +7.00°" in guard.reason
 
 
 def test_a_jump_that_goes_is_not_named():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from palmd.daemon.guards.rig_contradiction import FOUND_RAD, arc_contradiction, pivot_contradiction
+from palmd.daemon.guards.rig_contradiction import UNDRIVEN_TOOL_RAD, arc_contradiction, pivot_contradiction
 from palmd.devices.actuator import Pose
 from palmd.motion.kinematics import RigGeometry
 
@@ -16,7 +16,7 @@ RIG = RigGeometry(0.12, 0.0, 0.12, 0.12, -0.3, 0.0, 0.0)
 @pytest.mark.parametrize("phi2", [50.0, 90.0])
 def test_every_pose_of_the_rig_fits(phi1, phi2):
     pose = Pose(*RIG.arm_pose((math.radians(phi1), math.radians(phi2))))
-    assert not arc_contradiction(RIG, pose, FOUND_RAD)
+    assert not arc_contradiction(RIG, pose, UNDRIVEN_TOOL_RAD)
 
 
 @pytest.mark.parametrize("turn", [90.0, 180.0, -90.0])
@@ -24,14 +24,14 @@ def test_every_pose_of_the_rig_fits(phi1, phi2):
 def test_a_base_that_is_turned_is_named_with_the_yaw_that_fits(turn, phi1):
     pose = Pose(*RIG.arm_pose((math.radians(phi1), math.radians(90.0))))
     wrong = replace(RIG, arm_yaw=math.radians(turn))
-    said = arc_contradiction(wrong, pose, FOUND_RAD)
+    said = arc_contradiction(wrong, pose, UNDRIVEN_TOOL_RAD)
     assert "mm" in said
     assert "arm.base_yaw_deg: 0" in said or "arm.base_yaw_deg: -0" in said
 
 
 def test_a_base_that_stands_elsewhere_is_told_by_distance_and_lengths():
     pose = Pose(*RIG.arm_pose((math.radians(45.0), math.radians(90.0))))
-    said = arc_contradiction(replace(RIG, arm_x=-0.6), pose, FOUND_RAD)
+    said = arc_contradiction(replace(RIG, arm_x=-0.6), pose, UNDRIVEN_TOOL_RAD)
     assert "240.0 mm" in said
 
 
@@ -40,12 +40,12 @@ def test_a_base_that_stands_elsewhere_is_told_by_distance_and_lengths():
 def test_a_palm_of_another_length_turns_the_tool(off_mm, phi1):
     pose = Pose(*RIG.arm_pose((math.radians(phi1), math.radians(80.0))))
     wrong = replace(RIG, palm1_length=RIG.palm1_length + off_mm * 1e-3)
-    assert "palm lengths as configured" in arc_contradiction(wrong, pose, FOUND_RAD)
+    assert "palm lengths as configured" in arc_contradiction(wrong, pose, UNDRIVEN_TOOL_RAD)
 
 
 def test_a_pivot_below_its_pad_is_told():
     def place(pose):
         return pose.x_m, pose.y_m
 
-    assert not pivot_contradiction(place, 0.0, Pose(0.02, 0.03, 0.0), FOUND_RAD)
-    assert "30.0 mm below" in pivot_contradiction(place, 180.0, Pose(0.02, -0.03, 0.0), FOUND_RAD)
+    assert not pivot_contradiction(place, 0.0, Pose(0.02, 0.03, 0.0), UNDRIVEN_TOOL_RAD)
+    assert "30.0 mm below" in pivot_contradiction(place, 180.0, Pose(0.02, -0.03, 0.0), UNDRIVEN_TOOL_RAD)

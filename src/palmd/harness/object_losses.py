@@ -1,4 +1,4 @@
-"""Whether the object is known at the end, and how often it was lost. Pure: what is published in, words out."""
+"""Whether the object is known at the end, and how often it was lost. Pure."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from palmd.daemon.journal import LOST_S
 _TIMES = {0: "never", 1: "once", 2: "twice"}
 
 
-class Standing:
-    """Takes every estimate's time, validity and object number; needs the same memory however long a run is.
+class ObjectLosses:
+    """Processes every estimate's time, validity and object number; memory does not grow with the duration.
 
-    An object is lost when it had a valid estimate and then has none for `LOST_S`, or when another one is begun.
+    An object is lost if it had a valid estimate and then none for `LOST_S`, or if another one is started.
     """
 
     def __init__(self) -> None:
@@ -22,7 +22,7 @@ class Standing:
         self._t = self._t_valid = -math.inf
 
     def take(self, t: float, valid: bool, number: int) -> None:
-        """One estimate, at t (s)."""
+        """Process an estimate at t (s)."""
         self._t = t
         if self._known and (number != self._object or (not valid and t - self._t_valid > LOST_S)):
             self.losses += 1
@@ -36,8 +36,8 @@ class Standing:
         """Whether the object has a valid estimate, or had one less than `LOST_S` ago."""
         return self._known
 
-    def words(self) -> str:
-        """How it stands at the last estimate: "object 2 valid at the end, lost once"; empty before any was valid."""
+    def summary(self) -> str:
+        """State at the last estimate, such as "object 2 valid at the end, lost once"; empty if none was valid."""
         if not math.isfinite(self._t_valid):
             return ""
         ago = self._t - self._t_valid
