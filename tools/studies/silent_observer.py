@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PlanningBelief, ShapeEstimate
 from palmd.observer import Observer
-from palmd.observer.answer import no_answer
+from palmd.observer.estimates import empty_estimate
 
 
 class SilentObserver:
@@ -16,7 +16,7 @@ class SilentObserver:
 
     name, backend = "silent", "none"
     object_count = late_dropped = improvements = 0
-    foresees = cornered = False
+    has_planning_belief = cornered = False
     invalid_because = ""
 
     def warm_up(self) -> None:
@@ -35,7 +35,7 @@ class SilentObserver:
 
     def estimate(self, t: float) -> Estimate:
         """Nothing is known."""
-        return no_answer(t, self.name, self.object_count, None)
+        return empty_estimate(t, self.name, self.object_count, None)
 
     def shape(self, _t: float) -> ShapeEstimate | None:
         """It knows none."""

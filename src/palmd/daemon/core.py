@@ -434,7 +434,7 @@ class Core:
         return Senses(
             tracking=self.state is State.TRACKING,
             touching=all(self._felt),
-            known=self._observer.foresees,
+            known=self._observer.has_planning_belief,
             object_count=self._observer.object_count,
             look=lambda: self._observer.planning_belief(t),
             sticking=self._system.sticking,

@@ -22,7 +22,7 @@ from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
 from palmd.observer import stuck_palms
 from palmd.observer.factor import Prior
-from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
+from palmd.observer.force_gain import HYSTERESIS, hysteresis_position, modes_at
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import LEAST_FORCE_N, Record
 from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, FilterStart, Palms
@@ -317,7 +317,7 @@ class DryModel:
         columns = np.zeros((len(felt), self.gains.stop - self.gains.start))
         at = 0
         for mine, modes in self._gains:
-            of_pad = np.column_stack([modes, BEHIND * place_in_play(np.maximum(felt[mine], LEAST_FORCE_N))])
+            of_pad = np.column_stack([modes, HYSTERESIS * hysteresis_position(np.maximum(felt[mine], LEAST_FORCE_N))])
             columns[mine, at : at + of_pad.shape[1]] = of_pad
             at += of_pad.shape[1]
         return columns

@@ -20,8 +20,8 @@ from palmd.observer.contacts import GONE_S
 from palmd.observer.coverage import marks_of
 from palmd.observer.data_segment import LEAD_S, DataSegment, data_segments
 from palmd.observer.first_guess import constants_of
-from palmd.observer.fixed_lag_smoother import TAIL_S, Answer, FixedLagSmoother
-from palmd.observer.initialiser import LEAST_S, RENEWED_S, TELLING_S, Initialiser
+from palmd.observer.fixed_lag_smoother import TAIL_S, FixedLagSmoother, Solution
+from palmd.observer.initialiser import LEAST_S, RENEWED_S, SUFFICIENT_S, Initialiser
 from palmd.observer.matching import Felt
 from palmd.observer.noise import map_as_noise
 from palmd.observer.numerical import NUMERICAL_FAILURES
@@ -68,7 +68,7 @@ class IncrementalSmoother:
         self._frame = 1
         self._unexplained = False  # by the last answer
         self._initialiser = Initialiser(self._rig, seed)
-        self._found: Answer | None = None
+        self._found: Solution | None = None
         self._fixed_lag: FixedLagSmoother | None = None
         self._trial_until = -math.inf  # (s): what a follower on trial must explain; -inf: not on trial
 
@@ -122,9 +122,9 @@ class IncrementalSmoother:
         answer = self._sought(segment) if self._fixed_lag is None else self._followed(segment, self._fixed_lag)
         return None if answer is None else self._improvement(answer)
 
-    def _sought(self, segment: DataSegment) -> Answer | None:
+    def _sought(self, segment: DataSegment) -> Solution | None:
         known, budget = self._taken_away, Budget(LIVE_BUDGET)
-        if known is not None and LEAST_S < segment.lasts < TELLING_S:
+        if known is not None and LEAST_S < segment.lasts < SUFFICIENT_S:
             self._taken_away = None  # not tried again after a numerical failure
             half = Budget(LIVE_BUDGET / 2)
             fixed_lag = reidentified(known, segment, self._rig, half, self._hopped_from(segment.start))
@@ -142,9 +142,9 @@ class IncrementalSmoother:
             if tried is None or not self._initialiser.stuck:
                 return None
             self._fixed_lag = FixedLagSmoother(tried)
-            self._trial_until = max(segment.start + TELLING_S, tried.end + TRIAL_S)
+            self._trial_until = max(segment.start + SUFFICIENT_S, tried.end + TRIAL_S)
             return self._followed(segment, self._fixed_lag)
-        found = self._initialiser.sure and answer.lasts > TELLING_S - SPACING_S
+        found = self._initialiser.sure and answer.lasts > SUFFICIENT_S - SPACING_S
         if not found and not self._archive:
             return answer
         fixed_lag = FixedLagSmoother(answer)
@@ -155,7 +155,7 @@ class IncrementalSmoother:
         self._drop_before(fixed_lag.needs_from)
         return answer
 
-    def _followed(self, segment: DataSegment, fixed_lag: FixedLagSmoother) -> Answer | None:
+    def _followed(self, segment: DataSegment, fixed_lag: FixedLagSmoother) -> Solution | None:
         answer = fixed_lag.smoothed(segment)
         self._unexplained = answer is None
         if answer is None and self._on_trial:
@@ -195,7 +195,7 @@ class IncrementalSmoother:
         fixed_lag = self._fixed_lag
         if fixed_lag is None and self._found is not None:
             found = self._found.finding.until(self._found.end - TAIL_S)
-            fixed_lag = FixedLagSmoother(Answer(self._found.search, found)) if found is not None else None
+            fixed_lag = FixedLagSmoother(Solution(self._found.search, found)) if found is not None else None
         if fixed_lag is not None:
             if felt:
                 fixed_lag.end(felt[0])
@@ -220,7 +220,7 @@ class IncrementalSmoother:
             if event.t_sample >= (t - 2 * LEAD_S if isinstance(event, PalmSample) else t - 1e-6)
         ]
 
-    def _improvement(self, answer: Answer) -> Improvement | None:
+    def _improvement(self, answer: Solution) -> Improvement | None:
         record, best = answer.finding.record, answer.finding.fits[0]
         posterior = answer.posterior
         if posterior is None:

@@ -9,7 +9,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Answer
+from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Solution
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import (
@@ -37,7 +37,7 @@ _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
 _BEGUN = (0.5, -0.5)  # with palms that rub so unequally
 _UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGUN)
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
-TELLING_S = 6.0
+SUFFICIENT_S = 6.0
 """Of readings. In simulation every hypothesis that was the only one to explain longer records was right; once
 confirmed, it is handed to the follower."""
 ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
@@ -83,12 +83,12 @@ class Initialiser:
         self._survived = self._challenges = 0
         self._failed = self._in_vain = 0
         self._doubtful = True
-        self.hypothesis: Answer | None = None  # the last answer that explained its readings, with or without rivals
+        self.hypothesis: Solution | None = None  # the last answer that explained its readings, with or without rivals
         self.stuck = False  # the search could not extend the hypothesis to the last readings
         self.unexplained = False  # the last readings, by any smooth outline
         self.needs_from = -float("inf")
 
-    def sought(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Answer | None:
+    def sought(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Solution | None:
         """What the readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
 
         `hint`: constants that a live filter has settled on, in whatever gauge. Readings are processed in steps of
@@ -98,13 +98,13 @@ class Initialiser:
         budget = budget or Budget(LIVE_BUDGET)
         while True:
             known = self._known_until(segment)
-            end = segment.start + TELLING_S if known is None else known + REACH_S
+            end = segment.start + SUFFICIENT_S if known is None else known + REACH_S
             if segment.end < end + LEAST_S:
                 end = segment.end
             answer = self._sought(segment.until(end), hint, segment.end, budget)
             if answer is None or end == segment.end or answer.end < end - SPACING_S:
                 return answer
-            if budget.left <= 0.0 or (self.sure and end - segment.start >= TELLING_S):
+            if budget.left <= 0.0 or (self.sure and end - segment.start >= SUFFICIENT_S):
                 return answer
 
     def _known_until(self, segment: DataSegment) -> float | None:
@@ -119,7 +119,7 @@ class Initialiser:
         hint: FloatArray | None,
         now: float,
         budget: Budget,
-    ) -> Answer | None:
+    ) -> Solution | None:
         """As `sought`, in one step to the end of `segment`; `now`: the time of the last reading of all (s)."""
         seconds = segment.lasts
         self.unexplained = self.stuck = False
@@ -148,7 +148,7 @@ class Initialiser:
             search, finding = self._sought_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
             finding = search.doubted(finding)
-        answer = None if finding is None else self._criticised(Answer(search, finding))
+        answer = None if finding is None else self._criticised(Solution(search, finding))
         before, self._start, self._guesses = self._guesses, segment.start, ()
         if answer is not None:
             self._guesses = tuple(fit.guess for fit in answer.finding.fits)
@@ -168,7 +168,7 @@ class Initialiser:
             self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
         self._in_vain = 0
-        if answer is not None and known is not None and answer.end - known > LEAST_S and answer.lasts > TELLING_S:
+        if answer is not None and known is not None and answer.end - known > LEAST_S and answer.lasts > SUFFICIENT_S:
             self._survived += len(answer.finding.fits) == 1  # the only one, and it predicted them
         return answer
 
@@ -253,7 +253,7 @@ class Initialiser:
             return int(agree(finding, blind) or ((alone or self._survived > 0) and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
             return 0
-        return self._survived + (len(merged.fits) == 1 and (blind is not None or seconds > TELLING_S))
+        return self._survived + (len(merged.fits) == 1 and (blind is not None or seconds > SUFFICIENT_S))
 
     @property
     def sure(self) -> bool:
@@ -271,7 +271,7 @@ class Initialiser:
         known = self.hypothesis
         return known is not None and not self._exact and not self._rig.unequal_friction and known.lasts > OPEN_S
 
-    def _criticised(self, answer: Answer) -> Answer:
+    def _criticised(self, answer: Solution) -> Solution:
         """What is found once the rig is taken for what the readings tell."""
         for _ in range(MOST_REVISIONS):
             search, finding = answer.search, answer.finding
@@ -285,5 +285,5 @@ class Initialiser:
             if found is None:
                 self._belief = search.belief
                 break
-            answer = Answer(anew, found)
+            answer = Solution(anew, found)
         return answer

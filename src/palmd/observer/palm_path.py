@@ -17,7 +17,7 @@ from palmd.observer.palms import (
     FIRST_RATE_SD,
     PLAN_ACCELERATION_SD,
     PLAN_RATE_SD,
-    TOLD_JERK,
+    PLANNED_JERK,
     white_jerk,
 )
 from palmd.system.mechanism import JOINTS
@@ -75,7 +75,7 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
     t = np.array([sample.t_sample for sample in samples])
     untold = (math.nan,) * len(JOINTS)
     told = np.array([(each.angles, each.rates or untold, each.accelerations or untold) for each in samples])
-    dt, jerk = np.diff(t), np.where(np.isnan(told[1:, 2, 0]), UNTOLD_JERK, TOLD_JERK)
+    dt, jerk = np.diff(t), np.where(np.isnan(told[1:, 2, 0]), UNTOLD_JERK, PLANNED_JERK)
     drift = np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
     sd = np.array([angle_noise, PLAN_RATE_SD, PLAN_ACCELERATION_SD])
     return PalmPath(t, _smoothing()(dt, np.ascontiguousarray(drift), told, sd))

@@ -22,15 +22,15 @@ import numpy as np
 from palmd.events import Estimate, Event, PadLift, PadSample, PalmMotion, PalmSample, PlanningBelief, ShapeEstimate
 from palmd.model import quasistatic as qs
 from palmd.model import shape
-from palmd.observer.answer import BIN_OF_THETA, THETA, answer, no_answer
 from palmd.observer.contacts import GONE_S, Contacts, finite
 from palmd.observer.coverage import Coverage
+from palmd.observer.estimates import BIN_OF_THETA, THETA, empty_estimate, make_estimate
 from palmd.observer.local_fit import HALF_WIDTH_S, RecentReadings
 from palmd.observer.mass import MassEstimator, resting_forces
 from palmd.observer.multi_start import BLOCKS, MOST_RADIUS_M, MultiStart, Spread
 from palmd.observer.palms import STILL
 from palmd.observer.prior import RADIUS_SD
-from palmd.observer.quasistatic_answer import Leading, named, read_off
+from palmd.observer.quasistatic_estimate import LeadingSet, named, summarise
 from palmd.observer.validity import Evidence, Thresholds, reasons, settled, unmet
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
@@ -113,25 +113,25 @@ class QuasistaticObserver:
         else:
             self._pads[event.pad].add(event.t_sample, event.s)
             self._contacts.read(event)
-        if math.isinf(self._t_first) and min(self._contacts.quietest, self._palms_seen) > -math.inf:
+        if math.isinf(self._t_first) and min(self._contacts.least_recent, self._palms_seen) > -math.inf:
             self._t_first = event.t_sample
 
     def estimate(self, t: float) -> Estimate:
         """The likeliest initial conditions' answer for time `t` (s); never raises, NaN where unknown."""
-        if t - min(self._palms_seen, self._contacts.quietest) > GONE_S and self._contacts.any:
+        if t - min(self._palms_seen, self._contacts.least_recent) > GONE_S and self._contacts.any:
             self._stop()
         self._advance(t)
         found, present = self._found, self._felt(t)
         self._because = "no initial condition explains the contacts yet"
         if found is None or present is None:
-            return no_answer(t, self.name, self.object_count, None if present is None else _motion(present[0]))
+            return empty_estimate(t, self.name, self.object_count, None if present is None else _motion(present[0]))
         now, _ = present
         y, sd = named(self._rig, self._nodes[-1].felt, found, now, t - self._t_node)
         if found.conflict < AGREEING_M:
             self._t_agreed = t
         elif t - self._t_agreed > LOST_FOR_S:
             self._forget(t)
-            return no_answer(t, self.name, self.object_count, _motion(now))
+            return empty_estimate(t, self.name, self.object_count, _motion(now))
         evidence = Evidence(
             touching=self._contacts.touching(t),
             palms_known=True,
@@ -150,7 +150,7 @@ class QuasistaticObserver:
             self._mass.weigh(self._contacts.last(pad), f)
         if valid:
             self._marks.mark(t, 0, y, lambda: np.zeros(1))
-        told = answer(
+        estimate = make_estimate(
             t,
             valid,
             self.name,
@@ -163,7 +163,7 @@ class QuasistaticObserver:
             self._marks.fraction,
             () if valid else reasons(evidence, SETTLED),
         )
-        return dataclasses.replace(told, e_f=found.e_f, e_c=found.e_c)
+        return dataclasses.replace(estimate, e_f=found.e_f, e_c=found.e_c)
 
     @property
     def invalid_because(self) -> str:
@@ -188,7 +188,7 @@ class QuasistaticObserver:
         """There is no smoother."""
 
     @property
-    def foresees(self) -> bool:
+    def has_planning_belief(self) -> bool:
         """Whether there is an outlook: never."""
         return False
 
@@ -220,7 +220,7 @@ class QuasistaticObserver:
         self._t_first, self._t_node, self._t_agreed = t, -math.inf, math.inf
         self._nodes: deque[_Node] = deque(maxlen=round(WINDOW_S / STEP_S))
         self._leader: MultiStart | None = None
-        self._found: Leading | None = None
+        self._found: LeadingSet | None = None
         self._fixed_lag: MultiStart | None = None
         self._ahead: deque[qs.QuasistaticReadings] = deque()  # of the follower
         self._level = 0  # ticks for which it has been where the leader is
@@ -292,7 +292,7 @@ class QuasistaticObserver:
         if not np.isfinite(weights).all():  # nothing leads anywhere
             self._forget(self._t_node + LAG_S)
             return
-        self._found = found = read_off(leader, felt, weights)
+        self._found = found = summarise(leader, felt, weights)
         *radii, psi = found.values[:3].tolist()
         self._nodes.append(_Node(felt, sum(radii) / 2, float(weights @ leader.balance), psi))
 

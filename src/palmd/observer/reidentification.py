@@ -14,7 +14,7 @@ from palmd.model.smoothing import C
 from palmd.observer.beginning import with_any_node
 from palmd.observer.data_segment import DataSegment
 from palmd.observer.factor import of_constants
-from palmd.observer.fixed_lag_smoother import PATIENCE, Answer, FixedLagSmoother
+from palmd.observer.fixed_lag_smoother import PATIENCE, FixedLagSmoother, Solution
 from palmd.observer.matching import Felt, of_any_small_turn
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
@@ -47,7 +47,7 @@ def reidentified(
         if finding is None or not search.covers(finding):
             continue
         if finding.fits[0].settled and explained(finding.fits[0], finding.record):
-            fixed_lag = FixedLagSmoother(Answer(search, finding))
+            fixed_lag = FixedLagSmoother(Solution(search, finding))
             return fixed_lag if fixed_lag.join([known], None if psi is None else turn) is not None else None
     return None
 

@@ -76,7 +76,7 @@ class ReturningObject:
         known = self.candidate = self.memory.recall() if count else None
         if known is not None:
             psi = known.orientations(track.first_contacts, track.palms, rig, count)
-            fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
+            fusion.filters.start_known(known.x, known.prior_covariance(), psi, fusion.palms, t)
             fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
         # what a smoother vouches for has been linearised well: only what begins blind has to forget
         fusion.forgetting.begin(t, everywhere=known is None or not known.smoothed)
@@ -102,13 +102,13 @@ class ReturningObject:
         best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
         likely = not blind[best]
         x, P = fusion.filters.belief(best)
-        alike = known.weighs(self._rough_mass.value) and (not likely or known.resembles(x))
+        alike = known.weighs(self._rough_mass.value) and (not likely or known.matches_outline(x))
         if likely and alike and (not known.smoothed or _where_felt(known, fusion, best)):
             if not settled or (known.smoothed and not (_one_pose(fusion, best) or track.age(t) > UNDECIDED_S)):
                 return Verdict.OPEN
             self.accept(track)
             if known.spread is not None and self._smoothed is not None:
-                track.lead_with(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
+                track.use_single_filter(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
             else:
                 track.coverage = Coverage(known.touched, best, self._rig.curvatures)
                 bank.drop(blind)
@@ -135,7 +135,7 @@ class ReturningObject:
 
     def lost(self, track: Track) -> None:
         """What was known of the object, if it was, has led astray."""
-        if track.fusion.forgetting.prior_age_s.any() or (self._smoothed and not track.fusion.carries):
+        if track.fusion.forgetting.prior_age_s.any() or (self._smoothed and not track.fusion.uses_smoothed_filter):
             self.memory.forget()
 
     def identify(self, t: float, object_count: int) -> None:

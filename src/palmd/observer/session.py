@@ -126,7 +126,7 @@ class ObjectSession:
         A bank that never knew the object cannot tell that there is another now, and on a busy machine it may be lost
         again and again before the smoother's first answers come.
         """
-        return not self._fusion.carries and (self._rig.unequal_friction or not track.confirmed)
+        return not self._fusion.uses_smoothed_filter and (self._rig.unequal_friction or not track.confirmed)
 
     # ---- what fusion asks
 

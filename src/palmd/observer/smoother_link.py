@@ -14,7 +14,7 @@ from palmd.observer.filter_catchup import FilterCatchUp
 from palmd.observer.handover import Handover, outline_sd
 from palmd.observer.smoothing import Session, Smoothing
 from palmd.observer.track import Track
-from palmd.observer.validity import SURE_M, VOUCHED_M
+from palmd.observer.validity import CONFIRMED_M, PRECISE_M
 from palmd.system.description import RigDescription
 
 MEMORY_S = 30.0  # how long after its time an improvement can still be taken in: on a busy machine answers come late
@@ -88,8 +88,8 @@ class SmootherLink:
         if improvement is not None:
             sd = 0.0 if improvement.established else outline_sd(improvement)
             never, now = -math.inf, improvement.t
-            self._refused_at, self._vouched_at = (never, now) if sd < VOUCHED_M else (now, never)
-            self._sure_at = now if sd < SURE_M else never
+            self._refused_at, self._vouched_at = (never, now) if sd < CONFIRMED_M else (now, never)
+            self._sure_at = now if sd < PRECISE_M else never
         if improvement is not None and max(session.begun, t - MEMORY_S) < improvement.t <= t:
             self._catch_up.begin(improvement, self._recent)
             self._awaited = improvement
@@ -101,4 +101,4 @@ class SmootherLink:
             return
         arrived: tuple[FloatArray, FloatArray, float] = self._catch_up.state_at(t)
         if track is not None:
-            self.improvements += self._handover.take_in(track, object_count, self._awaited, *arrived)
+            self.improvements += self._handover.hand_over(track, object_count, self._awaited, *arrived)

@@ -20,7 +20,7 @@ from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
 from palmd.model.smoothing import ORDER, C, R
 from palmd.observer.factor import Prior
-from palmd.observer.force_gain import BEHIND, BEHIND_S, DRIFT_S
+from palmd.observer.force_gain import DRIFT_S, HYSTERESIS, HYSTERESIS_S
 from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
@@ -154,7 +154,7 @@ def stuck_guess(record: Record, beginning: FilterStart) -> StuckGuess | float:
 
 def _wandering(std: float) -> float:
     """The variance of what a gain of this `std`, and a play, add in a step; 0 of a pad whose gain is known."""
-    return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
+    return 2.0 * STEP_S * (std**2 / DRIFT_S + HYSTERESIS**2 / HYSTERESIS_S) if std else 0.0
 
 
 def _begun(beginning: FilterStart) -> _Filters:

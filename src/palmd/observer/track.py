@@ -47,11 +47,11 @@ class Track:
         """How long ago its filters began, at `t` (s)."""
         return t - self.fusion.t_start
 
-    def lead_with(
+    def use_single_filter(
         self, filters: ShapeFilters, x: FloatArray, P: FloatArray, nis: float, touched: Marks, spread: FloatArray
     ) -> None:
         """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
         filters.spread = spread
         self.innovation_test = InnovationTest()
         self.coverage = Coverage(touched, 0, self.fusion.curvatures)
-        self.fusion.lead_with(filters, x, P, nis)
+        self.fusion.use_single_filter(filters, x, P, nis)

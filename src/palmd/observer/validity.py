@@ -20,9 +20,11 @@ LOST_NIS = 3.0
 SHARP_M = 1.5e-4
 # The same, above which a smoother vouches for nothing: what weighs all readings at once knows more than a filter,
 # whatever one-sigma that has. Seen on simulated lumps and ellipses: valid, and 0.3 to 1 mm off, with 0.1 to 0.2 mm.
-VOUCHED_M = 2e-4
-SURE_M = 1e-4  # the same, below which what is no disc by the readings of both palms together need not be felt to roll
-VAGUE_M = 5e-4  # of what is told of a radius, surprises counted: above it a vouched answer has been contradicted
+CONFIRMED_M = 2e-4
+PRECISE_M = (
+    1e-4  # the same, below which what is no disc by the readings of both palms together need not be felt to roll
+)
+CONTRADICTED_M = 5e-4  # of what is told of a radius, surprises counted: above it a vouched answer has been contradicted
 PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of the radii
 
 

@@ -143,7 +143,7 @@ def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_riva
         Search, "blind", lambda self, attempt, seed: None if attempt.asymmetry else blind(self, attempt, seed)
     )
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
-    monkeypatch.setattr(initialiser, "TELLING_S", 2.0)
+    monkeypatch.setattr(initialiser, "SUFFICIENT_S", 2.0)
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
 
 

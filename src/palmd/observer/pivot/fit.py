@@ -16,7 +16,7 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.compiled import Library
 from palmd.model.pivot import BATCH, CONSTANTS, MOTION, ORDER, P, U
-from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
+from palmd.observer.force_gain import HYSTERESIS, hysteresis_position, modes_at
 from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
 from palmd.system.pivot import normal_of
 
@@ -304,7 +304,7 @@ def gain_modes(record: PivotRecord, felt: FloatArray | None = None) -> FloatArra
     if not std or not len(rows.t):
         return np.zeros((len(rows.t), 0))
     modes = modes_at(rows.t, [(touch.begin, touch.end) for touch in record.touches], std)
-    return modes if felt is None else np.column_stack([modes, BEHIND * _behind(record, felt)])
+    return modes if felt is None else np.column_stack([modes, HYSTERESIS * _behind(record, felt)])
 
 
 def _behind(record: PivotRecord, felt: FloatArray) -> FloatArray:
@@ -312,7 +312,7 @@ def _behind(record: PivotRecord, felt: FloatArray) -> FloatArray:
     place: FloatArray = np.zeros(len(felt))
     for touch in record.touches:
         mine = (record.forces.t >= touch.begin) & (record.forces.t <= touch.end)
-        place[mine] = place_in_play(felt[mine])
+        place[mine] = hysteresis_position(felt[mine])
     return place
 
 

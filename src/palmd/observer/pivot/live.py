@@ -156,7 +156,7 @@ class PivotObserver:
         return ShapeEstimate(t, body.theta, body.h, body.answer.h_sd, body.answer.touched > 0)
 
     @property
-    def foresees(self) -> bool:
+    def has_planning_belief(self) -> bool:
         """Whether the gripper's place is known."""
         return self._gripper is not None
 

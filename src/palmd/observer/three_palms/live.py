@@ -146,7 +146,7 @@ class BodyObserver:
         return ShapeEstimate(t, icosphere()[0], answer.h, answer.h_sd, answer.touched > 0)
 
     @property
-    def foresees(self) -> bool:
+    def has_planning_belief(self) -> bool:
         """Whether what is believed, claimed or not, still tells about what the readings are."""
         return self._foresees
 

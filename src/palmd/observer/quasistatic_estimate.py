@@ -33,7 +33,7 @@ PALM_RATE_SD = 5e-3  # rad/s
 
 
 @dataclass(frozen=True, slots=True)
-class Leading:
+class LeadingSet:
     """A set at its last node: mean and one-sigma of r1, r2, ψ and ψ̇; errors and number of its likeliest member."""
 
     values: FloatArray
@@ -44,7 +44,7 @@ class Leading:
     best: int
 
 
-def read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArray) -> Leading:
+def summarise(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArray) -> LeadingSet:
     """The leading set, of which each initial condition has its weight, where this is `felt`."""
     rates = qs.rates(felt, leader.state, leader.softening)
     each = np.concatenate([leader.state[:3], rates[2:3]])
@@ -53,11 +53,11 @@ def read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArr
     best = int(np.argmax(weights))
     e_c = np.hypot(*qs.closure_error(felt, leader.state[:, best]))
     e_f = qs.balance_error(felt, *leader.state[:2, best].tolist())
-    return Leading(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
+    return LeadingSet(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
 
 
 def named(
-    rig: RigDescription, node: qs.QuasistaticReadings, found: Leading, now: qs.QuasistaticReadings, ahead: float
+    rig: RigDescription, node: qs.QuasistaticReadings, found: LeadingSet, now: qs.QuasistaticReadings, ahead: float
 ) -> tuple[FloatArray, FloatArray]:
     """Values and one-sigmas of `NAMED` when `now` is felt, `ahead` s after the last `node`, at that node's rates."""
     *begun, psi, omega0 = found.values.tolist()
