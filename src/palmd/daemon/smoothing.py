@@ -159,7 +159,7 @@ def serve(address: str, rig: str) -> None:
         smoother.add(Session(object_count, begun, None if hint is None else np.frombuffer(hint)), events)
 
     def answer() -> list[Any] | None:
-        a = smoother.said()
+        a = smoother.result()
         if a is None:
             return None
         if isinstance(a, Unexplained):

@@ -50,7 +50,10 @@ class DataSegment:
 
     @property
     def steady_since(self) -> float:
-        """Time (s) after which no gap in the arm's reports, in which it had to stop, affects the palms' motion."""
+        """Time (s), at least `start`, after which the palms' motion is not affected by gaps in the arm's reports.
+
+        In a gap longer than `STARVED_S` and `STARVED` median intervals the arm had to stop.
+        """
         if len(self.palms) < 2:
             return self.start
         t = np.array([sample.t_sample for sample in self.palms])

@@ -21,7 +21,7 @@ class InnovationTest:
     t: float = -math.inf
 
     def take(self, nis: float, t: float) -> None:
-        """Take the leading filter's running mean of the normalised innovation squared at `t` (s); `t` never decreases."""
+        """Take the leading filter's running mean NIS at `t` (s), which must not be before the last one."""
         decayed = self.excess * math.exp((self.t - t) / DECAY_S)
         self.excess, self.t = max(decayed, min(nis, LOST_NIS) - HIGH_NIS), t
 

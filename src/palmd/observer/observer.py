@@ -53,7 +53,7 @@ class LiveObserver(Protocol):
         """Take one event, at its own time; an event that is too late is counted and dropped."""
 
     def improve(self, t: float) -> object:
-        """Exchange data with the smoother beside the loop; returns each of its results once. None without a smoother."""
+        """Exchange data with the smoother beside the loop; returns each of its results once, None without one."""
 
     def estimate(self, t: float) -> LiveEstimate:
         """The estimate for time `t`; never raises, NaN where nothing is known."""

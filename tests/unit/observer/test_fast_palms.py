@@ -33,7 +33,7 @@ class Beside:
         self.smoother.add(session, events)
         if t >= self.t_ask:
             self.t_ask = t + ASKED_EVERY_S
-            self.answers.append((t, self.smoother.said()))
+            self.answers.append((t, self.smoother.result()))
 
     def collect(self, _):
         return None
