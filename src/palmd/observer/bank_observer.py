@@ -211,7 +211,7 @@ class BankObserver:
             elif fusion.palms_known(t):
                 fusion.add(event)
                 if isinstance(event, PadSample) and self._link is not None and not self._curved:
-                    session.track.riding.read(event, fusion.palms.motion(t))
+                    session.track.flat_side_test.read(event, fusion.palms.motion(t))
         if session.track is None:
             session.try_to_begin(t)
 
@@ -304,7 +304,7 @@ class BankObserver:
     def cornered(self) -> bool:
         """Whether a corner has been detected: the object lay on one palm and touched the other with a corner."""
         track = self._session.track
-        return track is not None and track.riding.cornered
+        return track is not None and track.flat_side_test.cornered
 
     def planning_belief(self, t: float) -> PlanningBelief | None:
         """The belief for planning at `t` (s); None unless `has_planning_belief`."""
@@ -390,12 +390,12 @@ class BankObserver:
         """
         if self._link is None or self._curved:
             return False
-        riding = track.riding
+        side_test = track.flat_side_test
         start_time = self._session.start_time
         estimated = self._link.confirms(start_time) if self._exact else self._fusion.includes_rig_uncertainty
-        if riding.cornered or not estimated:
-            return riding.cornered or not riding.excluded
-        return riding.disc and not (self._exact and self._link.is_precise(start_time) and not riding.concentric)
+        if side_test.cornered or not estimated:
+            return side_test.cornered or not side_test.excluded
+        return side_test.disc and not (self._exact and self._link.is_precise(start_time) and not side_test.concentric)
 
     def _slides(self, t: float) -> bool:
         """Whether the object slides: the palms vibrate, or the forces have shown that friction is negligible."""

@@ -115,15 +115,15 @@ class Routines:
         self.palms_feed = self._bound("palms_feed", pointer, pointer)
         self.carry = self._bound("carry", *of_bank, number, number, number)
         self.read_pad = self._bound("read_pad", *of_bank, pointer, number, number)
-        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, gives=integer)
+        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, restype=integer)
         self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
-        self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
-        self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, gives=integer)
+        self.lift = self._bound("lift", pointer, integer, pointer, integer, restype=integer)
+        self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, restype=integer)
         outputs = (pointer, pointer, pointer)
         self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, integer, *outputs)
-        self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, gives=integer)
-        self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
-        self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
+        self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, restype=integer)
+        self.add = self._bound("add", pointer, *of_bank, pointer, restype=integer)
+        self.fuse = self._bound("fuse", pointer, *of_bank, restype=integer)
 
     def address(self, kernel: str) -> int:
         """Address of a kernel."""
@@ -167,7 +167,7 @@ class CompiledPalms:
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
         """1σ of both angles (rad) and of both rates (rad/s) at `t` (s)."""
         angles, rates = np.empty(_JOINTS), np.empty(_JOINTS)
-        self._does.palms_variance(self.address, t, angles.ctypes.data, rates.ctypes.data)
+        self._routines.palms_variance(self.address, t, angles.ctypes.data, rates.ctypes.data)
         return np.sqrt(angles), np.sqrt(rates)
 
     def feed(self, sample: PalmSample) -> None:
@@ -177,16 +177,16 @@ class CompiledPalms:
         # slices also accept lists, which samples from another process consist of
         report.angles[:], report.rates[:] = sample.angles, sample.rates or _MISSING
         report.accelerations[:] = sample.accelerations or _MISSING
-        self._does.palms_feed(self.address, self._report_at)
+        self._routines.palms_feed(self.address, self._report_at)
 
     def at(self, t: float) -> FloatArray:
         """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
-        self._does.palms_at(self.address, t, self._motion_at)
+        self._routines.palms_at(self.address, t, self._motion_at)
         return np.array(self._motion)
 
     def motion(self, t: float) -> PalmMotion:
         """The same as a `PalmMotion`."""
-        self._does.palms_at(self.address, t, self._motion_at)
+        self._routines.palms_at(self.address, t, self._motion_at)
         values = tuple(self._motion)
         return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
 

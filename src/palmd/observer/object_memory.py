@@ -46,7 +46,7 @@ class KnownObject:
     """A valid state of `model.shape_map` with its covariance, the normals touched in its gauge, and the mass.
 
     `spread`: the uncertainty due to the rig's constants (`events.Improvement`) if a smoother confirmed the state, else
-    None. riding: test whether the object may be fixed to a palm, as of its readings.
+    None. flat_side_test: test whether the object may be fixed to a palm, as of its readings.
     """
 
     x: FloatArray
@@ -54,7 +54,7 @@ class KnownObject:
     touched: Marks
     mass: MassEstimator
     spread: FloatArray | None = None
-    riding: Riding | None = None
+    flat_side_test: Riding | None = None
 
     @property
     def smoothed(self) -> bool:

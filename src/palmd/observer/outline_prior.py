@@ -17,8 +17,8 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer import prior
 from palmd.observer.object_memory import (
-    APART,
     DIRECTIONS,
+    EXCLUDED,
     PSI_SD,
     SAME_CHI2,
     SPIN_SD,
@@ -32,7 +32,7 @@ LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
 # An object that slides and one that sticks move too differently for one filter: each pose starts with either.
 FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and one-sigma
-MOST_STARTS = DIRECTIONS // (APART + 1) * len(FRICTIONS)  # of one outline
+MOST_STARTS = DIRECTIONS // (EXCLUDED + 1) * len(FRICTIONS)  # of one outline
 DEVIATION = (
     0.1  # how far another object deviates at least, of what is believed of any: more, and small ones go unnoticed
 )
@@ -92,7 +92,7 @@ class OutlinePrior:
         while len(poses) < count and likelihood.max() > -math.inf:
             which, direction = divmod(int(np.argmax(likelihood)), DIRECTIONS)
             poses.append((which, direction))
-            likelihood[which, np.arange(direction - APART, direction + APART + 1) % DIRECTIONS] = -math.inf
+            likelihood[which, np.arange(direction - EXCLUDED, direction + EXCLUDED + 1) % DIRECTIONS] = -math.inf
         chosen = np.array(poses, dtype=np.intp)
         psi: FloatArray = chosen[:, 1].astype(np.float64) * (2 * math.pi / DIRECTIONS)
         return chosen[:, 0], psi

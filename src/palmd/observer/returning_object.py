@@ -122,7 +122,10 @@ class ReturningObject:
     def accept(self, track: Track) -> None:
         """Take the candidate, if there is one, for the present object."""
         if self.candidate is not None:
-            track.mass, track.riding = self.candidate.mass, self.candidate.riding or track.riding
+            track.mass, track.flat_side_test = (
+                self.candidate.mass,
+                self.candidate.flat_side_test or track.flat_side_test,
+            )
             self.candidate = None
 
     def keep(self, track: Track, t: float) -> None:
@@ -131,7 +134,7 @@ class ReturningObject:
             filters = track.fusion.filters
             x, P = filters.belief(filters.bank.best())
             touched = track.coverage.marks.copy()
-            self.memory.keep(t, KnownObject(x, P, touched, track.mass, filters.spread, track.riding))
+            self.memory.keep(t, KnownObject(x, P, touched, track.mass, filters.spread, track.flat_side_test))
 
     def lost(self, track: Track) -> None:
         """Drop the stored map if the lost track started from it, or if no smoother confirmed the track."""

@@ -87,7 +87,7 @@ class ObjectSession:
             mass=MassEstimator(rig.pads),
             likely_mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
-            riding=Riding(rig),
+            flat_side_test=Riding(rig),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
         self._observability.begin(t, shape_map_sd(start))

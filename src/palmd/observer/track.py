@@ -23,7 +23,7 @@ class Track:
     likely_mass: as `mass`, from estimates that need not be valid. radius_sd: 1σ of its radius (m) due to the rig's
     constants, until a smoother has estimated them. valid, predictable: of the last estimate. confirmed: an estimate was
     valid. t_unlikely: since when (s) the best filter's NIS has been too high, None while it is not. innovation_test:
-    inflates published standard deviations only. riding: test whether the object may have only turned with a palm.
+    inflates published standard deviations only. flat_side_test: whether the object may have turned with a palm only.
     """
 
     fusion: Fusion
@@ -35,7 +35,7 @@ class Track:
     mass: MassEstimator
     likely_mass: MassEstimator
     coverage: Coverage
-    riding: Riding
+    flat_side_test: Riding
     valid: bool = False
     predictable: bool = False
     confirmed: bool = False

@@ -115,6 +115,6 @@ def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
     """Else what was vouched for before would have to roll anew first."""
     rig, track = RigDescription(), MagicMock()
     before, hypotheses = Riding(rig), ReturningObject(rig, MagicMock())
-    hypotheses.candidate = replace(_known(), riding=before)
+    hypotheses.candidate = replace(_known(), flat_side_test=before)
     hypotheses.accept(track)
-    assert track.riding is before
+    assert track.flat_side_test is before
