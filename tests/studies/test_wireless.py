@@ -16,7 +16,7 @@ from palmd.motion.segments import Move
 from palmd.observer import Simulated
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
-from tools.studies.real_things import thing
+from tools.studies.real_objects import real_object
 from tools.wireless import InlineExplorer, Wireless, WirelessError
 
 ROCK = PlanSpec.model_validate(
@@ -225,7 +225,7 @@ def test_what_never_settled_has_no_numbers():
 
 def test_what_is_felt_to_have_a_corner_is_tipped():
     config = default_config()
-    body = thing("nut", np.random.default_rng(1)).body
+    body = real_object("nut", np.random.default_rng(1)).body
     run = Wireless(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)
     run.start()
     list(run.run(4.0))

@@ -1,7 +1,7 @@
 """Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong.
 
 The daemon's core and its smoother against the plant, without wires, on moves drawn at random; blind, each run by its
-kind and seed. Corners, dents and dry lumps of `thing_logs` are these logs, replayed through the live observer. With
+kind and seed. Corners, dents and dry lumps of `object_logs` are these logs, replayed through the live observer. With
 --offline: logs of polygons, of dented and of dry lumps, of dice and profiles, reconstructed blind: how many are right,
 wrong, rejected. With --explored: the same bodies, each explored in the emulated rig, and its recording reconstructed;
 with --plan: each moved by a plan in it.
@@ -28,18 +28,18 @@ from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
-from tools.studies import harness, thing_logs
+from tools.studies import harness, object_logs
 from tools.studies.cells import Cell, mean, most, runs, total
 from tools.studies.exploring_plans import plan
 from tools.studies.harness import Study, kinds_of, result, seeds_of
 from tools.studies.montecarlo import answers
-from tools.studies.real_things import THINGS, thing
+from tools.studies.real_objects import REAL_OBJECTS, real_object
 from tools.studies.scoring import FAR
 from tools.wireless import Wireless
 
 LUMP = "lump"  # a smooth one, as other studies have
-LOGGED: tuple[str, ...] = tuple(kind for kind in thing_logs.KINDS if kind not in THINGS)
-KINDS: tuple[str, ...] = (*THINGS, LUMP, *LOGGED)
+LOGGED: tuple[str, ...] = tuple(kind for kind in object_logs.KINDS if kind not in REAL_OBJECTS)
+KINDS: tuple[str, ...] = (*REAL_OBJECTS, LUMP, *LOGGED)
 OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
 MUCH = 0.01  # of the ticks
 LIVE_S = 15.0  # how long each lasts
@@ -81,7 +81,7 @@ def body_of(task: ThingTask) -> Body:
     if task.kind == LUMP:
         return random_body("rig", random)
     off = OFF_CENTRE_M if task.seed % OFF_CENTRE_EVERY == OFF_CENTRE_EVERY - 1 else 0.0
-    return thing(task.kind, random, off).body
+    return real_object(task.kind, random, off).body
 
 
 def run(task: ThingTask) -> ThingRow:
@@ -120,8 +120,8 @@ def run(task: ThingTask) -> ThingRow:
 
 
 def _replayed(task: ThingTask) -> ThingRow:
-    logged = thing_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
-    log, truth, _ = thing_logs.simulated(logged)
+    logged = object_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
+    log, truth, _ = object_logs.simulated(logged)
     live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
     misses = np.abs(live.r_error)
     error = misses.max(axis=1)
@@ -178,7 +178,7 @@ LIVE = Study(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
-    kinds = tuple(dict.fromkeys((*KINDS, *thing_logs.KINDS)))
+    kinds = tuple(dict.fromkeys((*KINDS, *object_logs.KINDS)))
     harness.add_arguments(parser, runs=10, seconds_each=None, output=None, kinds=kinds)
     add = parser.add_mutually_exclusive_group().add_argument
     add("--offline", action="store_true", help="reconstruct logs of corners, dents and dry lumps")
@@ -191,8 +191,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def conduct(arguments: argparse.Namespace) -> int:
     """Interrupted, it reports what is finished until then. CliError for a kind that there are no such runs of."""
     offline = arguments.offline or arguments.explored or arguments.plan is not None
-    known: tuple[str, ...] = thing_logs.KINDS if offline else KINDS
+    known: tuple[str, ...] = object_logs.KINDS if offline else KINDS
     if arguments.kind not in (*known, harness.ALL):
         wanted = "without --offline, --explored and --plan" if offline else "with --offline, --explored or --plan"
         raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted}; here there are: {', '.join(known)}")
-    return thing_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)
+    return object_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)

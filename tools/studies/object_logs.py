@@ -42,7 +42,7 @@ from tools.studies.cells import Cell, among, count_of, most, quantiles
 from tools.studies.exploring_plans import plan
 from tools.studies.exploring_watch import ExplorationWatch
 from tools.studies.harness import Study, result
-from tools.studies.real_things import Random, thing
+from tools.studies.real_objects import Random, real_object
 from tools.studies.scoring import FAR, RIGHT_M
 from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from tools.studies.silent_observer import SilentObserver
@@ -74,7 +74,7 @@ def _lump(random: Random) -> Body:
 
 
 def _thing(name: str) -> Callable[[Random], Body]:
-    return lambda random: thing(name, random).body
+    return lambda random: real_object(name, random).body
 
 
 BODIES: Mapping[str, Callable[[Random], Body]] = {
