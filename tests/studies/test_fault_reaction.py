@@ -79,12 +79,12 @@ def test_a_palm_that_turns_back_before_it_stands_has_not_come_to_stand():
 
 def test_only_what_comes_after_the_cause_counts():
     watch = ReactionWatch(
-        told=[
+        states=[
             StateReport(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
             StateReport(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),
             StateReport(100.15, "tracking", {"arm-late": "degrade"}),
         ],
-        turning=turning(1.0, 0.0),
+        motions=turning(1.0, 0.0),
     )
     reaction = watch.reaction(ROW, 100.0)
     assert reaction.faults == {"pad1-silent": "hold", "arm-late": "degrade"}

@@ -110,7 +110,7 @@ def test_ticks_of_the_live_observer_are_counted_where_it_was_asked(monkeypatch):
     row = off.run(MiscalibrationTask("nothing", "exact", "friction", 1, 0.6, live=True))
     assert (row.error, row.ticks, row.valid, row.live_far, row.live_wrong) == ("", 4, 2, 1, 2)
     text = "\n".join(remarks([row]))
-    assert "live: 1 of 2 valid ticks are more than 3 sd off, 2 by more than 0.3 mm; valid are 50%" in text
+    assert "live: 1 of 2 valid ticks have errors above 3 sd, 2 above 0.3 mm; 50% of the ticks" in text
     assert off.run(MiscalibrationTask("nothing", "exact", "friction", 1, 0.6)).ticks == 0
     assert "live: 1" not in "\n".join(remarks([replace(row, ticks=0, valid=0)]))
 

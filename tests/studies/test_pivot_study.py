@@ -76,5 +76,5 @@ def test_the_table_of_live_runs_counts_them():
 
 @pytest.mark.parametrize("kind", ["tilt", "float"])
 def test_a_run_too_short_for_a_drag_is_refused_in_words(kind):
-    with pytest.raises(ValueError, match="at least 2 s, not 0.5 s"):
+    with pytest.raises(ValueError, match="at least 2 s"):
         simulate_pivot_log(kind, 3, 0.5)

@@ -27,8 +27,9 @@ class Causal:
     """Results of the daemon's `shape` observer on the same run; NaN for missing values.
 
     converged_after_s: time from the first event to the tick from which on all ticks are valid, with errors of r1 and r2
-    below `CAUSAL_R_M` and e_h of the latest outline below `CAUSAL_OUTLINE_M`. first_valid_s: to the first valid tick. r_rms_m, nees_r (1 if the standard deviations are right): of r1 and r2 together, over the valid
-    ticks of the last `LAST_S`.
+    below `CAUSAL_R_M` and e_h of the latest outline below `CAUSAL_OUTLINE_M`. first_valid_s: to the first valid tick.
+    r_rms_m, nees_r (1 if the standard deviations are right): of r1 and r2 together, over the valid ticks of the last
+    `LAST_S`.
     """
 
     converged_after_s: float
