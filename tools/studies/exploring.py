@@ -26,12 +26,12 @@ from palmd.rig.shapes import KINDS, Body, Kind
 from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
+from tools.closed_loop import InlineExplorer, TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, count, errors, percent, quantile, quantiles, runs, shares
 from tools.studies.exploring_plans import STRATEGIES, Strategy, plan
 from tools.studies.exploring_watch import EDGE_M, ExplorationWatch
 from tools.studies.harness import Study, result
-from tools.wireless import InlineExplorer, Wireless
 
 GOAL = 1.0
 """Coverage requested of the explorer: more than `ENOUGH`, since both are counted in bins."""
@@ -102,7 +102,7 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     rig = rig_description(config)
     explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, time_limit_s=task.seconds)
-    wireless = Wireless(
+    loop = TwoPalmsLoop(
         config,
         plan(task.strategy, config, goal, task.seed),
         task.seed,
@@ -111,15 +111,15 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         explorer=InlineExplorer(Decider(rig, task.seed)),
         body=body,
     )
-    true_h = np.array(wireless.world.object_truth()["h_m"])
+    true_h = np.array(loop.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
     watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
-    wireless.start()
-    watch.t_start = wireless.t
-    before = wireless.world.status()["contact_losses"]
-    ended_s = _watched(wireless, watch, task.seconds)
-    status = wireless.world.status()
-    result_fields = wireless.core.exploring.told() if explores else None
+    loop.start()
+    watch.t_start = loop.t
+    before = loop.world.status()["contact_losses"]
+    ended_s = _watched(loop, watch, task.seconds)
+    status = loop.world.status()
+    result_fields = loop.core.exploring.told() if explores else None
     score = watch.outline_score(true_h) if explores else None
     tick_s = 1.0 / config.loop.rate_hz
     return result(
@@ -144,12 +144,12 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     )
 
 
-def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> float:
+def _watched(loop: TwoPalmsLoop, watch: ExplorationWatch, seconds: float) -> float:
     """Run until `SETTLE_S` after the exploration ended; returns its end (s since the start), NaN without one."""
     exploring, ended = False, math.nan
-    for instant in wireless.run(seconds):
+    for instant in loop.run(seconds):
         watch.take(instant)
-        explores_now = wireless.core.setpoints.exploration is not None
+        explores_now = loop.core.setpoints.exploration is not None
         if exploring and not explores_now and math.isnan(ended):
             ended = instant.t - watch.t_start
         exploring = explores_now

@@ -16,7 +16,7 @@ from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
 from palmd.system.arcs import FLAT, tangents
 from palmd.system.mechanism import JOINTS, PALMS, normal_directions
-from tools.wireless import Instant
+from tools.closed_loop import Instant
 
 EDGE_M = 5e-4
 """A contact that is nearer than this to a pad's end has reached it (m)."""

@@ -28,11 +28,11 @@ from palmd.observer.pivot.incremental import PERIOD_S
 from palmd.record.run import RecordedAnswers
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config, load_plan, parse, read_document
+from tools.closed_loop import ClosedLoop, ClosedLoopError, PivotLoop, ThreePalmsLoop, TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import errors, most, runs, total
 from tools.studies.harness import Goal, Study, result
 from tools.studies.simulation.light_observer import LightObserver
-from tools.wireless import ClosedLoop, PivotWireless, ThreePalmsWireless, Wireless, WirelessError
 
 GUARDS = frozenset(
     {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}
@@ -141,14 +141,14 @@ def loop_of(rig: str, seed: int, plan: str, *, light: bool) -> ClosedLoop[Any]:
     match config:
         case PivotConfig():
             spec = parse(read_document(path), PivotPlanSpec)
-            return PivotWireless(config, spec, seed, period_s=math.inf if light else PERIOD_S)
+            return PivotLoop(config, spec, seed, period_s=math.inf if light else PERIOD_S)
         case ThreePalmsConfig():
             spec_in_space = parse(read_document(path), TiltPlanSpec)
-            return ThreePalmsWireless(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
+            return ThreePalmsLoop(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
         case Config():
             if light:
-                return Wireless(config, load_plan(path), seed, estimator=LightObserver())
-            return Wireless(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
+                return TwoPalmsLoop(config, load_plan(path), seed, estimator=LightObserver())
+            return TwoPalmsLoop(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
     raise TypeError(f"no closed loop for {rig}")
 
 
@@ -212,7 +212,7 @@ class SimulatedOperator:
     def _ask(self, command: str, **args: Any) -> bool:
         try:
             self._loop.ask(command, **args)
-        except WirelessError:
+        except ClosedLoopError:
             self.commands[f"{command} refused"] += 1
             return False
         self.commands[command] += 1

@@ -37,6 +37,7 @@ from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system import vibration
 from palmd.yamlfile import ConfigError, load_plan
+from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, among, count_of, most, quantiles
 from tools.studies.exploring_plans import plan
@@ -47,7 +48,6 @@ from tools.studies.scoring import FAR, RIGHT_M
 from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from tools.studies.silent_observer import SilentObserver
 from tools.studies.simulated import written
-from tools.wireless import Wireless
 
 _STREAM = 31  # random stream of the bodies, distinct from the motion's
 
@@ -282,18 +282,18 @@ def recorded(
     """Record so many seconds of a plan; an exploration uses the observer and its smoother.
 
     `surface`: friction, by default a random one. The same arguments give identical results. Raises PlanError for a plan
-    that leaves the default limits, WirelessError if the daemon does not become ready.
+    that leaves the default limits, ClosedLoopError if the daemon does not become ready.
     """
     config = default_config(imperfections)
     rig = rig_description(config)
     explores = any(isinstance(segment, ExploreSpec) for segment in plan.segments)
     estimated_by = {"smoothing": Simulated(rig)} if explores else {"estimator": SilentObserver()}
-    wireless = Wireless(config, plan, seed, options=options, body=body, surface=surface, **estimated_by)
-    wireless.start()
+    loop = TwoPalmsLoop(config, plan, seed, options=options, body=body, surface=surface, **estimated_by)
+    loop.start()
     pads = tuple(pad.length for pad in rig.pads)
     events = list[Event]()
-    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, wireless.t)
-    for instant in wireless.run(seconds):
+    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, loop.t)
+    for instant in loop.run(seconds):
         watch.take(instant)
         events += events_of(instant.messages[EVENTS.name])
-    return ObjectRecording(EventLog(rig, tuple(events)), wireless.world.object_truth(), watch.coverage)
+    return ObjectRecording(EventLog(rig, tuple(events)), loop.world.object_truth(), watch.coverage)

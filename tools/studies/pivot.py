@@ -34,6 +34,7 @@ from palmd.rig.imperfections import perfect
 from palmd.score import WRONG_M, score_outline
 from palmd.system.pivot import PivotAnswer, Vertical
 from palmd.yamlfile import load_any_config, parse, read_document
+from tools.closed_loop import Instant, PivotLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, Value, among, count, most, quantiles, runs, shares
 from tools.studies.cells import rms as rms_cell
@@ -48,7 +49,6 @@ from tools.studies.pivot_logs import (
 )
 from tools.studies.scoring import rms
 from tools.studies.simulated import written
-from tools.wireless import Instant, PivotWireless
 
 Mark = Callable[[Any], bool]
 
@@ -237,7 +237,7 @@ def run_live(task: LiveTask) -> LiveRow:
     """Explore one body from start to end, and score all accepted estimates on the way."""
     t_cpu = time.process_time()
     config, spec = shipped_rig(task.rig, task.vertical)
-    live = PivotWireless(config, spec, task.seed, period_s=task.period_s)
+    live = PivotLoop(config, spec, task.seed, period_s=task.period_s)
     scorer = LiveScorer(live)
     live.start()
     scorer.t_start, end = live.t, math.inf
@@ -276,7 +276,7 @@ def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanS
 class LiveScorer:
     """Scores the estimates of a run against the truth, tick by tick."""
 
-    live: PivotWireless
+    live: PivotLoop
     t_start: float = 0.0
     _results: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "claims": 0})
     _ticks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("ticks", "valid", "wrong", "beyond"), 0))

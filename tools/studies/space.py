@@ -32,11 +32,11 @@ from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.system.three_palms import JOINTS, PALMS, palms_at
 from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
+from tools.closed_loop import ThreePalmsLoop
 from tools.studies import harness
 from tools.studies.cells import among, count, mean, quantiles, runs
 from tools.studies.harness import Study, result
 from tools.studies.space_logs import KINDS, simulate
-from tools.wireless import ThreePalmsWireless
 
 HALVINGS = 3  # subdivisions of the icosphere: 642 directions
 GOAL = 0.8  # coverage
@@ -120,7 +120,7 @@ def run_live(task: SpaceLiveTask) -> SpaceLiveRow:
     if not isinstance(config, ThreePalmsConfig):
         raise TypeError("three_palms.yaml does not describe three palms in space")
     spec = parse(read_document(shipped("plans") / "three_palms" / f"{task.plan}.yaml"), TiltPlanSpec)
-    rig = ThreePalmsWireless(config, spec, task.seed)
+    rig = ThreePalmsLoop(config, spec, task.seed)
     rig.start()
     t_start, settled = rig.t, math.nan
     ticks, valid, squares = 0, 0, []

@@ -28,6 +28,7 @@ from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
+from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness, object_logs
 from tools.studies.cells import Cell, mean, most, runs, total
 from tools.studies.exploring_plans import plan
@@ -35,7 +36,6 @@ from tools.studies.harness import Study, kinds_of, result, seeds_of
 from tools.studies.montecarlo import answers
 from tools.studies.real_objects import REAL_OBJECTS, real_object
 from tools.studies.scoring import FAR
-from tools.wireless import Wireless
 
 LUMP = "lump"  # a smooth body as in other studies
 LOGGED: tuple[str, ...] = tuple(kind for kind in object_logs.KINDS if kind not in REAL_OBJECTS)
@@ -91,11 +91,11 @@ def run(task: ObjectTask) -> ObjectRow:
     config = default_config(task.imperfections)
     moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
     smoothing = Simulated(rig_description(config))
-    wireless = Wireless(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
-    wireless.start()
-    scorer, ticks, valid, wrong, far, most, refusals = Scorer(wireless.t), 0, 0, 0, 0, 0.0, 0
-    before = wireless.world.status()["contact_losses"]
-    for instant in wireless.run(task.seconds):
+    loop = TwoPalmsLoop(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
+    loop.start()
+    scorer, ticks, valid, wrong, far, most, refusals = Scorer(loop.t), 0, 0, 0, 0, 0.0, 0
+    before = loop.world.status()["contact_losses"]
+    for instant in loop.run(task.seconds):
         estimate = instant.messages[ESTIMATE.name]
         ticks += 1
         refusals += UNEXPLAINED.name in instant.messages
@@ -106,7 +106,7 @@ def run(task: ObjectTask) -> ObjectRow:
             far += any(miss > FAR * estimate["sd"][name] for name, miss in misses.items())
             wrong += error > WRONG_M
             most = max(most, error)
-    status = wireless.world.status()
+    status = loop.world.status()
     return result(
         ObjectRow,
         task,
