@@ -27,7 +27,7 @@ COLUMNS = ("file", "command", "seed", "date", "commit")
 class Group:
     """Figures that are made together.
 
-    make: function of the folder, None if they cannot be made any more; `command` then tells how they were made. slow:
+    make: function of the folder, None if they cannot be made any more; `command` is then how they were made. slow:
     takes an hour.
     """
 

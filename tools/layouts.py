@@ -51,7 +51,7 @@ def sigmas() -> list[Plot]:
     for quantity in ESTIMATE.quantities:
         if quantity.role == "named":
             by_unit.setdefault(quantity.unit, []).append((ESTIMATE.name, f"sd.{quantity.name}"))
-    return [(_titled("One-sigma", unit), curves) for unit, curves in by_unit.items()]
+    return [(_titled("Standard deviation", unit), curves) for unit, curves in by_unit.items()]
 
 
 def _titled(title: str, unit: str) -> str:

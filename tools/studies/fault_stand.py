@@ -247,7 +247,7 @@ class Stand:
         (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
         return os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH", "")]))
 
-    # ---- what the others say -----------------------------------------------------------------------------
+    # ---- status of rig and recorder ----------------------------------------------------------------------
 
     def _recorder(self) -> dict[str, Any]:
         """The recorder's last report to the daemon, once it has a file."""

@@ -80,8 +80,8 @@ def body_of(task: ObjectTask) -> Body:
     random = np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed])
     if task.kind == LUMP:
         return random_body("rig", random)
-    off = OFF_CENTRE_M if task.seed % OFF_CENTRE_EVERY == OFF_CENTRE_EVERY - 1 else 0.0
-    return real_object(task.kind, random, off).body
+    eccentricity = OFF_CENTRE_M if task.seed % OFF_CENTRE_EVERY == OFF_CENTRE_EVERY - 1 else 0.0
+    return real_object(task.kind, random, eccentricity).body
 
 
 def run(task: ObjectTask) -> ObjectRow:
