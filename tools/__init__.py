@@ -1,1 +1,1 @@
-"""Programs of a checkout; none of them is installed."""
+"""Programs for developers in a checkout; not installed."""

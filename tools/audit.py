@@ -1,6 +1,6 @@
-"""Asks PyPI, through pip-audit, whether a locked version has a known hole: `audit.py LOCKFILE…`.
+"""Check locked versions for known vulnerabilities with pip-audit and PyPI: `audit.py LOCKFILE…`.
 
-pip-audit alone is content when PyPI answers nothing: it calls each package skipped, and the audit passed.
+Without an answer from PyPI pip-audit alone reports each package as skipped and succeeds; here that is reported.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ UNREACHED = re.compile(r"requests\.exceptions\.|Could not connect|ServiceError|C
 
 
 def audited(lock: Path) -> tuple[bool, list[str]]:
-    """Whether nothing speaks against what is locked, and what there is to say."""
-    words = ["--disable-pip", "--require-hashes", "--progress-spinner=off", "--format=json", "-r", str(lock)]
-    done = subprocess.run([sys.executable, "-m", "pip_audit", *words], capture_output=True, text=True, check=False)
+    """Whether the lock file passes, with lines to print."""
+    options = ["--disable-pip", "--require-hashes", "--progress-spinner=off", "--format=json", "-r", str(lock)]
+    done = subprocess.run([sys.executable, "-m", "pip_audit", *options], capture_output=True, text=True, check=False)
     return judged(done.stdout, done.stderr)
 
 
-def judged(said: str, complaint: str) -> tuple[bool, list[str]]:
-    """The same from pip-audit's report, if there is one, and its complaint. No answer is no failure. Pure."""
-    if not said:
-        if UNREACHED.search(complaint):
+def judged(report: str, errors: str) -> tuple[bool, list[str]]:
+    """The same from pip-audit's report, if there is one, and its error output. No answer is no failure. Pure."""
+    if not report:
+        if UNREACHED.search(errors):
             return True, [f"not audited: no answer from {SERVICE}"]
-        return False, [f"not audited: {complaint.strip().rpartition(chr(10))[2] or 'pip-audit failed'}"]
-    packages = json.loads(said)["dependencies"]
+        return False, [f"not audited: {errors.strip().rpartition(chr(10))[2] or 'pip-audit failed'}"]
+    packages = json.loads(report)["dependencies"]
     unknown = [each["name"] for each in packages if "skip_reason" in each]
     if unknown and len(unknown) == len(packages):
         return True, [f"not audited: no answer from {SERVICE} about any of {len(packages)} packages"]
-    holes = [
-        f"{each['name']} {each['version']}: {hole['id']}, mended in {', '.join(hole['fix_versions']) or 'no version'}"
+    vulnerabilities = [
+        f"{each['name']} {each['version']}: {found['id']}, fixed in {', '.join(found['fix_versions']) or 'no version'}"
         for each in packages
         if "skip_reason" not in each
-        for hole in each["vulns"]
+        for found in each["vulns"]
     ]
-    gone = [f"{name}: its locked version is not on {SERVICE} (any more)" for name in unknown]
-    return not holes and not gone, holes + gone or ["no known holes"]
+    missing = [f"{name}: its locked version is not on {SERVICE} (any more)" for name in unknown]
+    return not vulnerabilities and not missing, vulnerabilities + missing or ["no known vulnerabilities"]
 
 
 def main(locks: list[str]) -> int:

@@ -1,4 +1,4 @@
-"""The inner loop, a minute at most: linters, types, the unit tests of the folders that changed, a sample of the corpus.
+"""Quick checks, a minute at most: linters, types, unit tests of the folders that changed, a sample of the corpus.
 
 A change in `src/palmd/X/…` or `tests/unit/X/…` runs `tests/unit/X`. Changes are those since main, uncommitted ones
 included.
@@ -26,7 +26,7 @@ def changed() -> list[Path]:
 
 
 def test_targets(files: list[Path]) -> list[str]:
-    """Test folders and files that belong to the changed files."""
+    """Test folders and files of the changed files."""
     targets = set()
     for file in files:
         if file.parts[:2] == ("src", "palmd") and len(file.parts) > 3:
@@ -46,8 +46,8 @@ def test_targets(files: list[Path]) -> list[str]:
 
 
 def main() -> int:
-    """0 when everything passed."""
-    begun, failed = time.monotonic(), []
+    """Run all checks; returns 0 if everything passed."""
+    t_start, failed = time.monotonic(), []
     steps: list[tuple[str, list[str]]] = [
         ("style", [f"{BIN}/ruff", "check", "--quiet", "."]),
         ("format", [f"{BIN}/ruff", "format", "--check", "--quiet", "."]),
@@ -67,7 +67,7 @@ def main() -> int:
         if done.returncode:
             failed.append(name)
             print(done.stdout + done.stderr)
-    print(f"{time.monotonic() - begun:.0f} s, failed: {', '.join(failed) or 'nothing'}")
+    print(f"{time.monotonic() - t_start:.0f} s, failed: {', '.join(failed) or 'nothing'}")
     return int(bool(failed))
 
 

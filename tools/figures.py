@@ -1,8 +1,8 @@
-"""Makes the figures of README and docs again and writes down how: `make figures`, `python -m tools.figures [GROUP …]`.
+"""Make the figures of README and docs and record how: `make figures`, `python -m tools.figures [GROUP …]`.
 
-`docs/figures/made.csv` has a line for each: what made it, its seed, and date and commit. Groups that take
-an hour are made when they are named. Figures of studies that are no longer in the tree stay as they are, with the
-commit that has the study.
+`docs/figures/made.csv` has a line for each figure: command, seed, date and commit. Groups that take an hour are made
+only if they are named. Figures of studies that are no longer in the tree stay as they are, with the commit that has the
+study.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ COLUMNS = ("file", "command", "seed", "date", "commit")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Figures that are made together: by `make(folder)`, or by a `study` of so many minutes, or no longer."""
+    """Figures that are made together.
+
+    make: function of the folder, None if they cannot be made any more; `command` is then how they were made. slow:
+    takes an hour.
+    """
 
     files: Sequence[str]
     seed: str
     make: Callable[[Path], object] | None = None
     command: str = ""
-    lasts: bool = False
+    slow: bool = False
 
 
 def _study(words: str, copied: str) -> Callable[[Path], object]:
-    """A study that leaves its figure in a folder."""
+    """A function that runs a study and copies its figure."""
 
     def make(folder: Path) -> None:
         output = ROOT / "build/figures" / copied
@@ -64,8 +68,8 @@ GROUPS: dict[str, Group] = {
     ),
     "pad": Group(("pad.svg",), "1", lambda folder: make_pad_figure.draw(folder / "pad.svg")),
     "ground-truth": Group(("camera.svg", "pruning.svg"), "rig 3, odd 67", _ground_truth),
-    "montecarlo": Group(("montecarlo.svg",), "from 2000", _study(MONTECARLO, "montecarlo.svg"), lasts=True),
-    "explore": Group(("explore.svg",), "from 20000", _study(EXPLORE, "explore.svg"), lasts=True),
+    "montecarlo": Group(("montecarlo.svg",), "from 2000", _study(MONTECARLO, "montecarlo.svg"), slow=True),
+    "explore": Group(("explore.svg",), "from 20000", _study(EXPLORE, "explore.svg"), slow=True),
     "paper": Group(
         ("paper_simulation.svg", "paper_frames.svg", "paper_experiment.svg", "stable_poses.svg", "ambiguous.svg",
          "observability.svg"), "the paper's runs", command="palmd report paper, of commit e16fddd0"
@@ -78,22 +82,22 @@ GROUPS: dict[str, Group] = {
 
 
 def main(names: Sequence[str]) -> int:
-    """Makes the groups that are named, or all that take minutes; 1 if one cannot be made, 2 for a name that is none."""
+    """Make the named groups, or all that are not slow; returns 1 if one failed, 2 for an unknown name."""
     unknown = [name for name in names if name not in GROUPS or GROUPS[name].make is None]
     if unknown:
-        print(f"no figures can be made of {', '.join(unknown)}; groups: {', '.join(GROUPS)}", file=sys.stderr)
+        print(f"cannot make {', '.join(unknown)}; groups: {', '.join(GROUPS)}", file=sys.stderr)
         return 2
     rows, status = made(), 0
     for name, group in GROUPS.items():
         for file in set(group.files) - set(rows):
             rows[file] = (group.command or "before this table", "", *_last_changed(file))
-        if group.make is None or (name not in names if names else group.lasts):
+        if group.make is None or (name not in names if names else group.slow):
             continue
         print(f"{name}: {', '.join(group.files)}", flush=True)
         try:
             group.make(FIGURES)
         except (RuntimeError, subprocess.CalledProcessError) as error:
-            print(f"{name} is left as it is: {error}", file=sys.stderr)
+            print(f"{name} is unchanged: {error}", file=sys.stderr)
             status = 1
             continue
         now = f"python -m tools.figures {name}", group.seed, _today(), _git("rev-parse", "--short=8", "HEAD")
@@ -103,7 +107,7 @@ def main(names: Sequence[str]) -> int:
 
 
 def made() -> dict[str, tuple[str, ...]]:
-    """What is written down, by file."""
+    """The rows of `made.csv`, by file."""
     if not MADE.exists():
         return {}
     with MADE.open(encoding="utf-8", newline="") as stream:

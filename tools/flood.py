@@ -1,14 +1,14 @@
-"""What a flood costs a running daemon: its ticks and set-points, calm and flooded, by what it says itself.
+"""Load test of a running daemon: missed ticks and set-points under a flood of requests, as the daemon reports them.
 
     palmd demo --seconds 60 --no-browser &
-    python tools/flood.py commands                        20,000 a second to the command socket
+    python tools/flood.py commands                        20,000 commands/s to the command socket
     python tools/flood.py connections --clients 3         as many connections, from three processes at once
-    python tools/flood.py clients                         connections that shake hands and ask
-    python tools/flood.py page-connections --page 8765    the same to the page's server
+    python tools/flood.py clients                         connections with handshake and request
+    python tools/flood.py page-connections --page 8765    connections to the page's server
     python tools/flood.py page-orders --page 8765 --token TOKEN
 
-Prints a line for each half: ticks missed, how long a tick took, set-points left out, and how many of what was tried the
-other side took. Exit status 1 when the flood cost a tick or a set-point that calm did not.
+Prints a line for each half, calm and flooded: missed ticks, duration of a tick, omitted set-points, and how many of the
+attempts were accepted. Exit status 1 if the flood cost ticks or set-points.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from palmd.bus.subscriber import Subscriber
 RATE_HZ = 20_000.0
 SLICE_S = 1e-3
 STAY, GREETED = 800, 20
-"""So many connections of a process stay for a moment, for what they have said to be read; the daemon has some 35 kB for
-each. They speak when so many more have come."""
+"""Connections of a process that are kept open, so that their data are read; the daemon needs some 35 kB for each. A
+connection sends its request when `GREETED` more have been opened."""
 
 _RESET = struct.pack("ii", 1, 0)  # linger 0: a closed connection leaves nothing behind
 
@@ -51,14 +51,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--clients", type=int, default=1, metavar="N")
-    parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help="of all clients together")
-    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="calm, and flooded again as long")
+    parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help="rate of all clients together")
+    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="duration of each half")
     parser.add_argument("--command", default=COMMAND)
     parser.add_argument("--publish", default=PUBLISH)
     parser.add_argument("--page", type=int, default=8765, metavar="PORT")
     parser.add_argument("--token", default="")
-    parser.add_argument("--stay", type=int, default=STAY, metavar="N", help="of `clients`: so many are there at a time")
-    parser.add_argument("--blind", action="store_true", help="flood, and look at nothing")
+    parser.add_argument("--stay", type=int, default=STAY, metavar="N", help="with `clients`: open connections")
+    parser.add_argument("--blind", action="store_true", help="only flood, without measuring")
     arguments = parser.parse_args()
     tried, taken = multiprocessing.Value("q", 0), multiprocessing.Value("q", 0)
     if arguments.blind:
@@ -76,47 +76,47 @@ def main() -> int:
         flooded = _watched(subscriber, arguments.seconds)
         for each in clients:
             each.terminate()
-    _tell("calm", calm)
-    _tell("flooded", flooded)
-    print(f"  {tried.value / arguments.seconds:.0f} a second tried, {taken.value / arguments.seconds:.0f} taken")
+    _print_row("calm", calm)
+    _print_row("flooded", flooded)
+    print(f"  {tried.value / arguments.seconds:.0f} attempts/s, {taken.value / arguments.seconds:.0f} accepted/s")
     costs = any(flooded[name] > calm[name] for name in ("ticks missed", "set-points left out"))
     return 1 if costs else 0
 
 
 def _watched(subscriber: Subscriber, seconds: float) -> dict[str, float]:
-    """What the daemon says of its ticks within so many seconds."""
-    told = [message.fields for message in subscriber.until(time.monotonic() + seconds)]
-    if len(told) < 2:
-        raise SystemExit("nothing from the daemon: is it running?")
-    first, last = told[0], told[-1]
+    """Statistics from the daemon's `palm/loop` within so many seconds."""
+    rows = [message.fields for message in subscriber.until(time.monotonic() + seconds)]
+    if len(rows) < 2:
+        raise SystemExit("no messages from the daemon: is it running?")
+    first, last = rows[0], rows[-1]
     return {
         "ticks missed": last["overruns"] - first["overruns"],
         "set-points left out": last["arm_skipped_periods"] - first["arm_skipped_periods"],
-        "median work, ms": median(each["work_p50_ms"] for each in told[1:]),
-        "work p99, ms": median(each["work_p99_ms"] for each in told[1:]),
-        "lateness p99, ms": median(each["lateness_p99_ms"] for each in told[1:]),
+        "median work, ms": median(each["work_p50_ms"] for each in rows[1:]),
+        "work p99, ms": median(each["work_p99_ms"] for each in rows[1:]),
+        "lateness p99, ms": median(each["lateness_p99_ms"] for each in rows[1:]),
         "commands": last["bus_commands"] - first["bus_commands"],
         "MB": last["rss_mb"],
     }
 
 
-def _tell(name: str, told: dict[str, float]) -> None:
-    print(f"{name}: " + ", ".join(f"{what} {number:.3g}" for what, number in told.items()), flush=True)
+def _print_row(name: str, row: dict[str, float]) -> None:
+    print(f"{name}: " + ", ".join(f"{what} {number:.3g}" for what, number in row.items()), flush=True)
 
 
 def _flood(
     arguments: argparse.Namespace, tried: Synchronized[int], taken: Synchronized[int], t_end: float = math.inf
 ) -> None:
     once, share = KINDS[arguments.kind](arguments), arguments.rate / arguments.clients
-    begun, done = time.monotonic(), 0
+    t_start, done = time.monotonic(), 0
     while time.monotonic() < t_end:
-        due, before, took = round((time.monotonic() - begun) * share), done, 0
+        due, before, accepted = round((time.monotonic() - t_start) * share), done, 0
         while done < due and done < before + 1000:
-            took += once()
+            accepted += once()
             done += 1
         with tried.get_lock(), taken.get_lock():
             tried.value += done - before
-            taken.value += took
+            taken.value += accepted
         time.sleep(SLICE_S)
 
 
@@ -138,22 +138,22 @@ def _commands(arguments: argparse.Namespace) -> Once:
 
 
 def _clients(arguments: argparse.Namespace) -> Once:
-    """Each shakes hands as ZeroMQ's own does (ZMTP 3.0, no keys), asks, and goes."""
+    """Connections with a ZeroMQ handshake (ZMTP 3.0, no keys) and one request."""
     where = _bus(arguments)
     greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
     ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
     payload = msgpack.packb({"id": 1, "cmd": "status", "args": {}})
-    said = bytes((4, len(ready))) + ready + bytes((0, len(payload))) + payload
+    request = bytes((4, len(ready))) + ready + bytes((0, len(payload))) + payload
     leaving: deque[socket.socket] = deque()
 
     def once() -> bool:
         if len(leaving) == arguments.stay:
             leaving.popleft().close()
-        leaving.append(_knock(where))
+        leaving.append(_connect(where))
         with suppress(OSError):
             leaving[-1].sendall(greeting)
             if len(leaving) > GREETED:
-                leaving[-GREETED].sendall(said)  # libzmq wants the greeting by itself
+                leaving[-GREETED].sendall(request)  # libzmq needs the greeting in a packet of its own
             return True
         return False
 
@@ -162,13 +162,13 @@ def _clients(arguments: argparse.Namespace) -> Once:
 
 def _connections(where: tuple[str, int]) -> Once:
     def once() -> bool:
-        with _knock(where) as each:
-            return _is_in(each)
+        with _connect(where) as each:
+            return _is_connected(each)
 
     return once
 
 
-def _knock(where: tuple[str, int]) -> socket.socket:
+def _connect(where: tuple[str, int]) -> socket.socket:
     one = socket.socket()
     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
     one.settimeout(0.05)
@@ -176,7 +176,7 @@ def _knock(where: tuple[str, int]) -> socket.socket:
     return one
 
 
-def _is_in(one: socket.socket) -> bool:
+def _is_connected(one: socket.socket) -> bool:
     try:
         one.getpeername()
     except OSError:

@@ -1,8 +1,8 @@
-"""Searches for bytes that break one of the readers in tests/fuzz/targets.py, led by the code they reach (atheris).
+"""Coverage-guided fuzzing of the readers in tests/fuzz/targets.py, with atheris.
 
     python tools/fuzz.py versapad --runs 1000000 --corpus /tmp/versapad
 
-It begins with tests/fuzz/corpus/TARGET and keeps what reaches new code in --corpus. Bytes that break the target are
+Starts from tests/fuzz/corpus/TARGET and keeps inputs that reach new code in --corpus. Inputs that break the target are
 written there as crash-… or timeout-…, and the exit status is not 0. Needs the extra `fuzz`.
 """
 
@@ -29,9 +29,11 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("target", choices=TARGETS, metavar="TARGET", help=", ".join(TARGETS))
-    parser.add_argument("--runs", type=int, default=100_000, metavar="N", help="how many (default: %(default)s)")
-    parser.add_argument("--seconds", type=int, default=0, metavar="S", help="at most so long; 0: however long it takes")
-    parser.add_argument("--corpus", type=Path, required=True, metavar="DIR", help="where to keep what is found")
+    parser.add_argument(
+        "--runs", type=int, default=100_000, metavar="N", help="number of inputs (default: %(default)s)"
+    )
+    parser.add_argument("--seconds", type=int, default=0, metavar="S", help="time limit; 0: none")
+    parser.add_argument("--corpus", type=Path, required=True, metavar="DIR", help="folder for inputs that are found")
     arguments = parser.parse_args()
     arguments.corpus.mkdir(parents=True, exist_ok=True)
     kept = KEPT / arguments.target

@@ -1,4 +1,4 @@
-"""Pages on the keys of configurations and plans, made from their models and the texts below each key."""
+"""Reference pages of configuration and plan keys, generated from their models and the text below each key."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOLDER = Path(config.__file__).parent
 
 
 class Key(NamedTuple):
-    """One key as a row: path, unit, default, what is allowed, what is usual, meaning."""
+    """One key as a row: path, unit, default, allowed values, usual values, meaning."""
 
     path: str
     unit: str
@@ -33,7 +33,7 @@ class Key(NamedTuple):
 
 
 def _texts() -> dict[tuple[str, str], str]:
-    """By class and key: the text below the key."""
+    """The text below each key, by class and key."""
     found = {}
     for node in (node for path in FOLDER.glob("*.py") for node in ast.parse(path.read_text()).body):
         if isinstance(node, ast.ClassDef):
@@ -47,7 +47,7 @@ TEXTS = _texts()
 
 
 def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
-    """Every key of a model and of the models in it, models of one kind once; KeyError where a text is missing."""
+    """Every key of a model and its submodels, each kind of submodel once; raises KeyError if a text is missing."""
     alike: dict[type[Strict] | None, list[str]] = {}
     for name, field in model.model_fields.items():
         alike.setdefault(model_in(field.annotation), []).append(name)
@@ -65,7 +65,7 @@ def keys(model: type[Strict], path: str = "") -> Iterator[Key]:
 
 
 def keys_by_kind(kinds: Sequence[type[Strict]], path: str = "") -> Iterator[Key]:
-    """Of models told apart by `kind`: what all have alike once, then each kind's own behind its name."""
+    """Keys of models distinguished by `kind`: the common ones once, then each kind's own with its name."""
     named = {get_args(kind.model_fields["kind"].annotation)[0]: list(keys(kind, path)) for kind in kinds}
     usual = next(iter(named))
     yield Key(f"{path}kind", "", usual, ", ".join(named), "", "What kind of device it is.")
@@ -77,7 +77,7 @@ def keys_by_kind(kinds: Sequence[type[Strict]], path: str = "") -> Iterator[Key]
 
 
 def kinds_in(kind: Any) -> list[type[Strict]]:
-    """The models of a union of kinds; empty where it is none."""
+    """The models of a union of kinds; empty for any other type."""
     if get_origin(kind) is Annotated:
         return kinds_in(get_args(kind)[0])
     if get_origin(kind) not in (Union, types.UnionType):
@@ -89,13 +89,13 @@ def kinds_in(kind: Any) -> list[type[Strict]]:
 
 
 def text(model: type[Strict], name: str) -> str:
-    """Of the class that has the key, which may be one that the model is built on."""
+    """The text of a key, from the model or the base class that defines it."""
     own = next(each for each in model.__mro__ if name in vars(each).get("__annotations__", {}))
     return TEXTS[own.__name__, name]
 
 
 def model_in(kind: Any) -> type[Strict] | None:
-    """The model that a type is, or may be."""
+    """The model that a type is or contains, None if there is none."""
     parts = (get_args(each)[0] if get_origin(each) is Annotated else each for each in get_args(kind))
     for each in (kind, *parts):
         if isinstance(each, type) and issubclass(each, Strict):
@@ -116,14 +116,14 @@ def _allowed(field: FieldInfo) -> str:
 
 
 def _rules(kind: Any, metadata: Sequence[Any]) -> Iterator[str]:
-    """What is allowed, from the type and from what it is annotated with."""
+    """The allowed values, from the type and its annotations."""
     for each in metadata:
         if isinstance(each, AfterValidator | PlainValidator):
             yield (each.func.__doc__ or "").rstrip(".").partition(", relative")[0]
         yield from (f"{sign} {getattr(each, name):g}" for bound, name, sign in BOUNDS if isinstance(each, bound))
         yield from _rules(None, [inner for inner in getattr(each, "metadata", ()) if inner is not each])
     if any(isinstance(each, PlainValidator) for each in metadata):
-        return  # it alone says what is allowed
+        return  # it alone defines the allowed values
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
         yield from _rules(arguments[0], arguments[1:])
@@ -142,7 +142,7 @@ def _rules(kind: Any, metadata: Sequence[Any]) -> Iterator[str]:
 
 
 def table(found: Iterable[Key]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows; without the column of what is usual where no key has any."""
+    """Head and rows; the column of usual values only if there are any."""
     keys = list(found)
     usual = any(key.usual for key in keys)
     head = ("key", "unit", "default", "allowed", *(["usual"] if usual else []), "meaning")
@@ -156,16 +156,15 @@ def table(found: Iterable[Key]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]
 CONFIGURATION = """\
 # Configuration
 
-One YAML file says what the rig is; `config/palmd.yaml` is one to copy. Keys not named here are refused, and so is a
-value outside what is allowed: `palmd check FILE` says so with file, line and column, all errors at once. It also asks
-whether a value is meant whose size (of two, the larger) is far from what is *usual*, as after a slip of unit; the
-daemon takes it all the same. *needed* stands where there is no default. A path is relative to the folder of the file it
-stands in.
+One YAML file describes the rig; copy `config/palmd.yaml`. Unknown keys and values outside the allowed range are
+rejected: `palmd check FILE` reports all errors at once, with file, line and column. It also warns about a value whose
+size (of two, the larger) is far from the *usual* range, as after a wrong unit; the daemon accepts such a value.
+*needed*: there is no default. A path is relative to the folder of the file that contains it.
 """
 PLANS = """\
 # Motion plans
 
-A plan is a YAML file with `segments`; `config/plans/` has some. The palms go through the segments one after the other.
+A plan is a YAML file with `segments`; `config/plans/` has examples. The palms execute the segments in order.
 
 ```yaml
 name: rock
@@ -177,8 +176,8 @@ segments:
   - {sine: {phi1_deg: 18, phi2_deg: 8}, frequency_hz: [0.4, 0.31], duration_s: 20}
 ```
 
-Segments are joined by blends within the acceleration limit, so that angles and rates are always continuous. A plan
-that leaves the limits, the workspace or the pads, that opens the palms to φ1 + φ2 ≥ 172°, or whose blends the limits
-leave no room for, is refused before anything moves, with the place in the file: `palmd check CONFIG PLAN`. With
-`--draw out.svg` that draws what the plan does.
+Segments are joined by blends within the acceleration limit, so that angles and rates are always continuous. A plan is
+refused before anything moves if it leaves the limits, the workspace or the pads, if it opens the palms to
+φ1 + φ2 ≥ 172°, or if there is no room for its blends; `palmd check CONFIG PLAN` reports the place in the file, and
+`--draw out.svg` draws the plan.
 """

@@ -1,4 +1,4 @@
-"""Layouts for PlotJuggler and for Foxglove and Lichtblick, made from the table of quantities."""
+"""Layouts for PlotJuggler, Foxglove and Lichtblick, generated from the table of quantities."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ WITHOUT_FOXGLOVE = (
 )  # a screen has one page
 
 Plot = tuple[str, list[tuple[str, str]]]
-"""A title, and its curves: topic and field."""
+"""A title and its curves, each a topic and a field."""
 
 TWO_PALMS_TOPICS = [topic for topic in TOPICS if topic not in (*PIVOT_TOPICS.published, *PALM3_TOPICS.published)]
 
 
 def plots(tab: Tab, without: Sequence[str] = ()) -> list[Plot]:
-    """The charts of a tab, each with what of two palms' topics belongs to it, in published units."""
+    """The charts of a tab, each with its curves from two palms' topics, in published units."""
     found: list[Plot] = []
     for chart in CHARTS:
         if chart.tab == tab and chart.name not in without:
@@ -46,12 +46,12 @@ def plots(tab: Tab, without: Sequence[str] = ()) -> list[Plot]:
 
 
 def sigmas() -> list[Plot]:
-    """The one-sigmas of the named state, those of one unit together."""
+    """Standard deviations of the named state, one plot for each unit."""
     by_unit: dict[str, list[tuple[str, str]]] = {}
     for quantity in ESTIMATE.quantities:
         if quantity.role == "named":
             by_unit.setdefault(quantity.unit, []).append((ESTIMATE.name, f"sd.{quantity.name}"))
-    return [(_titled("One-sigma", unit), curves) for unit, curves in by_unit.items()]
+    return [(_titled("Standard deviation", unit), curves) for unit, curves in by_unit.items()]
 
 
 def _titled(title: str, unit: str) -> str:
@@ -109,8 +109,8 @@ def _area(plot: Plot) -> str:
 def foxglove() -> str:
     """`config/foxglove.json`, for an exported run."""
     scene = {f"Plot!{what}": _in_space(what) for what in ("outline", "palms")}
-    told = [plot for tab in TABS for plot in plots(tab, WITHOUT_FOXGLOVE)] + sigmas()[:1]
-    over_time = {f"Plot!{number}": _over_time(plot) for number, plot in enumerate(told, 1)}
+    shown = [plot for tab in TABS for plot in plots(tab, WITHOUT_FOXGLOVE)] + sigmas()[:1]
+    over_time = {f"Plot!{number}": _over_time(plot) for number, plot in enumerate(shown, 1)}
     raw = {f"RawMessages!{name}": {"topicPath": f"palm/{name}", "diffEnabled": False} for name in ("state", "estimate")}
     names, half = list(over_time), -(-len(over_time) // 2)
     columns = [[*scene, "RawMessages!state"], names[:half], names[half:], ["RawMessages!estimate"]]
@@ -125,7 +125,7 @@ def foxglove() -> str:
 
 
 def _tree(direction: str, parts: Sequence[Any]) -> Any:
-    """All of the same size."""
+    """A Foxglove layout tree with parts of equal size."""
     if len(parts) == 1:
         return parts[0]
     rest = _tree(direction, parts[1:])

@@ -1,4 +1,4 @@
-"""Writes what is generated from the code's own tables: pages of the documentation, layouts. `--check` only compares."""
+"""Write the files generated from tables in the code: documentation pages, layouts. `--check` only compares."""
 
 from __future__ import annotations
 
@@ -51,8 +51,9 @@ def faults() -> str:
     rows = [(f"`{f.code}`", f.severity, f.text, f.hint, f"{f.debounce_s:g} s", f.latch, f.clears) for f in FAULTS]
     head = ("fault", "severity", "what", "what to do", "after", "latched", "cleared by")
     return (
-        "# Faults\n\n`note` is said, `degrade` is working on with less, `hold` stops motion,\n`stop` stops the arm. "
-        "*Latched* `armed` means: it stays if the arm was commanded when it came.\n\n" + table(head, rows)
+        "# Faults\n\n`note` is reported only, with `degrade` operation continues with less, `hold` stops motion,\n"
+        "`stop` stops the arm. *Latched* `armed`: the fault stays if the arm was armed when it occurred.\n\n"
+        + table(head, rows)
     )
 
 
@@ -67,9 +68,9 @@ def messages() -> str:
         parts.append(table(head, [(f"`{f.name}`", f.unit, f.meaning) for f in topic.quantities]))
     parts.append(
         "\n## Commands\n\nOne msgpack map `{id, cmd, args}` to the command socket, and one back: "
-        "`{id, ok, error?, result?}`.\nWhat is refused has moved nothing. `from`, printable text that may stand beside "
-        "them, says who asks: the log tells it.\n"
-        "`client` is text by which the sender is one client over all its connections, "
+        "`{id, ok, error?, result?}`.\nA refused command has moved nothing. `from`, optional printable text, names the "
+        "sender in the log.\n"
+        "`client` is text that identifies the sender over all its connections, "
         "and `lease_s` (60 at most) declares how long its control lasts after each request: "
         "[control](../operate/safety.md#control).\n\n"
     )
@@ -89,7 +90,7 @@ def command_line() -> str:
     rows = [(f"[`palmd {c.name}`](#palmd-{c.name.replace(' ', '-')})" if c in own else f"`palmd {c.name}`", said(c))
             for c in TABLE]  # fmt: skip
     parts = [
-        "# Commands\n\n`palmd COMMAND --help` tells the same. Exit status: 0 success, 1 the input is wrong, 2 usage, "
+        "# Commands\n\nAs shown by `palmd COMMAND --help`. Exit status: 0 success, 1 the input is wrong, 2 usage, "
         "3 the rig failed.\n\n",
         table(("command", "does"), rows),
         *map(_one_command, own),
@@ -108,8 +109,8 @@ def _one_command(command: Command) -> str:
 def _rows(action: argparse.Action, parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
     if isinstance(action, argparse._SubParsersAction):
         for each in action._choices_actions:
-            words = [_spelt(one) for one in action.choices[each.dest]._actions if one.dest != "help"]
-            yield f"`{' '.join([each.dest, *words])}`".replace("|", "\\|"), each.help or ""
+            arguments = [_spelt(one) for one in action.choices[each.dest]._actions if one.dest != "help"]
+            yield f"`{' '.join([each.dest, *arguments])}`".replace("|", "\\|"), each.help or ""
     elif action.dest != "help" and action.help is not argparse.SUPPRESS:
         yield f"`{_spelt(action)}`", _meaning(action, parser).replace("|", "\\|")
 
@@ -132,15 +133,15 @@ def _meaning(action: argparse.Action, parser: argparse.ArgumentParser) -> str:
 def states() -> str:
     rows = [(f"`{before}`", str(trigger), f"`{after}`") for (before, trigger), after in lifecycle.TRANSITIONS.items()]
     return (
-        f"# Lifecycle\n\nThe daemon's states and every transition there is; it begins in `{lifecycle.State.IDLE}`.\n\n"
+        f"# Lifecycle\n\nThe daemon's states and all transitions; the initial state is `{lifecycle.State.IDLE}`.\n\n"
         + table(("from", "on", "to"), rows)
-        + f"\nThe same as a diagram, in Mermaid's language:\n\n```mermaid\n{lifecycle.diagram()}```\n"
+        + f"\nThe same as a Mermaid diagram:\n\n```mermaid\n{lifecycle.diagram()}```\n"
     )
 
 
-def mischief() -> str:
-    rows = [(f"`{name}`", trick.description) for name, trick in ALL_FAULTS.items()]
-    return "# Mischief of the emulated rig\n\n" + table(("trick", "what it does"), rows)
+def fault_injection() -> str:
+    rows = [(f"`{name}`", fault.description) for name, fault in ALL_FAULTS.items()]
+    return "# Fault injection in the emulated rig\n\n" + table(("fault", "what it does"), rows)
 
 
 def configuration() -> str:
@@ -157,7 +158,7 @@ def configuration() -> str:
             continue
         parts.append(f"\n## `{name}`\n\n{section.__doc__}\n\n")
         parts.append(table(*keys_of_models.table(keys_of_models.keys(section))))
-    parts.append("\n## Beside the sections\n\n" + table(*keys_of_models.table(single)))
+    parts.append("\n## Keys without a section\n\n" + table(*keys_of_models.table(single)))
     return "".join(parts)
 
 
@@ -179,7 +180,7 @@ PAGES = {
     "docs/reference/faults.md": faults,
     "docs/reference/messages.md": messages,
     "docs/reference/lifecycle.md": states,
-    "docs/reference/mischief.md": mischief,
+    "docs/reference/mischief.md": fault_injection,
 }
 LAYOUTS = {"config/plotjuggler.xml": layouts.plotjuggler, "config/foxglove.json": layouts.foxglove}
 FIGURES = {

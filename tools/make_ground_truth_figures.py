@@ -1,4 +1,4 @@
-"""Draws docs/figures/camera.svg and pruning.svg from seeded simulated runs."""
+"""Draw docs/figures/camera.svg and pruning.svg from seeded simulated runs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def as_result(answer: Reconstruction) -> Result:
 def camera(path: Path) -> None:
     log, truth = simulated("rig", 3, 10.0)
     table = filmed(truth, log.rig.palm1_length, Camera(), np.random.default_rng(0))
-    seen = (table["t_s"] < 41.0) | (table["t_s"] > 41.6)  # a hand in the picture
+    seen = (table["t_s"] < 41.0) | (table["t_s"] > 41.6)  # a gap, as from a hand in the picture
     with TemporaryDirectory() as folder:
         file = Path(folder) / "track.csv"
         file.write_text(as_csv(table, seen))
@@ -53,8 +53,8 @@ def camera(path: Path) -> None:
 
 
 def pruning(path: Path) -> None:
-    log, told = simulated("odd", 67, 3.0)
-    answer, truth = reconstruct(log.events, log.rig), truth_of(told)
+    log, truth_line = simulated("odd", 67, 3.0)
+    answer, truth = reconstruct(log.events, log.rig), truth_of(truth_line)
     errors = outline_errors(answer, truth)
     if errors is None:
         raise SystemExit(f"no outline: {answer.reason}")

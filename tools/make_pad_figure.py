@@ -1,4 +1,4 @@
-"""Draws docs/figures/pad.svg: a marble rolled over an emulated pad for twenty seconds."""
+"""Draw docs/figures/pad.svg: a marble rolled over an emulated pad for twenty seconds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FIGURE = ROOT / "docs/figures/pad.svg"
 
 
 def draw(path: Path) -> None:
-    """The same file each time."""
+    """Draw the figure; the file is the same each time."""
     config = VersaPadConfig(port="emulated")
     packets, counters = rolled(config, seed=1, seconds=20.0)
     save(packets, characterise(packets, counters.as_dict(), config), config, path)

@@ -1,15 +1,15 @@
-"""How many small faults, put into the modules that must not fail, the tests notice: cosmic-ray's mutants, sampled.
+"""Mutation testing of modules that must not fail, with a sample of cosmic-ray's mutants: how many do the tests kill?
 
     python tools/mutants.py                            all of them: an hour and more
     python tools/mutants.py --sample 60 --seed 1       60 of each module
-    python tools/mutants.py --only keys.py --list      which there are
+    python tools/mutants.py --only keys.py --list      list the mutants
 
 Prints the score of each module with its 95 % interval, and every survivor; the sample's seed repeats it. Exit status 1
-when fewer than 90 % were killed.
+if fewer than 90 % were killed.
 
-A mutant lives in memory alone: a process that has loaded all that does not depend on the module is forked for each, and
-runs the tests that come by the changed line, the quickest first, until one fails. What changes nothing that is run
-(annotations, the options of a dataclass) is left out.
+Mutants exist in memory only: for each a process that has loaded everything independent of the module is forked, and
+runs the tests that execute the changed line, the fastest first, until one fails. Changes without effect at run time
+(annotations, options of a dataclass) are left out.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).parent.parent
 GOAL = 0.90
 CPU_S, WALL_S = 60, 180.0
-"""What a mutant may take before it counts as killed: it hangs."""
+"""Limits after which a mutant hangs and counts as killed: processor time and wall time (s)."""
 
 SURVIVED, KILLED = 0, 1
 _OTHERS = ("numpy", "msgpack", "zmq", "yaml", "pydantic", "serial")
@@ -71,20 +71,19 @@ MODULES: dict[str, tuple[str, ...]] = {
     "daemon/supervisor.py": ("unit/daemon/test_core.py", "unit/daemon/test_exploring.py"),
     "keys.py": ("unit/test_keys.py",),
 }
-"""The modules, and the tests that must notice what is wrong with them; the exhaustive and the simulated ones are not
-among them."""
+"""The modules and the tests that must detect their mutants, without exhaustive and simulated ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A module's `text` with one small fault in its `lines`, put there by an operator of cosmic-ray."""
+    """A module's `text` with one mutation in its `lines`, by an operator of cosmic-ray."""
 
     operator: str
     text: str
     lines: tuple[int, ...]
 
-    def told(self, sound: str) -> str:
-        """The change, as the lines before and after."""
+    def diff(self, sound: str) -> str:
+        """The change as lines before and after."""
         before, after = sound.splitlines(), self.text.splitlines()
         changed = [line for line in difflib.unified_diff(before, after, n=0, lineterm="") if line[:3] not in _HEADS]
         return f"  line {self.lines[0]}, {self.operator.removeprefix('core/')}\n    " + "\n    ".join(changed[1:])
@@ -94,17 +93,17 @@ _HEADS = ("---", "+++")
 
 
 @dataclass(frozen=True, slots=True)
-class Lived:
-    """What a module's tests do without a fault: how long each takes (s), by which of its lines it comes."""
+class CleanRun:
+    """A module's tests without a mutation: duration of each (s), tests by executed line, loaded modules."""
 
     durations_s: dict[str, float]
     lines: dict[int, list[str]]
     loaded: list[str]
 
-    def noticing(self, lines: Sequence[int], sound: ast.Module) -> list[str]:
-        """The tests that may notice a change of these lines, the quickest first.
+    def relevant(self, lines: Sequence[int], sound: ast.Module) -> list[str]:
+        """The tests that may detect a change of these lines, the fastest first.
 
-        Of what is run while the module is loaded nobody knows who may: those that come by its uses, then all others.
+        For lines executed while the module is loaded: tests that execute uses of their names, then all others.
         """
         found = {test for line in (*lines, *_used(sound, lines)) for test in self.lines.get(line, ())}
         others = () if any(line in self.lines for line in lines) else set(self.durations_s) - found
@@ -113,11 +112,11 @@ class Lived:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sample", type=int, metavar="N", help="only so many of each module's, drawn")
-    parser.add_argument("--seed", type=int, help="of the sample; default: a random one, printed")
+    parser.add_argument("--sample", type=int, metavar="N", help="a random sample of each module's mutants")
+    parser.add_argument("--seed", type=int, help="seed of the sample; default: a random one, printed")
     parser.add_argument("--only", nargs="+", choices=MODULES, default=list(MODULES), metavar="MODULE")
-    parser.add_argument("--lines", nargs="+", type=int, metavar="N", help="of those only the ones in these lines")
-    parser.add_argument("--list", action="store_true", help="tell the mutants and try none")
+    parser.add_argument("--lines", nargs="+", type=int, metavar="N", help="only mutants of these lines")
+    parser.add_argument("--list", action="store_true", help="list the mutants without trying them")
     arguments = parser.parse_args()
     seed = secrets.randbelow(1 << 31) if arguments.seed is None else arguments.seed
     print(f"seed {seed}", flush=True)
@@ -136,7 +135,7 @@ def main() -> int:
         if arguments.lines is not None:
             chosen = [mutant for mutant in chosen if mutant.lines[0] in arguments.lines]
         if arguments.list:
-            print(f"{module}: {len(places)} places", *(mutant.told(sound) for mutant in chosen), sep="\n")
+            print(f"{module}: {len(places)} places", *(mutant.diff(sound) for mutant in chosen), sep="\n")
             continue
         before = time.monotonic()
         died = len(chosen) - _survivors(module, chosen)
@@ -146,7 +145,7 @@ def main() -> int:
         weighed += len(places) * died / max(len(chosen), 1)
     if arguments.list:
         return 0
-    print(f"together: {_scored(killed, tried)}; weighed by the modules' places {weighed / max(whole, 1):.1%}")
+    print(f"together: {_scored(killed, tried)}; weighted by the modules' places {weighed / max(whole, 1):.1%}")
     return 0 if weighed >= GOAL * whole else 1
 
 
@@ -172,12 +171,12 @@ _ALIKE = (
     {"Is", "IsNot"},
     {"In", "NotIn"},
 )
-"""What is put in each other's place: anything else, such as a shift of floats, is noticed by whatever test comes by."""
+"""Operators that are exchanged; any other exchange, such as a shift of floats, is detected by every test."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an operator of cosmic-ray can put a fault."""
+    """A place where an operator of cosmic-ray can mutate."""
 
     operator: str
     occurrence: int
@@ -185,7 +184,7 @@ class Place:
 
 
 def _places(sound: str) -> list[Place]:
-    """Every place for a fault, outside of a dataclass's options."""
+    """Every place for a mutation, except options of dataclasses."""
     tree = get_ast(sound)
     nodes = list(ast_nodes(tree))
     options = {
@@ -209,7 +208,7 @@ def _places(sound: str) -> list[Place]:
 
 
 def _drawn(sound: str, places: Sequence[Place], most: int | None, draw: random.Random) -> list[Mutant]:
-    """So many different mutants that change something that is run, all by default."""
+    """At most so many distinct mutants with an effect at run time; all by default."""
     runs, found = _what_runs(sound), dict[str, Mutant]()
     for place in draw.sample(places, len(places)):
         if most is not None and len(found) == most:
@@ -228,7 +227,7 @@ def _what_runs(text: str) -> str:
 
 
 class _Unannotated(ast.NodeTransformer):
-    """Leaves out the annotations, which are never evaluated."""
+    """Removes annotations, which are never evaluated."""
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
         node.annotation = None
@@ -244,7 +243,7 @@ class _Unannotated(ast.NodeTransformer):
 
 
 def _used(sound: ast.Module, lines: Sequence[int]) -> Iterator[int]:
-    """Where that is used what is set at these lines while the module is loaded."""
+    """Lines that use the names assigned in these lines at module or class level."""
     names: set[str] = set()
     for body in (sound.body, *(node.body for node in ast.walk(sound) if isinstance(node, ast.ClassDef))):
         for each in body:
@@ -256,45 +255,47 @@ def _used(sound: ast.Module, lines: Sequence[int]) -> Iterator[int]:
             yield node.lineno
 
 
-# ------------------------------------------------------------------------------------------------------ trying them
+# --------------------------------------------------------------------------------------------------- running them
 
 
 def _survivors(module: str, mutants: Sequence[Mutant]) -> int:
-    """How many survive; each is printed."""
+    """The number of survivors; each is printed."""
     with tempfile.TemporaryDirectory() as folder:
         count = Path(folder) / "survivors"
-        if _apart(lambda: count.write_text(str(_tried(module, mutants))) * 0) or not count.exists():
-            raise SystemExit(f"{module} could not be tried")
+        if _forked(lambda: count.write_text(str(_tried(module, mutants))) * 0) or not count.exists():
+            raise SystemExit(f"{module}: trying its mutants failed")
         return int(count.read_text())
 
 
 def _tried(module: str, mutants: Sequence[Mutant]) -> int:
-    """How many survive; to be called in a process of its own, which loads much."""
+    """The number of survivors; to be called in a separate process, which loads many modules."""
     path = ROOT / "src/palmd" / module
     name = "palmd." + module.removesuffix(".py").replace("/", ".")
     sound = path.read_text("utf-8")
     files = [str(ROOT / "tests" / each) for each in MODULES[module]]
-    with tempfile.NamedTemporaryFile("r", suffix=".json") as told:
-        status = _apart(lambda: _lived(path, files, Path(told.name)))
+    with tempfile.NamedTemporaryFile("r", suffix=".json") as output:
+        status = _forked(lambda: _run_clean(path, files, Path(output.name)))
         if status:
-            raise SystemExit(f"{module}: its tests fail without any fault: {' '.join(files)}")
-        noted = json.load(told)
-    lived = Lived(noted["durations_s"], {int(line): tests for line, tests in noted["lines"].items()}, noted["loaded"])
+            raise SystemExit(f"{module}: its tests fail without any mutation: {' '.join(files)}")
+        noted = json.load(output)
+    clean = CleanRun(
+        noted["durations_s"], {int(line): tests for line, tests in noted["lines"].items()}, noted["loaded"]
+    )
     dependent = {name, *grimp.build_graph("palmd").find_downstream_modules(name)}
-    for each in lived.loaded:
+    for each in clean.loaded:
         if each not in dependent:
             importlib.import_module(each)
     tree, survivors = ast.parse(sound), 0
     for mutant in mutants:
-        tests = lived.noticing(mutant.lines, tree)
-        if _apart(lambda mutant=mutant, tests=tests: _noticed(mutant, name, path, files, tests)) == SURVIVED:
+        tests = clean.relevant(mutant.lines, tree)
+        if _forked(lambda mutant=mutant, tests=tests: _run_mutant(mutant, name, path, files, tests)) == SURVIVED:
             survivors += 1
-            print(mutant.told(sound), flush=True)
+            print(mutant.diff(sound), flush=True)
     return survivors
 
 
-def _apart(work: Callable[[], int]) -> int:
-    """What `work` gives, done in a process forked for it; `KILLED` when that dies or hangs."""
+def _forked(work: Callable[[], int]) -> int:
+    """The result of `work` in a forked process; `KILLED` if that dies or hangs."""
     pid = os.fork()
     if pid == 0:
         code = KILLED
@@ -311,18 +312,20 @@ def _apart(work: Callable[[], int]) -> int:
     return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else KILLED
 
 
-def _lived(path: Path, files: Sequence[str], told: Path) -> int:
-    """Run the tests without a fault, and write down what they did."""
+def _run_clean(path: Path, files: Sequence[str], output: Path) -> int:
+    """Run the tests without a mutation, and write durations, executed lines and loaded modules to `output`."""
     watch = _Watch(str(path))
     status = _run_tests(files, watch)
     loaded = [name for name in sys.modules if name.split(".")[0] == "palmd"]
     lines = {line: sorted(tests) for line, tests in watch.lines.items()}
-    told.write_text(json.dumps({"durations_s": watch.durations_s, "lines": lines, "loaded": loaded}), encoding="utf-8")
+    output.write_text(
+        json.dumps({"durations_s": watch.durations_s, "lines": lines, "loaded": loaded}), encoding="utf-8"
+    )
     return status
 
 
-def _noticed(mutant: Mutant, name: str, path: Path, files: Sequence[str], tests: Sequence[str]) -> int:
-    """`KILLED` when a test fails."""
+def _run_mutant(mutant: Mutant, name: str, path: Path, files: Sequence[str], tests: Sequence[str]) -> int:
+    """Run tests on a mutant; returns `KILLED` if one fails."""
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
     threading.Thread(target=_end_in, args=(WALL_S,), daemon=True).start()
     sys.meta_path.insert(0, _Finder(name, path, mutant.text))
@@ -363,7 +366,7 @@ def _run_tests(files: Sequence[str], plugin: object) -> int:
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader):
-    """Has the module loaded with its fault."""
+    """Loads the module with its mutation."""
 
     def __init__(self, name: str, path: Path, text: str) -> None:
         importlib.machinery.SourceFileLoader.__init__(self, name, str(path))
@@ -378,7 +381,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader
 
 
 class _Only:
-    """Of what is collected these tests, in this order."""
+    """Selects these tests, in this order."""
 
     def __init__(self, tests: Sequence[str]) -> None:
         self._order = {test: number for number, test in enumerate(tests)}
@@ -388,7 +391,7 @@ class _Only:
 
 
 class _Watch:
-    """By which lines of a file each test comes, and how long it takes."""
+    """Records the lines of a file that each test executes, and the test's duration."""
 
     def __init__(self, path: str) -> None:
         self.lines: dict[int, set[str]] = {}
@@ -397,7 +400,7 @@ class _Watch:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        self._test, begun = item.nodeid, time.process_time()
+        self._test, t_cpu = item.nodeid, time.process_time()
         sys.settrace(self._trace)
         threading.settrace(self._trace)
         try:
@@ -405,7 +408,7 @@ class _Watch:
         finally:
             sys.settrace(None)
             threading.settrace(None)  # type: ignore[arg-type]
-            self.durations_s[item.nodeid] = time.process_time() - begun
+            self.durations_s[item.nodeid] = time.process_time() - t_cpu
 
     def _trace(self, frame: FrameType, event: str, _: Any) -> Any:
         if frame.f_code.co_filename != self._path:

@@ -1,6 +1,6 @@
-"""Campaigns that take hours, with seeds of their own each night: `make nightly`, or `tools/nightly.py FOLDER [NAME …]`.
+"""Long campaigns with new seeds each night: `make nightly`, or `tools/nightly.py FOLDER [NAME …]`.
 
-Each writes its rows and what it printed into the folder. Status 1 when one of them missed a goal or did not run.
+Each writes its rows and its output into the folder. Exit status 1 if one of them missed a goal or failed.
 """
 
 from __future__ import annotations
@@ -31,25 +31,27 @@ CAMPAIGNS: dict[str, str] = {
     "faults": "faults --seed {seed} -o {folder}/faults",
     "soak": "soak --seed {seed} -o {folder}/soak",
 }
-"""By name: the arguments of `python -m tools.studies`."""
+"""Arguments of `python -m tools.studies`, by the campaign's name."""
 
 
 def main(folder: Path, names: list[str]) -> int:
-    """One campaign after the other."""
+    """Run the named campaigns, or all, one after the other."""
     unknown = [name for name in names if name not in CAMPAIGNS]
     if unknown:
-        print(f"no campaign {', '.join(unknown)}; there are {', '.join(CAMPAIGNS)}", file=sys.stderr)
+        print(f"no campaign {', '.join(unknown)}; choose from {', '.join(CAMPAIGNS)}", file=sys.stderr)
         return 2
     folder.mkdir(parents=True, exist_ok=True)
     seed = 1000 * datetime.datetime.now(datetime.UTC).date().toordinal()
     failed = []
     for name in names or CAMPAIGNS:
         arguments = CAMPAIGNS[name].format(seed=seed, folder=folder).split()
-        begun = time.monotonic()
+        t_start = time.monotonic()
         with (folder / f"{name}.txt").open("w", encoding="utf-8") as out:
             command = [sys.executable, "-m", "tools.studies", *arguments]
             status = subprocess.run(command, cwd=ROOT, stdout=out, stderr=out, check=False).returncode
-        print(f"{name}: {'good' if status == 0 else f'status {status}'}, {time.monotonic() - begun:.0f} s", flush=True)
+        print(
+            f"{name}: {'good' if status == 0 else f'status {status}'}, {time.monotonic() - t_start:.0f} s", flush=True
+        )
         failed += [name] * (status != 0)
     print(f"seeds from {seed}; failed: {', '.join(failed) or 'nothing'}; {folder}")
     return int(bool(failed))

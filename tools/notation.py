@@ -1,4 +1,4 @@
-"""The table of symbols: what each name in the code stands for, its unit, and where it is defined.
+"""The table of symbols: meaning, unit and source of each name in the code.
 
 Numbers in brackets are equations of CMU-CS-01-107. The documentation's page is generated from this table.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """One quantity: its name in the code, how the paper writes it, SI unit, meaning, equation or section."""
+    """One quantity: name in the code, symbol in the paper, SI unit, meaning, equation or section."""
 
     name: str
     glyph: str
@@ -38,7 +38,7 @@ SYMBOLS: tuple[Symbol, ...] = (
     Symbol("centre_of_mass", "c_m", "m", "where gravity acts; its height is the potential energy", "(3.17)"),
     Symbol("centre_of_rotation", "c_r", "m", "where the normals at the contacts meet", "(3.18)"),
     Symbol("e_f", "e_f", "m", "error of balance: how far c_m is beside c_r", "(3.29), (3.36)"),
-    Symbol("e_c", "e_c", "m", "error of contact: x1 − x2 against what the readings say of it", "(3.9), (3.37)"),
+    Symbol("e_c", "e_c", "m", "error of contact: x1 − x2 minus its value from the readings", "(3.9), (3.37)"),
     Symbol("rho", "ρ", "m", "radius of gyration, √(I0/m)", "4.1"),
     Symbol("f1, f2", "f1, f2", "m/s²", "normal force of each contact per unit mass; > 0 while it touches", "4.1"),
     Symbol("mu", "μ", "–", "friction coefficient", "beyond the paper"),

@@ -1,4 +1,4 @@
-"""Pictures of the live page, by a headless browser, of `palmd demo` with a named seed; and figures of its report."""
+"""Screenshots of the live page during `palmd demo` with a fixed seed, by a headless browser; figures of its report."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ NAMES = (
 
 
 def take(folder: Path) -> None:
-    """All of them into the folder; a minute. Raises RuntimeError when the demo does not come so far."""
+    """Save all pictures into the folder; takes a minute. Raises RuntimeError if the demo does not come far enough."""
     with tempfile.TemporaryDirectory(prefix="palmd-pictures-") as name, _browser() as driver:
         command = [sys.executable, "-m", "palmd", "demo", "--no-browser", "--seed", str(SEED)]
-        said = Path(name) / "said"
-        with said.open("wb") as out, subprocess.Popen(command, cwd=name, stderr=out, stdout=out) as demo:
+        output = Path(name) / "said"
+        with output.open("wb") as out, subprocess.Popen(command, cwd=name, stderr=out, stdout=out) as demo:
             try:
-                driver.get(_until(lambda: _found(said, r"http://\S+"), "the page's address"))
+                driver.get(_until(lambda: _found(output, r"http://\S+"), "the page's address"))
                 _until(lambda: _known(driver) > EXPLORED, "half of the outline")
                 for width, height in SIZES.items():
                     for scheme in SCHEMES:
@@ -54,7 +54,7 @@ def take(folder: Path) -> None:
                 demo.send_signal(signal.SIGINT)
                 demo.wait(START_S)
             _picture(driver, 1440, SIZES[1440], "light", folder / "page-ended.png")
-        run = read_run(Path(_found(said, r"recorded in (\S+)")))
+        run = read_run(Path(_found(output, r"recorded in (\S+)")))
     series = series_of(run, run.survey(), lambda _: None)
     for section in report_of(series).sections:
         for file, title in SECTIONS.items():
@@ -88,8 +88,8 @@ def _known(driver: webdriver.Chrome) -> float:
     return float(driver.execute_script("return document.getElementById('known-bar').value"))
 
 
-def _found(said: Path, pattern: str) -> str:
-    found = re.search(pattern, said.read_text(encoding="utf-8"))
+def _found(output: Path, pattern: str) -> str:
+    found = re.search(pattern, output.read_text(encoding="utf-8"))
     return found[found.lastindex or 0] if found else ""
 
 
@@ -97,6 +97,6 @@ def _until(look: Callable[[], T], what: str) -> T:
     deadline = time.monotonic() + START_S
     while not (found := look()):
         if time.monotonic() > deadline:
-            raise RuntimeError(f"the demo with seed {SEED} has not come to {what} in {START_S:g} s")
+            raise RuntimeError(f"the demo with seed {SEED} did not reach {what} within {START_S:g} s")
         time.sleep(0.1)
     return found

@@ -1,7 +1,7 @@
-"""What releases promise to keep: bus fields, commands, configuration keys, the Python API. `--write` stores it.
+"""The stable interfaces of releases: bus fields, commands, configuration keys, the Python API. `--write` stores them.
 
-The stored copy is tests/data/promises.json; a test compares it with the code. What is stored may not vanish or change
-its unit before the next major release; what is new is added by writing the copy anew.
+The stored copy is tests/data/promises.json; a test compares it with the code. A stored name must not disappear or
+change its unit before the next major release; new names are added by storing the copy again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STORED = Path(__file__).parent.parent / "tests/data/promises.json"
 
 
 def promised() -> dict[str, Any]:
-    """As the code has it now."""
+    """The interfaces in the present code."""
     return {
         "fields of every message": [quantity.name for quantity in STAMP],
         "topics": {
@@ -45,21 +45,21 @@ def promised() -> dict[str, Any]:
 
 
 def broken(stored: Any, now: Any, where: str = "") -> Iterator[str]:
-    """What of the stored copy is gone or different now, a line each; additions are none."""
+    """Names of the stored copy that are missing or different now, a line each; additions are ignored."""
     if isinstance(stored, dict):
         for name, part in stored.items():
             if not isinstance(now, dict) or name not in now:
-                yield f"{where}{name} is gone"
+                yield f"{where}{name} is missing"
             else:
                 yield from broken(part, now[name], f"{where}{name}: ")
     elif isinstance(stored, list) and not _is_kind(stored):
-        yield from (f"{where}{each} is gone" for each in stored if each not in now)
+        yield from (f"{where}{each} is missing" for each in stored if each not in now)
     elif stored != now:
         yield f"{where}was {stored}, is {now}"
 
 
 def _is_kind(values: list[Any]) -> bool:
-    """Whether it is a field's kind and unit, which belong together."""
+    """Whether the list is a field's kind and unit."""
     return len(values) == 2 and values[0] in _KINDS
 
 
@@ -89,25 +89,25 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(each)
 
 
-def _parameters(thing: Any) -> list[str]:
-    """Of a function its parameters; of a class its public names."""
-    if inspect.isclass(thing):
+def _parameters(target: Any) -> list[str]:
+    """The parameters of a function, or the public names of a class."""
+    if inspect.isclass(target):
         return sorted(
-            name for name in {*dir(thing), *getattr(thing, "__annotations__", {})} if not name.startswith("_")
+            name for name in {*dir(target), *getattr(target, "__annotations__", {})} if not name.startswith("_")
         )
-    return list(inspect.signature(thing).parameters)
+    return list(inspect.signature(target).parameters)
 
 
 def main() -> int:
-    """Says what is broken; with `--write` stores what is so now."""
+    """Print broken promises; with `--write` store the present interfaces."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help=f"store what is promised in {STORED.name}")
+    parser.add_argument("--write", action="store_true", help=f"store the present interfaces in {STORED.name}")
     now = promised()
     if parser.parse_args().write:
         STORED.write_text(json.dumps(now, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8")
         return 0
     lines = list(broken(json.loads(STORED.read_text(encoding="utf-8")), now))
-    print("\n".join(lines) or "all that is promised is kept")
+    print("\n".join(lines) or "all promises are kept")
     return 1 if lines else 0
 
 

@@ -1,4 +1,4 @@
-"""One outline under both rules of pruning, side by side; needs matplotlib."""
+"""Figure of one outline pruned by both rules, side by side; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _MAGNIFIED = 10.0
 
 
 def save(answer: Reconstruction, errors: OutlineErrors, true_h: FloatArray, path: Path) -> None:
-    """Draws the truth, and the estimate with its error magnified; the same run gives the same file.
+    """Draw the truth, and the estimate with its error magnified; the same run gives the same file.
 
-    `errors` are the answer's own, `true_h` (360,) the true support function (m). Raises ValueError without an outline.
+    `errors`: of `answer`; `true_h`: (360,) the true support function (m). Raises ValueError without an outline.
     """
     if answer.h_sd is None or answer.touched is None or answer.visits is None:
-        raise ValueError("there is no outline")
+        raise ValueError("the reconstruction has no outline")
     rules = (
         (f"touched {KEPT_VISITS} times or more (the paper)", kept_by_visits(answer.visits)),
         (f"known to {KEPT_SD_M * 1e6:.0f} µm (the band)", kept_by_band(answer.h_sd, answer.touched)),
@@ -55,7 +55,7 @@ def _rule(
     for some, colour, name in ((touched & kept, _BLUE, "kept"), (touched & ~kept, _ORANGE, "pruned")):
         low, high = (found - band)[some], (found + band)[some]
         axes.plot(*np.stack([low, high], axis=1).transpose(2, 1, 0), color=colour, linewidth=0.5, alpha=0.5)
-        label = f"{name}: {some.sum()}, of them {(bad & some).sum()} off by more than {RIGHT_M * 1e3:g} mm"
+        label = f"{name}: {some.sum()}, of these {(bad & some).sum()} with errors above {RIGHT_M * 1e3:g} mm"
         axes.plot(*found[some].T, ".", color=colour, markersize=4.0, label=label)
     reach = 1.2 * float(np.abs(outline).max())
     axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), title=title)

@@ -1,4 +1,4 @@
-"""Whether what is published is as the tables of `palmd.quantities` have it."""
+"""Check of published messages against the tables of `palmd.quantities`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CHECKS: dict[Kind, Callable[[object], bool]] = {
 
 
 def validate(topic: Topic, fields: Mapping[str, object]) -> list[str]:
-    """What is wrong with a stamped message of `topic`, in words; empty when nothing is."""
+    """Errors of a stamped message of `topic`, in words; empty if there are none."""
     expected = {field.name: field for field in (*STAMP, *topic.quantities)}
     families = [field for name, field in expected.items() if name.endswith("*")]
     errors = [f"{topic.name}: {name} is missing" for name in expected if name not in fields and not name.endswith("*")]

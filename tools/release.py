@@ -1,7 +1,7 @@
-"""Builds a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
+"""Build a release into dist/: wheel, source archive, site, upgrade notes, checksums, and an image if possible.
 
-Everything is made from what git has: files that are not committed are refused. The wheel carries kernels compiled for
-this platform, unless `--no-kernels`. The container image is built and saved where podman or docker answers. `--check`
+Everything is made from committed files; uncommitted changes are an error. The wheel has kernels compiled for this
+platform, unless `--no-kernels`. The container image is built and saved if podman or docker is available. `--check`
 installs the wheel into an empty environment and runs it there without a compiler: version, doctor, and a demo.
 """
 
@@ -29,18 +29,18 @@ BUILDERS = ("podman", "docker")
 
 
 def main() -> int:
-    """Exit status 1 when something cannot be built or does not run."""
+    """Build a release; returns 1 if something cannot be built or does not run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist", metavar="FOLDER")
-    parser.add_argument("--no-site", action="store_true", help="leave the documentation out")
+    parser.add_argument("--no-site", action="store_true", help="without the documentation")
     parser.add_argument(
-        "--no-kernels", action="store_true", help="a wheel for any platform, which compiles where it runs"
+        "--no-kernels", action="store_true", help="a wheel for any platform, which compiles kernels where it runs"
     )
     parser.add_argument("--check", action="store_true", help=f"run the wheel: doctor, and a demo of {CHECK_S} s")
     arguments = parser.parse_args()
-    changed = _said(["git", "status", "--porcelain", "--untracked-files=no"])
+    changed = _output(["git", "status", "--porcelain", "--untracked-files=no"])
     if changed:
-        print(f"not committed, so that no release can be made of it:\n{changed}", file=sys.stderr)
+        print(f"cannot build a release with uncommitted changes; commit or revert them:\n{changed}", file=sys.stderr)
         return 1
     shutil.rmtree(arguments.output, ignore_errors=True)
     arguments.output.mkdir(parents=True)
@@ -61,8 +61,8 @@ def main() -> int:
 
 
 def packages(output: Path, *, kernels: bool) -> list[Path]:
-    """Wheel and source archive; of the same sources always the same bytes. Compiling kernels takes minutes."""
-    os.environ["SOURCE_DATE_EPOCH"] = _said(["git", "log", "-1", "--format=%ct"])
+    """Wheel and source archive; the same sources give the same bytes. Compiling kernels takes minutes."""
+    os.environ["SOURCE_DATE_EPOCH"] = _output(["git", "log", "-1", "--format=%ct"])
     with tempfile.TemporaryDirectory(prefix="palmd-kernels-") as name:
         wheel = build_wheel(output, portable_kernels(Path(name)) if kernels else None)
     subprocess.run(
@@ -73,7 +73,7 @@ def packages(output: Path, *, kernels: bool) -> list[Path]:
 
 
 def upgrade_notes(output: Path) -> Path:
-    """What moved since 0.2, from the page of promises, and the newest part of the changelog."""
+    """Upgrade notes: what moved since 0.2, from the page of promises, and the newest part of the changelog."""
     _, _, moved = (ROOT / "docs/reference/promises.md").read_text(encoding="utf-8").partition("## What moved")
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     newest = changelog.split("\n## ", 2)[1]
@@ -96,19 +96,19 @@ def site(output: Path) -> Path:
 
 
 def image(output: Path) -> list[Path]:
-    """The container image as an archive; nothing where no builder answers, which is said."""
+    """The container image as an archive; nothing, with a message, if no builder is available."""
     for builder in BUILDERS:
         if shutil.which(builder) and not subprocess.run([builder, "info"], capture_output=True, check=False).returncode:
             path = output / f"{NAME}-image.tar"
             subprocess.run([builder, "build", "-q", "-t", f"palmd:{palmd.__version__}", str(ROOT)], check=True)
             subprocess.run([builder, "save", "-o", str(path), f"palmd:{palmd.__version__}"], check=True)
             return [path]
-    print(f"no container image: neither {' nor '.join(BUILDERS)} answers here", file=sys.stderr)
+    print(f"no container image: neither {' nor '.join(BUILDERS)} is available", file=sys.stderr)
     return []
 
 
 def checksums(output: Path, files: Iterable[Path]) -> Path:
-    """As `sha256sum --check` reads them."""
+    """Write checksums in the format of `sha256sum --check`."""
     path = output / "SHA256SUMS"
     lines = [f"{hashlib.sha256(each.read_bytes()).hexdigest()}  {each.name}\n" for each in files]
     path.write_text("".join(lines), encoding="utf-8")
@@ -116,7 +116,7 @@ def checksums(output: Path, files: Iterable[Path]) -> Path:
 
 
 def run_wheel(wheel: Path) -> None:
-    """In an empty environment without a compiler: version, doctor, a demo that ends well. CalledProcessError."""
+    """Run version, doctor and a demo in an empty environment without a compiler; raises CalledProcessError."""
     with tempfile.TemporaryDirectory(prefix="palmd-release-") as name:
         folder = Path(name)
         venv.create(folder / "venv", with_pip=True)
@@ -127,9 +127,9 @@ def run_wheel(wheel: Path) -> None:
 
 
 def run_without_compiler(command: Path, folder: Path, seconds: float) -> subprocess.CompletedProcess[str]:
-    """A demo of so many seconds by an installed palmd, after its version and doctor. CalledProcessError.
+    """Run version, doctor and a demo of so many seconds with an installed palmd; raises CalledProcessError.
 
-    Its PATH has nothing but its own programs, its home is the `folder`. The demo's status is not looked at.
+    PATH contains only the environment's own programs, and home is `folder`. The demo's status is not checked.
     """
     environment = {"PATH": str(command.parent), "HOME": str(folder)}
 
@@ -148,7 +148,7 @@ def run_without_compiler(command: Path, folder: Path, seconds: float) -> subproc
     return demo
 
 
-def _said(arguments: list[str]) -> str:
+def _output(arguments: list[str]) -> str:
     return subprocess.run(arguments, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
 
 

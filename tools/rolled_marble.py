@@ -1,4 +1,4 @@
-"""A marble rolled over an emulated pad, without wires and without waiting."""
+"""Simulation of a marble rolled over an emulated pad, without a link and faster than real time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from palmd.rig.pads import GOOD_PADS, PadOptions
 def rolled(
     config: VersaPadConfig, seed: int, seconds: float, options: PadOptions = GOOD_PADS
 ) -> tuple[list[PadPacket], PadCounters]:
-    """What the host decodes, each packet read as its last byte arrives; the same arguments, the same packets."""
+    """The packets that the host decodes, each read as its last byte arrives; deterministic for its arguments."""
     rng = np.random.default_rng(seed)
     marble = Marble(config.length_mm * 1e-3, rng)
     pad = VersaPadEmulator(config, options, lambda _s, _force: 0.0, rng, 0.0)

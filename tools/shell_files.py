@@ -1,4 +1,4 @@
-"""Completion for shells, and the manual page, made from the table of commands."""
+"""Shell completion and the manual page, generated from the table of commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STATUSES = (("0", "success"), ("1", "the input is wrong"), ("2", "usage"), ("3",
 
 
 def whole() -> argparse.ArgumentParser:
-    """All commands in one parser, which imports every module: `palmd` itself loads only the one that is asked for."""
+    """All commands in one parser, which imports every module; `palmd` itself loads only the requested one."""
     parser = argparse.ArgumentParser(prog="palmd")
     _add(parser, "")
     return parser
@@ -35,7 +35,7 @@ def _add(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
-    """What is a path is completed as one."""
+    """Mark arguments that are paths for completion of file names."""
     for action in parser._actions:
         if action.type is Path:
             action.complete = shtab.FILE  # type: ignore[attr-defined]
@@ -46,7 +46,7 @@ def _files(parser: argparse.ArgumentParser) -> None:
 
 
 def _beside(parser: argparse.ArgumentParser, names: Mapping[str, Command]) -> None:
-    """The commands below one with arguments: as its subcommands, else as values of its first argument."""
+    """Add the commands below one with arguments, as its subcommands or as values of its first argument."""
     if not names:
         return
     place = next((action for action in parser._actions if not action.option_strings), None) or parser.add_subparsers()
@@ -90,7 +90,7 @@ def manual() -> str:
     lines += [".SH EXIT STATUS", *(line for code, text in STATUSES for line in (".TP", f".B {code}", text))]
     lines += [
         ".SH SEE ALSO",
-        "The pages in docs/; \\fBpalmd\\fR \\fICOMMAND\\fR \\fB\\-\\-help\\fR tells what is here.",
+        "The pages in docs/; \\fBpalmd\\fR \\fICOMMAND\\fR \\fB\\-\\-help\\fR.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -115,6 +115,6 @@ def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def _troff(text: str) -> str:
-    """Text that troff takes for nothing else."""
+    """The text with troff's special characters escaped."""
     lines = text.replace("\\", "\\e").replace("-", "\\-").replace("'", "\\(aq").splitlines()
     return "\n".join(line if line == ".PP" else f"\\&{line}" if line.startswith(".") else line for line in lines)

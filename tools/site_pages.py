@@ -1,6 +1,6 @@
-"""Pages of the site that are no files of docs/: README, changelog, decisions, the API, the notebook as it runs.
+"""Generated pages of the site: README, changelog, decisions, the API, the executed notebook.
 
-A hook of MkDocs (mkdocs.yml). The notebook is executed anew for each build: what it shows is what the code says.
+A hook of MkDocs (mkdocs.yml). The notebook is executed for each build, so that its output is that of the present code.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOTEBOOK = "start/first-notebook.ipynb"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """The generated pages join those of docs/."""
+    """Add the generated pages to those of docs/."""
     pages = {
         "index.md": front_page(),
         "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "]("),
@@ -40,12 +40,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to the notebook lead to the page that it becomes."""
+    """Replace links to the notebook by links to its page."""
     return markdown.replace("(first-notebook.ipynb)", "(first-notebook.md)")
 
 
 def front_page() -> str:
-    """The README with its links as seen from docs/."""
+    """The README with its links relative to docs/."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     moved = {"(docs/decisions/)": "(decisions/index.md)", "(CHANGELOG.md)": "(changelog.md)", "](docs/": "]("}
     for before, now in moved.items():
@@ -54,7 +54,7 @@ def front_page() -> str:
 
 
 def decisions() -> str:
-    """The list of all decisions, by their titles."""
+    """The list of all decisions by title."""
     rows = []
     for path in sorted((ROOT / "docs/decisions").glob("0*.md")):
         title = path.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
@@ -63,7 +63,7 @@ def decisions() -> str:
 
 
 def api() -> str:
-    """Every name of `import palmd`, from its docstring."""
+    """The reference of every public name of `palmd`, from its docstring."""
     parts = [f"::: palmd.api.{name}\n" for name in palmd.__all__]
     return (
         "# The library\n\nWhat `import palmd` offers; [palmd in a notebook](../start/library.md) shows it at work.\n\n"
@@ -72,7 +72,7 @@ def api() -> str:
 
 
 def notebook(path: Path) -> dict[str, str]:
-    """The notebook as a page with what its cells print and draw, and the figures, by their paths in docs/."""
+    """The notebook as a page with the output of its cells, and its figures, by their paths in docs/."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     page = path.relative_to(ROOT / "docs").with_suffix(".md")
     parts, figures = [], {}
@@ -83,10 +83,10 @@ def notebook(path: Path) -> dict[str, str]:
             if cell["cell_type"] != "code":
                 parts.append(source)
                 continue
-            said = executed(source, f"{path.name}[{number}]", names)
+            output = executed(source, f"{path.name}[{number}]", names)
             parts.append(f"```python\n{source}\n```")
-            if said:
-                parts.append(f"```text\n{said.rstrip()}\n```")
+            if output:
+                parts.append(f"```text\n{output.rstrip()}\n```")
             for figure in drawn():
                 name = f"first-notebook-{number}.svg"
                 figures[str(page.parent / name)] = figure
@@ -95,20 +95,20 @@ def notebook(path: Path) -> dict[str, str]:
 
 
 def executed(source: str, name: str, names: dict[str, Any]) -> str:
-    """What a cell prints, and the value of a last expression that no semicolon follows."""
+    """The output of a cell: what it prints, and the value of a last expression without a semicolon."""
     tree = ast.parse(source, name)
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-    with contextlib.redirect_stdout(io.StringIO()) as told:
+    with contextlib.redirect_stdout(io.StringIO()) as output:
         exec(compile(tree, name, "exec"), names)
         if isinstance(last, ast.Expr):
             value = eval(compile(ast.Expression(last.value), name, "eval"), names)
             if value is not None and not source.rstrip().endswith(";"):
                 print(repr(value))
-    return told.getvalue()
+    return output.getvalue()
 
 
 def drawn() -> Iterator[str]:
-    """The figures that are open, as SVG; they are closed."""
+    """The open figures as SVG; closes them."""
     import matplotlib.pyplot as plt
 
     for number in plt.get_fignums():
@@ -131,7 +131,7 @@ def _folder_of_its_own() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _drawing() -> Iterator[None]:
-    """Drawing that needs no window and gives the same SVG each time."""
+    """Matplotlib settings for drawing without a window and with reproducible SVG."""
     import matplotlib
 
     with matplotlib.rc_context({"backend": "agg", "svg.hashsalt": "palmd", "figure.figsize": (7.0, 3.6)}):

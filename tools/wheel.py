@@ -1,6 +1,6 @@
-"""A wheel for one platform, with kernels that were compiled for any processor of a level and run without a compiler.
+"""Build a wheel for one platform with kernels compiled for all processors of a level, to run without a compiler.
 
-They lie in `palmd/data/kernels`, where `palmd.model.compiled` looks for them when nothing can be compiled.
+They are in `palmd/data/kernels`, where `palmd.model.compiled` looks for them if nothing can be compiled.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from palmd.model.compiler import command
 
 ROOT = Path(__file__).parent.parent
 LEVELS = {"x86_64": ("x86-64-v3", ("AVX2", "FMA3"))}
-"""By machine: the level that compilers name, and what NumPy calls the features that tell it from the one below."""
+"""By machine: the compiler's name of the level, and NumPy's names of the features that the level below lacks."""
 
 
 def build_wheel(output: Path, kernels: Path | None) -> Path:
-    """The wheel, in the folder `output`; with the folder `kernels` it is one for this platform."""
+    """Build the wheel in the folder `output`; with a folder of `kernels` it is for this platform only."""
     return Path(next(_Builder(kernels).build(directory=str(output), versions=["standard"])))
 
 
@@ -46,9 +46,9 @@ class _Builder(WheelBuilder):  # type: ignore[misc]
 
 
 def portable_kernels(folder: Path) -> Path:
-    """The folder, filled with all kernels for any processor of this machine's level; takes minutes.
+    """Compile all kernels for this machine's level into the folder; takes minutes.
 
-    Raises CalledProcessError, and RuntimeError where there is no compiler or no level for this machine.
+    Raises CalledProcessError, or RuntimeError if there is no compiler or no level for this machine.
     """
     level, needs = LEVELS.get(platform.machine(), ("", ()))
     compiler = command()
@@ -63,13 +63,13 @@ def portable_kernels(folder: Path) -> Path:
 
 
 def collect(notes: Iterable[Path], needs: Iterable[str], folder: Path) -> None:
-    """Copy the libraries that these notes of a cache tell of into a folder for a wheel."""
+    """Copy the libraries that these notes of a cache describe into a folder for a wheel."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / NEEDS).write_text(" ".join(needs), encoding="utf-8")
     for note in notes:
-        told = json.loads(note.read_bytes())
-        if "sources" not in told:
-            continue  # of a former version
+        entry = json.loads(note.read_bytes())
+        if "sources" not in entry:
+            continue  # from an older version
         name = note.stem.rpartition("-")[0]
-        shutil.copyfile(note.with_name(told["library"]), folder / told["library"])
-        shutil.copyfile(note, folder / shipped_note(name, told["sources"]))
+        shutil.copyfile(note.with_name(entry["library"]), folder / entry["library"])
+        shutil.copyfile(note, folder / shipped_note(name, entry["sources"]))

@@ -17,7 +17,7 @@ from palmd.rig.three_palms.bodies import Bodies, random_bodies
 from palmd.rig.three_palms.compiled import BodyOnPalms, palm_rows
 from palmd.rig.three_palms.plant import FrictionParameters
 from palmd.system.three_palms import palms_at, readings_of, room_on_pads
-from tools.studies.space_logs import KINDS, STEP_S, started
+from tools.studies.space_logs import KINDS, STEP_S, initial_states
 
 WIDE = ThreePalmsLimitsConfig(beta_deg=(10.0, 80.0), gamma2_deg=(15.0, 75.0), gamma3_deg=(15.0, 75.0))
 MU, DITHER_M_S = (0.05, 0.2), (8e-3, 1.2e-2)
@@ -43,7 +43,7 @@ class BodyStand:
         body = random_bodies(1, random)
         rubbing = FrictionParameters(random.uniform(*MU, 1), random.uniform(*DITHER_M_S, 1), np.zeros(1))
         self.plant = BodyOnPalms(body, rubbing, gravity)
-        self.plant.state[:] = started(body, rubbing, KINDS["friction"], random, gravity)[0]
+        self.plant.state[:] = initial_states(body, rubbing, KINDS["friction"], random, gravity)[0]
 
     @property
     def bearings(self) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from palmd.record.mcapfile import RawMessage
 from palmd.record.metadata import preface
 from palmd.record.runfile import RunFile, pack
 from palmd.rig.world import default_config
-from tools.wireless import Wireless
+from tools.closed_loop import TwoPalmsLoop
 
 SECONDS = 5.0  # it is valid after 3.1
 SHAKER = VibrationConfig(relation="independent", frequency_hz=250, speed_m_s=0.012)
@@ -41,7 +41,7 @@ def configured():
 def published():
     """(topic, fields) as they would go to the bus, and the rig's truth among them."""
     config = configured()
-    lived = Wireless(config, PLAN, 0, smoothing=observer.Simulated(rig_description(config)))
+    lived = TwoPalmsLoop(config, PLAN, 0, smoothing=observer.Simulated(rig_description(config)))
     told, numbers = [], {}
 
     def publish(topic, fields, t):

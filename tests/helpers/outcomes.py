@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from palmd.harness.scorer import COMPARED, Scorer
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.world import World
-from tools.wireless import Instant, Wireless
+from tools.closed_loop import Instant, TwoPalmsLoop
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class Outcome:
         return not math.isnan(self.t_settled)
 
 
-def conclude(wireless: Wireless, duration_s: float) -> Outcome:
-    """Start the plan, let it run for so many seconds, stop; raises WirelessError when that cannot be done."""
+def conclude(wireless: TwoPalmsLoop, duration_s: float) -> Outcome:
+    """Start the plan, let it run for so many seconds, stop; raises ClosedLoopError when that cannot be done."""
     wireless.start()
     scorer = Scorer(wireless.t)
     for instant in wireless.run(duration_s):

@@ -11,7 +11,7 @@ import msgpack
 from palmd.config.two_palms import Config
 from palmd.messages import Fields, stamp
 from palmd.record.recording import Ended, Recording
-from tools.wireless import Instant
+from tools.closed_loop import Instant
 
 
 class WirelessRecorder:

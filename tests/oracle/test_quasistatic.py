@@ -47,7 +47,7 @@ def test_the_turning_rate_is_that_of_the_balanced_object_wherever_it_is_defined(
     run = slow_run()
     assert run.jumps == 0
     psi_dot = CubicSpline(run.t, run.psi)(run.t, 1)
-    pairs = zip(run.felt, run.contacts.r1, run.contacts.r2, strict=True)
+    pairs = zip(run.readings, run.contacts.r1, run.contacts.r2, strict=True)
     told = np.array([(qs.turning_rate(f, r1, r2), qs.balance_lever(f, r1, r2)) for f, r1, r2 in pairs])
     defined = np.abs(told[:, 1]) > 2e-3
     assert defined[5:-5].mean() > 0.5
@@ -60,7 +60,7 @@ def test_rates_of_radii_and_offsets_are_those_of_the_true_contacts():
     c = run.contacts
     state = np.stack([c.r1, c.r2, run.psi, c.d1, c.d2])
     true = CubicSpline(run.t, state, axis=1)(run.t, 1)
-    felt = run.felt[700]
+    felt = run.readings[700]
     assert abs(qs.balance_lever(felt, c.r1[700], c.r2[700])) > 1e-3
     told = qs.rates(felt, state[:, 700])
     np.testing.assert_allclose(told, true[:, 700], atol=1e-6 * np.abs(true).max())
@@ -71,9 +71,9 @@ def test_rates_of_radii_and_offsets_are_those_of_the_true_contacts():
 
 def integrated(run, r1: float, r2: float, softening: float) -> np.ndarray:
     adams = AdamsBashforthMoulton(run.t[1] - run.t[0])
-    d1, d2 = qs.offsets(run.felt[0], r1, r2)
+    d1, d2 = qs.offsets(run.readings[0], r1, r2)
     states = [np.array([r1, r2, run.psi[0], d1, d2])]
-    for here, there in pairwise(run.felt):
+    for here, there in pairwise(run.readings):
         states.append(
             adams.step(
                 states[-1],
@@ -98,14 +98,14 @@ def test_the_papers_two_errors_do_not_tell_the_mean_radius(off):
     run = slow_run()
     r1, r2 = run.contacts.r1[0] + off[0], run.contacts.r2[0] + off[1]
     state = integrated(run, r1, r2, 0.0)
-    e_f = np.array([qs.balance_error(felt, *state[:2, k]) for k, felt in enumerate(run.felt)])
-    e_c = np.array([np.hypot(*qs.closure_error(felt, state[:, k])) for k, felt in enumerate(run.felt)])
+    e_f = np.array([qs.balance_error(felt, *state[:2, k]) for k, felt in enumerate(run.readings)])
+    e_c = np.array([np.hypot(*qs.closure_error(felt, state[:, k])) for k, felt in enumerate(run.readings)])
     assert np.abs(e_f - e_f[0]).max() < 2e-5
     assert e_c.max() < 2e-5
     wrong = np.abs(state[0] - run.contacts.r1).max()
     assert wrong > 1e-3
-    balanced = qs.radii_of(run.felt[0], run.contacts.r1[0], 0.0)
-    assert abs(qs.balance_error(run.felt[0], *balanced)) < 1e-12
+    balanced = qs.radii_of(run.readings[0], run.contacts.r1[0], 0.0)
+    assert abs(qs.balance_error(run.readings[0], *balanced)) < 1e-12
 
 
 def test_radii_of_is_the_inverse_of_mean_and_balance():

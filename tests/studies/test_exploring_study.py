@@ -13,12 +13,12 @@ from palmd.motion.rollout_predictor import BINS
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.rig.shapes import KINDS
 from palmd.rig.world import default_config
+from tools.closed_loop import Instant
 from tools.studies import exploring, exploring_plans
 from tools.studies.commands import main
 from tools.studies.exploring import STUDY, ExploringRow, ExploringTask, remarks
 from tools.studies.exploring_plans import STRATEGIES
 from tools.studies.exploring_watch import ExplorationWatch
-from tools.wireless import Instant
 
 # ---------------------------------------------------------------------------------------------- real runs
 

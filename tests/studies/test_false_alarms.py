@@ -2,12 +2,12 @@
 
 import pytest
 
-from tools.studies.false_alarms import RIGS, STUDY, LifeTask, lived
+from tools.studies.false_alarms import RIGS, STUDY, OperationTask, run
 
 
 @pytest.mark.parametrize("rig", ["arm", "servos", "pivot"])
 def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(rig):
-    life = lived(LifeTask(rig, 9000, 25.0, light=True))
+    life = run(OperationTask(rig, 9000, 25.0, light=True))
     assert not life.error
     assert not life.guards
     assert life.moved_s > 10.0
@@ -17,7 +17,7 @@ def test_a_rig_that_is_jogged_held_and_started_on_a_busy_machine_is_left_alone(r
 
 def test_a_limit_that_is_too_narrow_is_found(monkeypatch):
     monkeypatch.setattr("palmd.daemon.guards.following.FollowingLimits.joint", lambda *_: 1e-4)
-    life = lived(LifeTask("arm", 9000, 10.0, light=True))
+    life = run(OperationTask("arm", 9000, 10.0, light=True))
     assert life.guards
     (goal,) = STUDY.goals
     assert not goal.met([life])

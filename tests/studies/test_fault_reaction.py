@@ -12,8 +12,8 @@ from tools.studies.fault_reaction import (
     STANDING_RAD_S,
     Reaction,
     ReactionWatch,
-    ToldState,
-    Turning,
+    StateReport,
+    TrueMotion,
     all_as_promised,
     as_line,
     complete,
@@ -61,7 +61,7 @@ def test_every_port_is_provoked_in_every_way():
 
 def turning(*rates):
     """Palm 1 at these rates (rad/s), one in 10 ms from 100 s on; palm 2 stands."""
-    return [Turning(100.0 + 0.01 * i, (0.01 * sum(rates[:i]), 1.0), (rate, 0.0)) for i, rate in enumerate(rates)]
+    return [TrueMotion(100.0 + 0.01 * i, (0.01 * sum(rates[:i]), 1.0), (rate, 0.0)) for i, rate in enumerate(rates)]
 
 
 def test_the_arm_stands_when_it_has_come_to_stand_for_good():
@@ -79,12 +79,12 @@ def test_a_palm_that_turns_back_before_it_stands_has_not_come_to_stand():
 
 def test_only_what_comes_after_the_cause_counts():
     watch = ReactionWatch(
-        told=[
-            ToldState(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
-            ToldState(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),
-            ToldState(100.15, "tracking", {"arm-late": "degrade"}),
+        states=[
+            StateReport(99.9, "tracking", {"no-realtime": "note", "pad1-silent": "hold"}),
+            StateReport(100.05, "hold", {"no-realtime": "note", "pad1-silent": "hold"}),
+            StateReport(100.15, "tracking", {"arm-late": "degrade"}),
         ],
-        turning=turning(1.0, 0.0),
+        motions=turning(1.0, 0.0),
     )
     reaction = watch.reaction(ROW, 100.0)
     assert reaction.faults == {"pad1-silent": "hold", "arm-late": "degrade"}
@@ -110,8 +110,8 @@ def test_a_row_that_did_as_promised():
         ({"faults": {**GOOD.faults, "pad2-silent": "hold"}}, "unexpected pad2-silent"),
         ({"state": "tracking"}, "state tracking, not hold"),
         ({"state": "fault"}, "state fault, not hold"),
-        ({"state": ""}, "state not told, not hold"),
-        ({"still_s": math.nan}, "the arm does not stand"),
+        ({"state": ""}, "state not reported, not hold"),
+        ({"still_s": math.nan}, "the arm did not come to rest"),
         ({"wrong": ("3 recorded messages are lost",)}, "3 recorded messages are lost"),
     ],
 )

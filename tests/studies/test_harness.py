@@ -259,7 +259,7 @@ def test_any_other_file_is_left_alone(text, threads, tmp_path):
     path = tmp_path / "file.jsonl"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     before = path.read_bytes()
-    with pytest.raises(CliError, match=r"is no file of this study: line 1 is no run"):
+    with pytest.raises(CliError, match=r"is not a file of this study: line 1 is not a run"):
         resumed(path)
     assert path.read_bytes() == before
     (tmp_path / "folder").mkdir()
@@ -280,7 +280,7 @@ def test_a_line_that_was_cut_off_is_told_by_its_number(threads, tmp_path):
     assert resumed(path, "--runs", 2) == 0
     left = path.read_text()[:-20]
     path.write_text(left)
-    with pytest.raises(CliError, match="line 2 is no run; remove it"):
+    with pytest.raises(CliError, match="line 2 is not a run; remove it"):
         resumed(path, "--runs", 3)
     assert path.read_text() == left
 

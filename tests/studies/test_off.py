@@ -15,7 +15,17 @@ from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import RIG_NAMES
 from tools.studies import off
 from tools.studies.harness import as_line
-from tools.studies.off import OFF, STUDY, Off, OffRow, OffTask, draw, remarks, verdict, with_constants
+from tools.studies.off import (
+    MISCALIBRATIONS,
+    STUDY,
+    Miscalibration,
+    MiscalibrationRow,
+    MiscalibrationTask,
+    draw,
+    remarks,
+    verdict,
+    with_constants,
+)
 from tools.studies.scoring import ObserverAnswers
 
 
@@ -29,12 +39,12 @@ def test_every_constant_can_be_off_by_its_published_name_and_the_rest_stays():
 
 
 def test_the_table_names_constants_that_there_are():
-    assert all(set(each.constants) <= set(RIG_NAMES) for each in OFF)
-    assert len({each.name for each in OFF}) == len(OFF)
+    assert all(set(each.constants) <= set(RIG_NAMES) for each in MISCALIBRATIONS)
+    assert len({each.name for each in MISCALIBRATIONS}) == len(MISCALIBRATIONS)
 
 
 def test_verdicts():
-    both = Off("both zeros", {"pad1_zero_m": 1e-4, "pad2_zero_m": 1e-4})
+    both = Miscalibration("both zeros", {"pad1_zero_m": 1e-4, "pad2_zero_m": 1e-4})
     named = {
         (): "none",
         ("pad2_zero_m",): "right",
@@ -43,8 +53,8 @@ def test_verdicts():
         ("phi2_rad",): "wrong",
     }
     assert {each: verdict(both, each) for each in named} == named
-    assert verdict(Off("nothing"), ("phi2_rad",)) == "wrong"
-    assert verdict(Off("batches", as_well=("pad1_lag_s",)), ("pad1_lag_s",)) == "right"
+    assert verdict(Miscalibration("nothing"), ("phi2_rad",)) == "wrong"
+    assert verdict(Miscalibration("batches", as_well=("pad1_lag_s",)), ("pad1_lag_s",)) == "right"
 
 
 def test_batches_seem_to_end_when_they_are_handed_over_and_lose_nothing():
@@ -71,16 +81,18 @@ def test_worlds_kinds_and_seeds_take_turns():
 
 
 def test_what_is_claimed_too_sharply_is_told_with_its_seed():
-    good = OffRow("φ2 1°", "exact", "rig", 3, accepted=True, e_h_m=2e-5, h_sd_m=1e-5, z=0.5, named=("phi2_rad",),
-                  named_early=("phi2_rad",))  # fmt: skip
+    good = MiscalibrationRow(
+        "φ2 1°", "exact", "rig", 3, accepted=True, e_h_m=2e-5, h_sd_m=1e-5, z=0.5, named=("phi2_rad",),
+        named_early=("phi2_rad",),
+    )  # fmt: skip
     rows = [good, replace(good, seed=4, e_h_m=3.1e-5), replace(good, seed=5, accepted=False, reason="too little")]
     text = "\n".join(remarks(rows))
-    assert "1 of 2 accepted are more than 3 sd off, 1 of 2 where touch can determine" in text
+    assert "1 of 2 accepted have errors above 3 sd, 1 of 2 where touch can determine" in text
     high = replace(rows[1], off="pad 1 0.5 mm high")
-    assert "2 of 3 accepted are more than 3 sd off, 1 of 2 where" in "\n".join(remarks([*rows, high]))
+    assert "2 of 3 accepted have errors above 3 sd, 1 of 2 where" in "\n".join(remarks([*rows, high]))
     (line,) = [line for line in STUDY.tabled(rows).splitlines() if line.startswith("exact: φ2 1°")]
     assert line.split()[3:] == ["2", "of", "3", "25.5", "2.55", "3.1", "1", "2", "3", "0", "0", "0", "3", "–", "–", "–"]
-    assert "φ2 1°, rig 4: 31 µm off, sd 10 µm" in text
+    assert "φ2 1°, rig 4: error 31 µm, sd 10 µm" in text
     assert "φ2 1°, rig 5: too little" in text
     assert "rig 3" not in text
     assert json.loads(json.dumps(as_line(rows[2]), allow_nan=False))["reason"] == "too little"
@@ -95,18 +107,21 @@ def test_ticks_of_the_live_observer_are_counted_where_it_was_asked(monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(off, "answers", lambda *_: said)
     monkeypatch.setattr(off, "reconstruct", lambda *_: answer(converged=False))
-    row = off.run(OffTask("nothing", "exact", "friction", 1, 0.6, live=True))
+    row = off.run(MiscalibrationTask("nothing", "exact", "friction", 1, 0.6, live=True))
     assert (row.error, row.ticks, row.valid, row.live_far, row.live_wrong) == ("", 4, 2, 1, 2)
     text = "\n".join(remarks([row]))
-    assert "live: 1 of 2 valid ticks are more than 3 sd off, 2 by more than 0.3 mm; valid are 50%" in text
-    assert off.run(OffTask("nothing", "exact", "friction", 1, 0.6)).ticks == 0
+    assert "live: 1 of 2 valid ticks have errors above 3 sd, 2 above 0.3 mm; 50% of the ticks" in text
+    assert off.run(MiscalibrationTask("nothing", "exact", "friction", 1, 0.6)).ticks == 0
     assert "live: 1" not in "\n".join(remarks([replace(row, ticks=0, valid=0)]))
 
 
 def test_a_real_run_is_off_by_what_it_says():
-    row = off.run(OffTask("φ2 1°", "exact", "friction", 3, 8.0))
+    row = off.run(MiscalibrationTask("φ2 1°", "exact", "friction", 3, 8.0))
     assert row.error == ""
     assert row.accepted
     assert not row.far
-    assert verdict(next(each for each in OFF if each.name == row.off), row.named_early) in ("right", "with others")
+    assert verdict(next(each for each in MISCALIBRATIONS if each.name == row.off), row.named_early) in (
+        "right",
+        "with others",
+    )
     assert row.z < 4.0

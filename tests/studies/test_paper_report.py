@@ -12,7 +12,7 @@ from palmd.rig.simulate import simulate_log
 from tools.studies import paper
 from tools.studies.commands import main
 from tools.studies.paper import HARDWARE_RMS_M, PUBLISHED_PSI_RAD, PUBLISHED_RADIUS, STUDY, PaperTask
-from tools.studies.paper_runs import ASTRAY, paper_simulation, psi_error, relative_radius_error
+from tools.studies.paper_runs import RADIUS_ERROR, paper_simulation, psi_error, relative_radius_error
 
 
 @cache
@@ -51,9 +51,9 @@ def test_small_observable_errors_do_not_mean_a_correct_shape():
     assert valley.observable.max() < 2e-5
     assert abs(valley.mean[np.argmin(valley.conflict)] - true) < 2 * (valley.mean[1] - valley.mean[0])
     assert valley.conflict.max() > 5 * valley.conflict.min()
-    off = relative_radius_error(run, found.astray)
-    assert off > ASTRAY / 2
-    assert np.sqrt(np.mean(found.astray.e_f**2 + found.astray.e_c**2)) < 2e-5
+    off = relative_radius_error(run, found.wrong_radius)
+    assert off > RADIUS_ERROR / 2
+    assert np.sqrt(np.mean(found.wrong_radius.e_f**2 + found.wrong_radius.e_c**2)) < 2e-5
 
 
 def test_on_the_emulated_rig_the_smoother_is_better_by_orders_of_magnitude():

@@ -54,11 +54,11 @@ GOOD = LiveRow(
 
 def test_what_is_right_and_what_is_wrong_live():
     assert GOOD.right
-    assert not GOOD.wrong_claim
-    assert dataclasses.replace(GOOD, worst_z=3.5).wrong_claim
-    assert dataclasses.replace(GOOD, worst_e=4e-4).wrong_claim
+    assert not GOOD.accepted_wrong
+    assert dataclasses.replace(GOOD, worst_z=3.5).accepted_wrong
+    assert dataclasses.replace(GOOD, worst_e=4e-4).accepted_wrong
     assert not dataclasses.replace(GOOD, claimed=False).right
-    assert not LiveRow(7, "calibrated", 5.0, error="no").wrong_claim
+    assert not LiveRow(7, "calibrated", 5.0, error="no").accepted_wrong
 
 
 def test_the_table_of_live_runs_counts_them():
@@ -71,10 +71,10 @@ def test_the_table_of_live_runs_counts_them():
     assert perfect[:5] == ["none", "1", "0", "1", "0"]
     assert sliding[-6:-2] == ["1", "1", "1", "2.3"], "one left the pad, one jammed, one over its limit"
     assert calibrated[-6:-2] == ["0", "0", "0", "1.2"]
-    assert "400 µm off" in remark(wrong)
+    assert "error 400 µm" in remark(wrong)
 
 
 @pytest.mark.parametrize("kind", ["tilt", "float"])
 def test_a_run_too_short_for_a_drag_is_refused_in_words(kind):
-    with pytest.raises(ValueError, match="a run lasts 2 s at least"):
+    with pytest.raises(ValueError, match="at least 2 s"):
         simulate_pivot_log(kind, 3, 0.5)

@@ -116,11 +116,11 @@ def test_the_report_tells_seeds_claims_and_what_to_look_at():
     assert "rig: seeds 0–999, 1001–1003\n" in text
     assert "  accepted: 1001 of 1003\n" in text
     assert "not accepted: 1: too little\n" in text
-    assert "0.3 mm off beyond its band: 1 of 1001 (at most 0.47 %" in text
+    assert "0.3 mm beyond its band: 1 of 1001 (at most 0.47 %" in text
     assert remarks(rows) == [
         "rig 1002: ValueError: no ground",
-        "rig 1003: accepted, and 0.40 mm off beyond its band",
-        "rig 1003: accepted, and more than 6 sd off: mu",
+        "rig 1003: accepted, error 0.40 mm beyond its band",
+        "rig 1003: accepted, errors above 6 sd: mu",
         "rig 1003: contradicted: phi2_rad (+4.7 sd)",
     ]
     (goal,) = STUDY.goals
@@ -147,7 +147,7 @@ def test_imperfections_are_drawn_from_what_reconstruct_believes():
 
 
 def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruct_believes():
-    drawn = [sbc.believed("friction", seed) for seed in range(400)]
+    drawn = [sbc.drawn_from_prior("friction", seed) for seed in range(400)]
     z = {
         "rho": [
             math.log(body.rho / body.support.sample(THETA).mean() / prior.GYRATION) / LN_GYRATION_SD
@@ -159,8 +159,8 @@ def test_what_an_object_rubs_with_and_how_it_turns_is_drawn_from_what_reconstruc
     friction = np.array([surface.mu for _, surface in drawn])
     assert friction.min() > 0.0
     assert np.median(friction) == pytest.approx(0.12, abs=0.015)  # of a Gaussian about 0.1 without what is negative
-    assert sbc.believed("nominal", 1)[1] is None
-    assert sbc.believed("rig", 1)[0] == sbc.believed("rig", 1)[0]
+    assert sbc.drawn_from_prior("nominal", 1)[1] is None
+    assert sbc.drawn_from_prior("rig", 1)[0] == sbc.drawn_from_prior("rig", 1)[0]
 
 
 # ------------------------------------------------------------------------------------------------------ runs

@@ -8,7 +8,7 @@ import pytest
 from palmd.record.recheck import Checked, Difference
 from palmd.record.run import Survey
 from palmd.rig.fault_injection import ARM, INJECTABLE_FAULTS, PADS
-from tools.studies.soak_fault_injection import QUIET_S, SoakFault, Visit, draw
+from tools.studies.soak_fault_injection import QUIET_S, InjectedFault, Visitor, draw
 from tools.studies.soak_findings import (
     Numbers,
     ProcessSeries,
@@ -24,7 +24,7 @@ from tools.studies.soak_findings import (
     replayed,
     slope,
     table,
-    told,
+    without_goal,
 )  # fmt: skip
 from tools.studies.soak_watch import Process, SoakWatch
 
@@ -39,7 +39,7 @@ def missed(findings):
 
 
 def test_a_missed_goal_is_missed_and_an_unjudged_one_is_not():
-    met, none = between("g", "x", 0, 0, 0), told("g", "y", 3.0)
+    met, none = between("g", "x", 0, 0, 0), without_goal("g", "y", 3.0)
     assert all_met([met, none])
     assert not all_met([])
     for bad in (between("g", "x", 1, 0, 0), at_most("g", "x", 2.1, 2.0), at_most("g", "x", math.nan, 2.0)):
@@ -189,9 +189,9 @@ def test_the_same_seed_draws_the_same_and_another_one_another():
 
 def test_an_hour_has_every_trick_on_every_port_and_every_visitor():
     acts = [doing.act for doing in draw(np.random.default_rng(1), 10 * HOUR_S)]
-    drawn = {(act.name, act.port) for act in acts if isinstance(act, SoakFault)}
+    drawn = {(act.name, act.port) for act in acts if isinstance(act, InjectedFault)}
     assert drawn == {(name, port) for name, trick in INJECTABLE_FAULTS.items() for port in trick.ports or (None,)}
-    assert {act.who for act in acts if isinstance(act, Visit)} == {"listener", "deaf", "page", "asker"}
+    assert {act.who for act in acts if isinstance(act, Visitor)} == {"listener", "deaf", "page", "asker"}
     assert {port for _, port in drawn} == {*PADS, *ARM, None}
 
 

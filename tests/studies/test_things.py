@@ -7,39 +7,39 @@ import math
 import numpy as np
 
 from tools.studies import things
-from tools.studies.things import LIVE, LOGGED, LUMP, ThingRow, ThingTask, body_of, remarks
+from tools.studies.things import LIVE, LOGGED, LUMP, ObjectRow, ObjectTask, body_of, remarks
 
 THETA = np.arange(360) * (math.tau / 360)
 
 
 def test_each_kind_and_seed_is_one_body_and_every_third_has_its_mass_off_centre() -> None:
     for kind in ("coin", LUMP):
-        again, once, other = (body_of(ThingTask(kind, seed)).support.sample(THETA) for seed in (0, 0, 1))
+        again, once, other = (body_of(ObjectTask(kind, seed)).support.sample(THETA) for seed in (0, 0, 1))
         assert (again == once).all()
         assert np.abs(other - once).max() > 1e-5
-    centred, weighted = (np.ptp(body_of(ThingTask("coin", seed)).support.sample(THETA)) for seed in (0, 2))
+    centred, weighted = (np.ptp(body_of(ObjectTask("coin", seed)).support.sample(THETA)) for seed in (0, 2))
     assert centred < 1e-9
     assert weighted > 1.9e-3
 
 
 def test_corners_dents_and_dry_lumps_are_logs_replayed_live() -> None:
     assert LOGGED == ("corners of 3 mm", "corners of 1 mm", "dent of 4 mm", "dent of 10 mm", "dry lump")
-    row = things.run(ThingTask("dent of 4 mm", 0, 1.5))
+    row = things.run(ObjectTask("dent of 4 mm", 0, 1.5))
     assert not row.error
     assert row.wrong <= row.valid <= 1.0
 
 
 def test_what_raises_becomes_a_row_that_says_so() -> None:
-    row = LIVE.attempted(ThingTask("teapot", 0))
+    row = LIVE.attempted(ObjectTask("teapot", 0))
     assert row.error.startswith("ValueError")
     assert remarks([row]) == [f"teapot 0: {row.error}"]
 
 
 def test_the_remarks_leave_smooth_lumps_out_of_things() -> None:
-    die = ThingRow("die", 0, valid=0.5, wrong=0.1, most_m=1e-3, refusals=3, losses=2, far=0.025)
-    rows = [die, ThingRow(LUMP, 0, valid=0.9, wrong=0.5, most_m=4e-4)]
+    die = ObjectRow("die", 0, valid=0.5, wrong=0.1, most_m=1e-3, refusals=3, losses=2, far=0.025)
+    rows = [die, ObjectRow(LUMP, 0, valid=0.9, wrong=0.5, most_m=4e-4)]
     together, wrong, _ = remarks(rows)
-    assert together.startswith("all things: runs 1, valid 50%, wrong, of all ticks 10.0%")
+    assert together.startswith("all objects: runs 1, valid 50%, wrong, of all ticks 10.0%")
     assert "beyond 3 sd 2.5%" in together
     assert wrong == "die 0: wrong for 10.0%, by up to 1.00 mm"
     assert [line.split()[0] for line in LIVE.tabled(rows).splitlines()[1:]] == ["die", LUMP]

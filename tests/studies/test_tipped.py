@@ -12,7 +12,7 @@ from palmd.observer.flat_side_search import FlatSideSearch
 from palmd.observer.rounded_polygon_reconstruct import rounded_polygon_reconstruction
 from palmd.observer.search import Search
 from palmd.score import score_outline
-from tools.studies import thing_logs
+from tools.studies import object_logs
 
 POSES_DEG = ((118, 50, 2.5), (54, 114, 2.0), (12, 114, 1.5), (12, 46, 2.0))  # φ1, φ2, and in what time (s)
 ROUND = PlanSpec.model_validate(
@@ -30,8 +30,8 @@ ROUND = PlanSpec.model_validate(
 @pytest.fixture(scope="module")
 def tipped():
     """The first segment's search, all that was felt on sides, and the truth."""
-    task = thing_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND)
-    log, truth, _ = thing_logs.simulated(task)
+    task = object_logs.SharpTask("corners of 3 mm", 100, 24.0, plan=ROUND)
+    log, truth, _ = object_logs.simulated(task)
     search, *others = [Search(each, log.rig) for each in data_segments(log.events) if each.lasts > 1.0]
     return search, FlatSideSearch(search, 0, others), truth
 

@@ -14,7 +14,7 @@ import pytest
 import palmd.view
 from palmd.chords import chords_of
 from palmd.rig.shapes import Support, random_body
-from tools.studies.real_things import thing
+from tools.studies.real_objects import real_object
 from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport
 
 THETA = np.arange(360) * (math.tau / 360)
@@ -22,7 +22,7 @@ EVERYWHERE = np.ones(360, dtype=bool)
 
 
 def a_thing(name: str) -> tuple[np.ndarray, tuple[float, ...]]:
-    made = thing(name, np.random.default_rng(3))
+    made = real_object(name, np.random.default_rng(3))
     return made.body.support.sample(THETA), made.size_m
 
 

@@ -104,8 +104,8 @@ def judged_of(*packages: object) -> tuple[bool, list[str]]:
 
 
 def test_a_known_hole_fails_the_audit_and_says_what_mends_it() -> None:
-    assert judged_of(CLEAN) == (True, ["no known holes"])
-    assert judged_of(CLEAN, HOLED) == (False, ["pyyaml 6.0.3: PYSEC-1, mended in 7.0"])
+    assert judged_of(CLEAN) == (True, ["no known vulnerabilities"])
+    assert judged_of(CLEAN, HOLED) == (False, ["pyyaml 6.0.3: PYSEC-1, fixed in 7.0"])
 
 
 def test_an_audit_that_nobody_answered_neither_fails_nor_claims_anything() -> None:

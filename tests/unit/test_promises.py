@@ -30,9 +30,9 @@ def test_the_stored_copy_has_everything_of_now(now) -> None:
 @pytest.mark.parametrize(
     ("path", "line"),
     [
-        (("topics", "palm/estimate", "psi_rad"), "topics: palm/estimate: psi_rad is gone"),
-        (("commands", "export"), "commands: export is gone"),
-        (("requests", "jog"), "requests: jog is gone"),
+        (("topics", "palm/estimate", "psi_rad"), "topics: palm/estimate: psi_rad is missing"),
+        (("commands", "export"), "commands: export is missing"),
+        (("requests", "jog"), "requests: jog is missing"),
     ],
 )
 def test_what_is_taken_away_is_named(now, path, line) -> None:
@@ -50,7 +50,7 @@ def test_another_unit_and_a_lost_option_are_named(now) -> None:
     other["commands"]["export"].remove("--as")
     assert list(broken(now, other)) == [
         "topics: palm/estimate: psi_rad: was ['number', 'rad'], is ['number', 'deg']",
-        "commands: export: --as is gone",
+        "commands: export: --as is missing",
     ]
 
 

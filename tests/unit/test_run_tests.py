@@ -71,9 +71,7 @@ def test_a_rig_that_fails_when_others_are_over_is_tried_again_by_itself(ran, cap
         [("other", "first", "None"), ("rig", "again", "None"), ("rig", "first", "1")],
     )
     told = capfd.readouterr().out
-    assert (
-        told.index("rig, over by") < told.index("rig: what has failed is tried again") < told.index("failed: nothing")
-    )
+    assert told.index("rig, after") < told.index("rig: repeating failed tests") < told.index("failed: nothing")
     assert "other talks" in told
 
 

@@ -31,7 +31,7 @@ from palmd.system.naming import PAD_NUMBERS
 from palmd.systems import LIVE, SYSTEMS, TWO_PALMS, load_part
 from palmd.topics import SYSTEM_TOPICS
 from palmd.yamlfile import ConfigError, load_any_config, load_config
-from tools.wireless import AtOnce, ClosedLoop
+from tools.closed_loop import AtOnce, ClosedLoop
 
 PARTS = [
     pytest.param(part, id=f"{name}-{field}")

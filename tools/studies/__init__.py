@@ -1,1 +1,1 @@
-"""Studies: what only a study, a paper or a benchmark needs; not part of what is installed."""
+"""Studies: code for simulation studies, the paper's figures and benchmarks; not part of the installed package."""

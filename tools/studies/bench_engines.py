@@ -1,9 +1,9 @@
-"""Physics engines as judges: bodies on vibrating palms in MuJoCo, Drake and Chipmunk, estimated blind.
+"""Comparison with physics engines: bodies on vibrating palms in MuJoCo, Drake and Chipmunk, estimated blind.
 
-Each run draws a body, a motion, friction and a vibration, simulates it in an engine with its own friction, writes an
-event log, and compares `reconstruct` and the live observer with the engine's truth. With --daemon the whole daemon
-explores instead, with MuJoCo and with palmd's own plant in the emulated rig. A file that has runs already is resumed:
-the same command does those that are not there yet, and reports all.
+Each run draws a body, a motion, friction and a vibration, simulates it in an engine with the engine's friction model,
+writes an event log, and compares `reconstruct` and the live observer with the engine's truth. With --daemon the whole
+daemon explores instead, with MuJoCo and with palmd's own plant in the emulated rig. A file with runs is resumed: the
+same command does the missing runs and reports all.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PACKAGES: dict[EngineName, str] = {"mujoco": "mujoco", "drake": "pydrake", "chi
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Logs of engines, or the daemon in closed loop."""
+    """Run the study of engine logs, or with --daemon the closed loop."""
     if not arguments.daemon:
         return LOGS.conduct(arguments)
     require("--daemon", "mujoco", "mujoco")
@@ -31,7 +31,7 @@ def conduct(arguments: argparse.Namespace) -> int:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[EngineTask]:
-    """So many runs of each combination; CliError where an engine is not installed."""
+    """The requested number of runs of each combination; raises CliError if an engine is not installed."""
     engines = ENGINES if arguments.engine == ALL else (arguments.engine,)
     for engine in engines:
         require(f"--engine {engine}", _PACKAGES[engine], "engines")
@@ -57,6 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, runs=2, seconds_each=10.0, output="engines.jsonl", kinds=ENGINE_KINDS, what="of each combination"
     )
     add = parser.add_argument
-    add("--engine", choices=(*ENGINES, ALL), default=ALL, help="whose physics (default: %(default)s)")
+    add("--engine", choices=(*ENGINES, ALL), default=ALL, help="physics engine (default: %(default)s)")
     add("--daemon", action="store_true", help="the whole daemon explores ellipses, in MuJoCo and in palmd's own plant")
     add("--imperfections", choices=(*CALIBRATION, ALL), default=ALL, help="of the rig, drawn (default: %(default)s)")

@@ -1,7 +1,7 @@
-"""The posterior Cramér–Rao bound of a record: how well anybody could know the object from these readings.
+"""The posterior Cramér–Rao bound of a record: the best accuracy of any estimate from these readings.
 
 The expected information of the readings at the true trajectory and constants, plus that of the blind prior; its
-inverse bounds the covariance of every unbiased estimator (van Trees 1968, section 2.4). For studies, where the truth
+inverse bounds the covariance of every unbiased estimator (van Trees 1968, section 2.4). For studies, in which the truth
 is known.
 """
 
@@ -30,9 +30,9 @@ from palmd.system.description import RigDescription
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What was really there; SI units.
+    """The true object and motion; SI units.
 
-    dither: None where there is no friction for it to act on. h on evenly spaced normals theta from 0; psi, omega0 at
+    dither: None without friction, where it has no effect. h on evenly spaced normals theta from 0; psi, omega0 at
     times t, in the outline's gauge.
     """
 
@@ -50,7 +50,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Least one-sigma possible: of h on the normals asked for (m), ρ (m), μ, mass (kg; NaN without any force)."""
+    """Lower bounds of 1σ: of h on the requested normals (m), ρ (m), μ, mass (kg; NaN without any force)."""
 
     h_sd: FloatArray
     rho_sd: float
@@ -60,7 +60,7 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class AtTruth:
-    """A record linearised where the truth is: covariance of (constants, last node) by its expected information."""
+    """A record linearised at the truth: covariance of (constants, last node) from the expected information."""
 
     record: Record
     guess: Guess
@@ -68,34 +68,34 @@ class AtTruth:
 
     @property
     def touched(self) -> FloatArray:
-        """The directions (rad) that a palm has been at, in the outline's gauge."""
+        """Directions of the normals touched (rad), in the outline's gauge."""
         normals = contact_normals(self.record, self.guess.x[:, 0], self.guess.p[C.SHAPE :])
         return directions()[touched_by(normals)]
 
 
 def at_truth(
-    events: Sequence[Event], rig: RigDescription, truth: Truth, belief: RigBelief, rig_off: FloatArray
+    events: Sequence[Event], rig: RigDescription, truth: Truth, belief: RigBelief, rig_errors: FloatArray
 ) -> AtTruth:
-    """What `reconstruct` could know of `events` by a `belief` in the rig, whose constants are off by `rig_off`.
+    """The information in `events` at the truth, under a `belief` in the rig, whose constants have the `rig_errors`.
 
-    Raises ValueError where there is nothing to reconstruct.
+    Raises ValueError if both pads and the arm never report at the same time.
     """
     segment = longest_segment(events)
     if segment is None:
-        raise ValueError("there is no time at which both pads and the arm report")
+        raise ValueError("nothing to reconstruct: both pads and the arm never report at the same time")
     search = Search(segment, rig, belief=belief)
     record = lay_out(segment.pads, search.path, rig, segment.start, segment.end, SPACING_S)
-    guess = _true_guess(truth, search.prior, rig_off, record.t)
+    guess = _true_guess(truth, search.prior, rig_errors, record.t)
     expected = _expected(record, Smoother(search.library, record, search.prior), rig, guess)
     smoother = Smoother(search.library, expected, search.prior)
     return AtTruth(record, guess, smoother.posterior(smoother.fit(guess, search.noise, iterations=0)).covariance)
 
 
 def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta: FloatArray) -> Bound:
-    """The bound on what `reconstruct` could make of `events`: (Σ JᵀJ/σ² + prior⁻¹)⁻¹ at the truth.
+    """The bound for reconstructions of `events`: (Σ JᵀJ/σ² + prior⁻¹)⁻¹ at the truth.
 
-    `theta`: normals (rad) in the truth's gauge; as in every published outline, the error of the orientation itself is
-    no part of the band. Raises ValueError where there is nothing to reconstruct.
+    `theta`: normals (rad) in the truth's gauge; as in every published outline, the band does not include the error of
+    the orientation. Raises ValueError if both pads and the arm never report at the same time.
     """
     at = at_truth(events, rig, truth, RigBelief.of(rig), np.zeros(RIG_CONSTANTS))
     coefficients, covariance = at.guess.p[C.SHAPE :], at.covariance
@@ -109,9 +109,9 @@ def cramer_rao(events: Sequence[Event], rig: RigDescription, truth: Truth, theta
     )
 
 
-def _true_guess(truth: Truth, prior: Prior, rig_off: FloatArray, t: FloatArray) -> Guess:
+def _true_guess(truth: Truth, prior: Prior, rig_errors: FloatArray, t: FloatArray) -> Guess:
     p = np.zeros(CONSTANTS)
-    p[RIG] = rig_off
+    p[RIG] = rig_errors
     p[C.LN_RHO], p[C.DAMPING], p[C.LN_MASS] = math.log(truth.rho), truth.damping, math.log(truth.mass)
     dither = math.exp(prior.mean[C.SATURATION]) if truth.dither is None else truth.dither
     p[C.DRAG], p[C.SATURATION] = truth.mu / dither, dither**-2.0
@@ -120,7 +120,7 @@ def _true_guess(truth: Truth, prior: Prior, rig_off: FloatArray, t: FloatArray) 
 
 
 def _expected(record: Record, smoother: Smoother, rig: RigDescription, guess: Guess) -> Record:
-    """The record with every reading at its expectation, so that none is weighed down as an outlier."""
+    """The record with every reading at its expectation, so that none is down-weighted as an outlier."""
     contacts = record.contact_value - smoother.residuals(guess) * np.sqrt(record.contact_variance)
     forces = np.maximum(smoother.forces(guess), LEAST_FORCE_N)
     return replace(

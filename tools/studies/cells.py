@@ -14,7 +14,7 @@ Cell = Callable[[Rows], str]
 
 
 def number(value: float, unit: float = 1.0) -> str:
-    """Three digits; ∞ where it is infinite, – where there is none."""
+    """The value with three digits; ∞ for infinity, – for NaN."""
     if math.isnan(value):
         return NOTHING
     if math.isinf(value):
@@ -29,7 +29,7 @@ def percent(value: float) -> str:
 
 
 def quantile(values: Iterable[float], q: float) -> float:
-    """The q-quantile, linear between neighbours as long as they are finite; NaN of nothing."""
+    """The q-quantile, linear between neighbours; NaN without values."""
     ordered = sorted(values)
     if not ordered:
         return math.nan
@@ -42,38 +42,38 @@ def quantile(values: Iterable[float], q: float) -> float:
 
 
 def known(values: Iterable[float]) -> list[float]:
-    """Those that are numbers."""
+    """The finite values."""
     return [value for value in values if math.isfinite(value)]
 
 
 def share(marks: Iterable[bool]) -> float:
-    """NaN of nothing."""
+    """The share of true marks; NaN without marks."""
     marked = list(marks)
     return sum(marked) / len(marked) if marked else math.nan
 
 
 def runs(rows: Rows) -> str:
-    """How many there are."""
+    """The number of rows."""
     return str(len(rows))
 
 
 def errors(rows: Rows) -> str:
-    """How many ended in an error."""
+    """The number of rows with an error."""
     return str(sum(bool(row.error) for row in rows))
 
 
 def count(mark: Callable[[Any], bool]) -> Cell:
-    """How many are such."""
+    """The number of marked rows."""
     return lambda rows: str(sum(map(mark, rows)))
 
 
 def count_of(mark: Callable[[Any], bool]) -> Cell:
-    """How many are such, of how many."""
+    """The number of marked rows, and of all rows."""
     return lambda rows: f"{sum(map(mark, rows))} of {len(rows)}"
 
 
 def shares(mark: Callable[[Any], bool]) -> Cell:
-    """The share of rows that are such (%)."""
+    """The share of marked rows (%)."""
     return lambda rows: percent(share(map(mark, rows)))
 
 
@@ -83,7 +83,7 @@ def total(value: Value) -> Cell:
 
 
 def quantiles(value: Value, unit: float = 1.0, qs: Sequence[float] = (0.5,), *, worst: bool = False) -> Cell:
-    """These quantiles of the rows that have the number; worst: a row without it counts as infinite."""
+    """Quantiles over the rows that have the value; worst: a row without it counts as infinite."""
 
     def cell(rows: Rows) -> str:
         values = list(map(value, rows))
@@ -94,7 +94,7 @@ def quantiles(value: Value, unit: float = 1.0, qs: Sequence[float] = (0.5,), *, 
 
 
 def rms(value: Value, unit: float = 1.0) -> Cell:
-    """The root of the mean square of the rows that have the number."""
+    """The root mean square over the rows that have the value."""
 
     def cell(rows: Rows) -> str:
         some = known(map(value, rows))
@@ -104,12 +104,12 @@ def rms(value: Value, unit: float = 1.0) -> Cell:
 
 
 def most(value: Value, unit: float = 1.0) -> Cell:
-    """The largest."""
+    """The largest value."""
     return lambda rows: number(max(known(map(value, rows)), default=math.nan), unit)
 
 
 def mean(value: Value, form: str) -> Cell:
-    """The mean of the rows that have the number."""
+    """The mean over the rows that have the value."""
 
     def cell(rows: Rows) -> str:
         some = known(map(value, rows))
@@ -119,5 +119,5 @@ def mean(value: Value, form: str) -> Cell:
 
 
 def among(mark: Callable[[Any], bool], cell: Cell) -> Cell:
-    """The same of those that are such."""
+    """The cell over the marked rows only."""
     return lambda rows: cell([row for row in rows if mark(row)])

@@ -1,4 +1,4 @@
-"""The table of studies, and what runs one of them by its name."""
+"""The table of studies, and the command that runs one of them by its name."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from palmd.console.extras import missing
 STUDIES = {
     "montecarlo": "random objects reconstructed blind, against truth and Cramér–Rao bound",
     "sbc": "simulation-based calibration of blind reconstructions",
-    "off": "reconstructions while one property of the rig is not as configured",
-    "explore": "unknown objects explored on the emulated rig, beside moves drawn at random",
+    "off": "reconstructions with one rig property different from the configuration",
+    "explore": "unknown objects explored on the emulated rig, compared with random moves",
     "curved": "logs of curved palms reconstructed blind",
     "pivot": "objects in a pivoting grasp, offline and live",
     "space": "bodies between three palms in space, offline, live and explored",
-    "things": "dice, nuts, coins and blocks: how often an estimate is wrong",
+    "things": "test objects such as dice, nuts, coins and blocks: how often an estimate is wrong",
     "engines": "logs and contact forces of independent physics engines",
     "faults": "each fault provoked on the emulated rig: reaction and time to standstill",
     "simulate": "daemon and rig in virtual time with random faults: invariants that must hold",
@@ -29,18 +29,18 @@ STUDIES = {
     "soak": "the demo for an hour with random faults: leaks, lateness, lost packets",
     "paper": "the runs behind the figures of CMU-CS-01-107, by its method and by palmd's",
 }
-"""By name: what it is about. Its module has `add_arguments(parser)`, and a `STUDY` or `conduct(arguments) -> int`."""
+"""Names and topics. A study's module has `add_arguments(parser)`, and a `STUDY` or `conduct(arguments) -> int`."""
 
 MODULES = {"engines": "bench_engines", "explore": "exploring"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one study; returns the exit status as `palmd` does. Raises SystemExit for usage and help."""
-    return status_of(lambda: _asked_for(argv))
+    return status_of(lambda: _requested(argv))
 
 
 def loaded(name: str) -> ModuleType:
-    """The study's module; raises CliError, with what to install, where an optional package is missing."""
+    """The study's module; if an optional package is missing, raises CliError that names it."""
     try:
         return importlib.import_module(f"tools.studies.{MODULES.get(name, name.replace('-', '_'))}")
     except ModuleNotFoundError as error:
@@ -50,7 +50,7 @@ def loaded(name: str) -> ModuleType:
         raise missing(f"the study {name}", package, "studies") from None
 
 
-def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
+def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
     width = max(map(len, STUDIES))
     parser = Parser(
         prog=PROGRAM,

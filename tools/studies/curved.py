@@ -1,4 +1,4 @@
-"""Curved palms: logs of cradles and domes reconstructed blind; `explore --config` explores on them."""
+"""Curved palms: logs of cradles and domes reconstructed blind. `explore --config` explores on curved palms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LogTask:
 
 @dataclass(frozen=True, slots=True)
 class LogRow(LogTask):
-    """What came of it; NaN for what there is not. z: RMS of error over 1σ where touched; took: processor time."""
+    """The result of one log; NaN for missing values. z: RMS of error over 1σ where touched; took_s: processor time."""
 
     error: str = ""
     accepted: bool = False
@@ -45,25 +45,25 @@ class LogRow(LogTask):
 
     @property
     def right(self) -> bool:
-        """Whether what is accepted is right to `RIGHT_M`."""
+        """Whether the estimate is accepted and its RMS error is below `RIGHT_M`."""
         return self.accepted and self.e_h_m < RIGHT_M
 
 
 def run(task: LogTask) -> LogRow:
-    """Simulate, reconstruct and judge one log."""
+    """Simulate, reconstruct and score one log."""
     lines, truth = simulate_curved_log(task.kind, task.seed, task.seconds)
     with written(lines) as path:
         log = read_log(path)
-    begun = time.process_time()
+    start = time.process_time()
     answer = reconstruct(log.events, log.rig)
     how = {"accepted": answer.converged, "reason": answer.reason, "chi2": answer.chi2}
-    took_s = time.process_time() - begun
+    took_s = time.process_time() - start
     if answer.h is None or answer.h_sd is None or answer.touched is None:
         return result(LogRow, task, **how, took_s=took_s)
     true_h = np.array(truth["h_m"])
     score = score_outline(answer.theta, answer.h, answer.touched, true_h)
-    there = np.interp(answer.theta + score.rotation, np.array(truth["theta_rad"]), true_h, period=math.tau)
-    z = rms(((answer.h - there) / answer.h_sd)[answer.touched])
+    true_h_there = np.interp(answer.theta + score.rotation, np.array(truth["theta_rad"]), true_h, period=math.tau)
+    z = rms(((answer.h - true_h_there) / answer.h_sd)[answer.touched])
     return result(LogRow, task, **how, took_s=took_s, e_h_m=score.e_h, z=z, touched=score.touched)
 
 
@@ -71,12 +71,12 @@ def run(task: LogTask) -> LogRow:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[LogTask]:
-    """So many logs of each kind."""
+    """The requested number of logs of each kind."""
     return [LogTask(kind, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for kind in CURVED_KINDS]
 
 
 def remarks(rows: Sequence[LogRow]) -> list[str]:
-    """A line for each log that is not accepted."""
+    """A line for each rejected log."""
     return [f"{row.kind} {row.seed}: {row.error or row.reason}" for row in rows if not row.accepted]
 
 

@@ -1,4 +1,4 @@
-"""Unknown objects explored on the emulated rig without wires, beside moves drawn at random."""
+"""Unknown objects explored in simulation without real links, compared with random moves."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from palmd.rig.shapes import KINDS, Body, Kind
 from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_config
+from tools.closed_loop import InlineExplorer, TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, count, errors, percent, quantile, quantiles, runs, shares
 from tools.studies.exploring_plans import STRATEGIES, Strategy, plan
 from tools.studies.exploring_watch import EDGE_M, ExplorationWatch
 from tools.studies.harness import Study, result
-from tools.wireless import InlineExplorer, Wireless
 
 GOAL = 1.0
-"""The share of the normals to reach that the study asks for: more than it judges by, as both are counted in bins."""
+"""Coverage requested of the explorer: more than `ENOUGH`, since both are counted in bins."""
 
 HARMONICS = 20  # of true outlines; the flattest ellipses have more than the estimates
-SETTLE_S = 2.0  # after the end of an exploration, for the smoother to read the rest
+SETTLE_S = 2.0  # after the end of an exploration, for the smoother to process the last readings
 
 
 @dataclass(frozen=True, slots=True)
 class ExploringTask:
-    """One run to do: kind and seed of the object, how the palms are moved, and for how long (s)."""
+    """One run: kind and seed of the object, strategy of the palms' motion, duration (s)."""
 
     kind: Kind
     seed: int
@@ -50,22 +50,21 @@ class ExploringTask:
     seconds: float = 60.0
     imperfections: Drawn = "none"
     config: Path | None = None
-    """Of the rig, its imperfections included; None: the default one with these imperfections."""
+    """The rig's configuration with its imperfections; None: the default rig with `imperfections`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExploringRow(ExploringTask):
-    """A run in numbers; NaN for what there is not.
+    """The results of one run; NaN for missing values.
 
-    error: what was raised, then nothing else is known. reachable: share of the normals that stable poses within the
-    limits show; coverage: touched share of these.
-    enough_s, valid_s: when coverage was 0.95, when the estimate was first valid, from the start on; ended_s: when the
-    exploration ended by itself, and the reason it gave. hausdorff, e_h: error of the last valid outline over all
-    normals, largest and RMS; band: the largest sd that it claimed. losses: of a contact, how often;
-    parted_s, edge_s: how long not both touched, and how long a contact was at a pad's end; recovered: whether at the
-    end both touch and the estimate is valid. outside, refused: set-points outside the limits, and refused by the
-    controller. took_s: processor time of the whole run (s). Estimates have numbers in
-    explorations alone: plans have no smoother.
+    error: the exception, without any other result. reachable: share of the normals that are reachable in stable poses
+    within the limits; coverage: share of these that was touched. enough_s, valid_s: time from the start to coverage
+    0.95 and to the first valid estimate; ended_s: when the explorer ended the exploration, with its reason.
+    hausdorff_m, e_h_m: largest and RMS error of the last valid outline over all normals; band_m: its largest 1σ.
+    losses: number of lost contacts; parted_s, edge_s: time without both contacts, and with a contact at a pad's end;
+    recovered: at the end both palms are touched and the estimate is valid. outside, refused: number of set-points
+    outside the limits, and refused by the controller. took_s: processor time of the whole run (s). Only explorations
+    have estimates: random moves have no smoother.
     """
 
     error: str = ""
@@ -88,40 +87,40 @@ class ExploringRow(ExploringTask):
 
     @property
     def mishap(self) -> bool:
-        """Whether a contact was lost or came to the end of a pad."""
+        """Whether a contact was lost or reached the end of a pad."""
         return self.losses > 0 or self.edge_s > 0.0
 
 
 def run(task: ExploringTask) -> ExploringRow:
-    """Explore and judge."""
+    """Explore and score."""
     return explored(task, load_config(task.config) if task.config else default_config(task.imperfections))
 
 
 def explored(task: ExploringTask, config: Config, body: Body | None = None) -> ExploringRow:
-    """One run on the rig of that configuration, with `body` on its palms or one drawn by the task's kind and seed."""
+    """One run on the configured rig, with `body` on its palms or one drawn by the task's kind and seed."""
     begin = time.process_time()
     rig = rig_description(config)
-    finds_out = task.strategy == "explore"
+    explores = task.strategy == "explore"
     goal = ExploreGoal(coverage=GOAL, time_limit_s=task.seconds)
-    wireless = Wireless(
+    loop = TwoPalmsLoop(
         config,
         plan(task.strategy, config, goal, task.seed),
         task.seed,
         kind=task.kind,
-        smoothing=Simulated(rig) if finds_out else None,
+        smoothing=Simulated(rig) if explores else None,
         explorer=InlineExplorer(Decider(rig, task.seed)),
         body=body,
     )
-    true_h = np.array(wireless.world.object_truth()["h_m"])
+    true_h = np.array(loop.world.object_truth()["h_m"])
     reachable = _reachable(config, true_h)
     watch = ExplorationWatch(reachable, tuple(pad.length for pad in rig.pads), math.nan, rig.curvatures)
-    wireless.start()
-    watch.t_start = wireless.t
-    before = wireless.world.status()["contact_losses"]
-    ended_s = _watched(wireless, watch, task.seconds)
-    status = wireless.world.status()
-    told = wireless.core.exploring.summary() if finds_out else None
-    score = watch.outline_score(true_h) if finds_out else None
+    loop.start()
+    watch.t_start = loop.t
+    before = loop.world.status()["contact_losses"]
+    ended_s = _watched(loop, watch, task.seconds)
+    status = loop.world.status()
+    result_fields = loop.core.exploring.summary() if explores else None
+    score = watch.outline_score(true_h) if explores else None
     tick_s = 1.0 / config.loop.rate_hz
     return result(
         ExploringRow,
@@ -131,10 +130,10 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
         enough_s=watch.t_enough,
         valid_s=watch.t_valid,
         ended_s=ended_s,
-        reason=told["reason"] if told else "",
+        reason=result_fields["reason"] if result_fields else "",
         hausdorff_m=score.max_error if score else math.nan,
         e_h_m=score.e_h if score else math.nan,
-        band_m=max(watch.shape["h_sd_m"]) if finds_out and watch.shape else math.nan,
+        band_m=max(watch.shape["h_sd_m"]) if explores and watch.shape else math.nan,
         losses=status["contact_losses"] - before,
         parted_s=watch.parted * tick_s,
         edge_s=watch.at_edge * tick_s,
@@ -145,12 +144,12 @@ def explored(task: ExploringTask, config: Config, body: Body | None = None) -> E
     )
 
 
-def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> float:
-    """Let it run, no longer than something happens; when the exploration ended (s since the start), else NaN."""
+def _watched(loop: TwoPalmsLoop, watch: ExplorationWatch, seconds: float) -> float:
+    """Run until `SETTLE_S` after the exploration ended; returns its end (s since the start), NaN without one."""
     exploring, ended = False, math.nan
-    for instant in wireless.run(seconds):
+    for instant in loop.run(seconds):
         watch.take(instant)
-        explores_now = wireless.core.setpoints.exploration is not None
+        explores_now = loop.core.setpoints.exploration is not None
         if exploring and not explores_now and math.isnan(ended):
             ended = instant.t - watch.t_start
         exploring = explores_now
@@ -160,7 +159,7 @@ def _watched(wireless: Wireless, watch: ExplorationWatch, seconds: float) -> flo
 
 
 def _reachable(config: Config, true_h: FloatArray) -> Bools:
-    """The bins of normals that palms touch in any stable pose of the true outline, short of the pads' ends."""
+    """The bins of normals that palms can touch in stable poses of the true outline, not counting the pads' ends."""
     limits = motion_limits(config)
     where = replace(surface_limits(limits), margin=EDGE_M)
     return stable_surface(shape.coefficients_of(true_h, HARMONICS), where, bins=BINS).reach
@@ -170,9 +169,9 @@ def _reachable(config: Config, true_h: FloatArray) -> Bools:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[ExploringTask]:
-    """So many objects of each kind, each with every strategy; CliError for a configuration that is none.
+    """The requested number of objects of each kind, each with every strategy; CliError for a bad configuration.
 
-    No two kinds share a seed: here, where the hinge always travels, friction and rig are the same kind of thing.
+    No two kinds share a seed: with the travelling hinge of this study the kinds `friction` and `rig` are the same.
     """
     if arguments.config is not None:
         configured(arguments.config)
@@ -186,14 +185,14 @@ def draw(arguments: argparse.Namespace) -> Sequence[ExploringTask]:
 
 
 def remarks(rows: Sequence[ExploringRow]) -> list[str]:
-    """The explorations to look at: a line for each that touched too little, met with a mishap, or came to nothing."""
+    """A line for each exploration with too little coverage, a mishap or an error."""
     return [
         f"{row.kind} {row.seed}: {remark}" for row in rows if row.strategy == "explore" and (remark := remark_of(row))
     ]
 
 
 def remark_of(row: ExploringRow) -> str:
-    """What is to be said of a run, nothing where all is well."""
+    """The remark about a run, empty if all is well."""
     if row.error:
         return row.error
     parts = []
@@ -210,12 +209,12 @@ def remark_of(row: ExploringRow) -> str:
 
 
 def two(value: Callable[[ExploringRow], float], unit: float = 1.0) -> Cell:
-    """Median and 90th percentile, a run without the number counting as infinite."""
+    """Median and 90th percentile; a run without the value counts as infinite."""
     return quantiles(value, unit, (0.5, 0.9), worst=True)
 
 
 def _in_the_end(rows: Sequence[ExploringRow]) -> str:
-    """Median and 10th percentile of what was touched; a run that came to nothing has touched nothing."""
+    """Median and 10th percentile of the coverage; a failed run counts as 0."""
     touched = [0.0 if math.isnan(row.coverage) else row.coverage for row in rows]
     return " / ".join(percent(quantile(touched, q)) for q in (0.5, 0.1))
 

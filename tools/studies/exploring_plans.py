@@ -1,4 +1,4 @@
-"""Plans of studies: an exploration, and moves drawn at random. Pure."""
+"""Plans of the exploration study: an exploration, or random moves. Pure."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Strategy = Literal["explore", "random"]
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
 
 OPEN_LOOP = LimitsConfig(phi1_deg=(10.0, 100.0), phi2_deg=(65.0, 125.0))
-"""Where objects of 24 mm mean radius have both contacts on the pads: nobody looks whether they have."""
+"""Limits within which objects of 24 mm mean radius keep both contacts on the pads, without feedback."""
 
-_STREAM = 11  # keeps the random moves apart from the rig's random numbers
+_STREAM = 11  # random stream of the moves, distinct from the rig's
 
 
 def plan(strategy: Strategy, config: Config, goal: ExploreGoal, seed: int) -> PlanSpec:
-    """The strategy's plan, which goes on for `goal.time_limit_s` at least; `seed` draws the random moves."""
+    """The strategy's plan, which lasts `goal.time_limit_s` at least; `seed`: for the random moves."""
     moves = (
         [{"explore": goal.model_dump()}] if strategy == "explore" else _random_moves(config, goal.time_limit_s, seed)
     )
@@ -32,7 +32,7 @@ def plan(strategy: Strategy, config: Config, goal: ExploreGoal, seed: int) -> Pl
 
 
 def _random_moves(config: Config, seconds: float, seed: int) -> list[dict[str, object]]:
-    """Moves like those that the explorer chooses from, one after the other as they are drawn."""
+    """A sequence of random moves from the set that the explorer chooses from."""
     random = np.random.default_rng([_STREAM, seed])
     limits = motion_limits(config.model_copy(update={"limits": _blind_limits(config)}))
     here: FloatArray = np.array(HOME)
@@ -47,7 +47,7 @@ def _random_moves(config: Config, seconds: float, seed: int) -> list[dict[str, o
 
 
 def _blind_limits(config: Config) -> LimitsConfig:
-    """`OPEN_LOOP`; on arcs, where the explorer keeps to while it knows nothing, at the configuration's rates."""
+    """`OPEN_LOOP`; for curved palms the explorer's limits without a known object, with the configuration's rates."""
     curvatures = config.rig.curvatures_per_m
     if not any(curvatures):
         return OPEN_LOOP

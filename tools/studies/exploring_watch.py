@@ -1,4 +1,4 @@
-"""What an exploration really touched, against the rig's truth, tick by tick. Pure."""
+"""True coverage of an exploration, from the rig's truth, tick by tick. Pure."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from palmd.quantities import ESTIMATE, SHAPE
 from palmd.score import OutlineScore, score_shape
 from palmd.system.arcs import FLAT, tangents
 from palmd.system.mechanism import JOINTS, PALMS, normal_directions
-from tools.wireless import Instant
+from tools.closed_loop import Instant
 
 EDGE_M = 5e-4
-"""A contact nearer to a pad's end than this has reached it."""
+"""A contact that is nearer than this to a pad's end has reached it (m)."""
 
 ENOUGH = 0.95
 _BIN_RAD = math.tau / BINS
@@ -27,11 +27,10 @@ _BIN_RAD = math.tau / BINS
 
 @dataclass(slots=True)
 class ExplorationWatch:
-    """Takes the ticks one by one; `reachable` and `touched` are marks on the truth's bins of outward normals.
-    `curvatures` of the palms (1/m): normals are those of the tangents at the contacts.
+    """Statistics of an exploration; `reachable` and `touched` are marks on the truth's bins of outward normals.
 
-    t_enough: when the share touched of the reachable normals was `ENOUGH`; t_valid: the first valid tick (s since the
-    start), both NaN when it never came.
+    `curvatures` of the palms (1/m): normals are those of the tangents at the contacts. t_enough: when the coverage of
+    the reachable normals reached `ENOUGH`; t_valid: the first valid tick (s since the start); NaN if never.
     """
 
     reachable: Bools
@@ -48,7 +47,7 @@ class ExplorationWatch:
     shape: Fields | None = None
 
     def take(self, instant: Instant) -> None:
-        """One tick."""
+        """Take one tick."""
         t, truth = instant.t - self.t_start, instant.truth
         self._touch(truth)
         estimate = instant.messages[ESTIMATE.name]
@@ -61,13 +60,13 @@ class ExplorationWatch:
 
     @property
     def coverage(self) -> float:
-        """The share touched of the reachable normals."""
+        """The touched share of the reachable normals."""
         return float((self.touched & self.reachable).sum() / max(self.reachable.sum(), 1))
 
     def outline_score(self, true_h: FloatArray) -> OutlineScore | None:
-        """The last valid outline against the truth on all normals, touched or not, after the best rotation.
+        """Errors of the last valid outline on all normals, touched or not, after the best rotation.
 
-        For convex bodies `max_error` is then their Hausdorff distance (m).
+        For convex bodies `max_error` is the Hausdorff distance (m).
         """
         if self.shape is None:
             return None
@@ -76,8 +75,8 @@ class ExplorationWatch:
     def _touch(self, truth: dict[str, Any]) -> None:
         self.on_both = all(truth[f"contact{palm}"] for palm in PALMS)
         self.parted += not self.on_both
-        places = [truth[f"s{number}_m"] for number in PALMS]
-        joints = tangents([truth[f"{joint}_rad"] for joint in JOINTS], places, self.curvatures)
+        contacts = [truth[f"s{number}_m"] for number in PALMS]
+        joints = tangents([truth[f"{joint}_rad"] for joint in JOINTS], contacts, self.curvatures)
         normals = normal_directions(joints, truth["psi_rad"])
         for number, theta, length_m in zip(PALMS, normals, self.pad_lengths_m, strict=True):
             if truth[f"contact{number}"]:

@@ -1,7 +1,7 @@
-"""Ordinary operation without wires: how often a guard holds or stops a rig that nothing is wrong with.
+"""False alarms in ordinary simulated operation: how often a guard holds or stops a rig without a fault.
 
-Somebody explores, runs plans, holds and starts, jogs, exchanges plans and objects; the daemon's process is kept off
-its processor for 5 to 25 ms now and then. Exit status 1 when a guard held or stopped.
+A simulated operator explores, runs plans, holds and starts, jogs, exchanges plans and objects; the daemon's process
+gets no processor for 5 to 25 ms now and then. Exit status 1 if a guard held or stopped.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from palmd.observer.pivot.incremental import PERIOD_S
 from palmd.record.run import RecordedAnswers
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config, load_plan, parse, read_document
+from tools.closed_loop import ClosedLoop, ClosedLoopError, PivotLoop, ThreePalmsLoop, TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import errors, most, runs, total
 from tools.studies.harness import Goal, Study, result
 from tools.studies.simulation.light_observer import LightObserver
-from tools.wireless import ClosedLoop, PivotWireless, ThreePalmsWireless, Wireless, WirelessError
 
 GUARDS = frozenset(
     {"following-error", "pose-implausible", "pose-contradicts-rig", "force-limit", "force-excess", "pads-mirrored"}
 )
 FORCES = frozenset({"force-limit", "force-excess"})
 PRESSED_S = 0.3
-"""How long a pad's running mean may take to tell a force."""
+"""Longest delay (s) of a force in a pad's running mean."""
 STALL_SHARE, STALL_S = 0.02, (0.005, 0.025)
-"""How many of the ticks begin while the process is kept off its processor, and for how long."""
+"""Share of ticks that start while the process gets no processor, and range of the stall's duration (s)."""
 BETWEEN_S = (8.0, 30.0)
-"""Between two things that somebody does."""
-JOG_S, JOG_EVERY_S = 2.0, 0.05
+"""Range of time (s) between two actions of the operator."""
+JOG_S, JOG_EVERY_S = 2.0, 0.05  # duration of jogging and period of its steps (s)
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A configuration, its plans, and the joints that are jogged."""
+    """A configuration, its plans, and its joints that are jogged."""
 
     config: str
     plans: tuple[str, ...]
@@ -65,8 +65,8 @@ RIGS: dict[str, Rig] = {
 
 
 @dataclass(frozen=True, slots=True)
-class LifeTask:
-    """One life of a rig: by the body, the noise and the person of this seed, how long (s), and how it is observed."""
+class OperationTask:
+    """One run of a rig; `seed`: of body, noise and operator. light: without a real observer."""
 
     rig: str
     seed: int
@@ -75,11 +75,12 @@ class LifeTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Life(LifeTask):
-    """What came of one: how much of it the rig moved (s), the guards' faults with times and texts, other holds and
-    stops by code, commands given, and the largest following error as a share of its limit.
+class OperationRow(OperationTask):
+    """The results of one run.
 
-    A fault about force is another's where the body really presses with the limit: `guards` are false alarms.
+    moved_s: time in motion. guards: false alarms of guards (time, code, text). others: other holds and stops by code,
+    including force faults while the true force exceeded the limit. commands: given commands by name. following_share:
+    largest following error relative to its limit.
     """
 
     error: str = ""
@@ -91,7 +92,7 @@ class Life(LifeTask):
 
 
 class Stalled:
-    """Keeps the core of a closed loop from everything while its process does not run."""
+    """Wraps the core of a closed loop so that it neither receives nor steps while its process is stalled."""
 
     def __init__(self, loop: ClosedLoop[Any], rng: np.random.Generator) -> None:
         self._loop, self._rng = loop, rng
@@ -102,28 +103,28 @@ class Stalled:
         core.receive, core.step, core.due = self.receive, self.step, self.due
 
     def draw(self) -> None:
-        """Once a tick."""
+        """Draw whether a stall starts; to be called once a tick."""
         if self._rng.random() < STALL_SHARE:
             self._until = self._loop.t + self._rng.uniform(*STALL_S)
 
     @property
-    def _away(self) -> bool:
+    def _is_stalled(self) -> bool:
         return self._loop.t < self._until
 
     def receive(self, port: Any, data: bytes, t: float) -> None:
-        """As the core, later."""
-        if self._away:
+        """As the core's; delayed while stalled."""
+        if self._is_stalled:
             self._waiting.append((port, data))
         else:
             self._receive(port, data, t)
 
     def due(self) -> float:
-        """As the core, later."""
-        return math.inf if self._away else self._due()
+        """As the core's; never while stalled."""
+        return math.inf if self._is_stalled else self._due()
 
     def step(self, t: float) -> Any:
-        """As the core; while it is away nothing is published."""
-        if self._away:
+        """As the core's; nothing is published while stalled."""
+        if self._is_stalled:
             return []
         for port, data in self._waiting:
             self._receive(port, data, t)
@@ -132,32 +133,32 @@ class Stalled:
 
 
 def loop_of(rig: str, seed: int, plan: str, *, light: bool) -> ClosedLoop[Any]:
-    """The shipped rig of this name with a plan.
+    """The closed loop of a shipped rig with a plan.
 
-    `light`: with an observer that costs nothing, or without a smoother.
+    `light`: with a trivial observer, or without a smoother.
     """
     config, path = load_any_config(shipped(RIGS[rig].config)), shipped("plans") / plan
     match config:
         case PivotConfig():
             spec = parse(read_document(path), PivotPlanSpec)
-            return PivotWireless(config, spec, seed, period_s=math.inf if light else PERIOD_S)
+            return PivotLoop(config, spec, seed, period_s=math.inf if light else PERIOD_S)
         case ThreePalmsConfig():
             spec_in_space = parse(read_document(path), TiltPlanSpec)
-            return ThreePalmsWireless(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
+            return ThreePalmsLoop(config, spec_in_space, seed, RecordedAnswers[BodyAnswer](()) if light else None)
         case Config():
             if light:
-                return Wireless(config, load_plan(path), seed, estimator=LightObserver())
-            return Wireless(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
+                return TwoPalmsLoop(config, load_plan(path), seed, estimator=LightObserver())
+            return TwoPalmsLoop(config, load_plan(path), seed, smoothing=Simulated(rig_description(config)))
     raise TypeError(f"no closed loop for {rig}")
 
 
-class Person:
-    """Does what the hints say, and now and then what somebody with a rig does."""
+class SimulatedOperator:
+    """Follows the faults' hints, and now and then gives commands as an operator does."""
 
     def __init__(
         self, rig: Rig, plans: tuple[str, ...], seed: int, loop: ClosedLoop[Any], limits_n: Sequence[float]
     ) -> None:
-        """`limits_n` are those of each pad."""
+        """`limits_n`: force limits of the pads (N)."""
         self._rig, self._plans, self._loop = rig, plans, loop
         self.rng = np.random.default_rng((seed, 77))
         self._stalled = Stalled(loop, np.random.default_rng((seed, 78)))
@@ -172,7 +173,7 @@ class Person:
         self._t_pressed = -math.inf
 
     def live(self, seconds: float) -> None:
-        """So long."""
+        """Operate the rig for so many seconds."""
         while self._loop.t < seconds:
             self._tick()
             if command := self._operator.decide(self._loop.t):
@@ -201,7 +202,7 @@ class Person:
         self._operator.resume()
 
     def _jog(self) -> None:
-        """Equal steps of each joint, forwards, backwards or none, for two seconds."""
+        """Jog each joint forwards, backwards or not at all in equal steps, for `JOG_S`."""
         steps = self.rng.choice((-1, 0, 1), size=len(self._rig.joints)) * self.rng.uniform(0.1, 0.5)
         t_end = self._loop.t + JOG_S
         args = {f"{joint}_deg": float(step) for joint, step in zip(self._rig.joints, steps, strict=True)}
@@ -211,7 +212,7 @@ class Person:
     def _ask(self, command: str, **args: Any) -> bool:
         try:
             self._loop.ask(command, **args)
-        except WirelessError:
+        except ClosedLoopError:
             self.commands[f"{command} refused"] += 1
             return False
         self.commands[command] += 1
@@ -249,28 +250,31 @@ def _shares(fields: Mapping[str, Any]) -> Iterator[float]:
             yield abs(error) / limit if limit else 0.0
 
 
-def lived(task: LifeTask) -> Life:
-    """One life of a shipped rig."""
+def run(task: OperationTask) -> OperationRow:
+    """Run one task on a shipped rig."""
     rig = RIGS[task.rig]
     plans = tuple(plan for plan in rig.plans if not task.light or task.rig == "pivot" or "explore" not in plan)
     loop = loop_of(task.rig, task.seed, plans[task.seed % len(plans)], light=task.light)
     config = load_any_config(shipped(rig.config))
     full = {f"palm{number}": pad.full_scale_n for number, pad in enumerate(config.pads.each(), 1)}
-    person = Person(rig, plans, task.seed, loop, force_limits(config.limits.force_n, full))
-    person.live(task.seconds)
+    operator = SimulatedOperator(rig, plans, task.seed, loop, force_limits(config.limits.force_n, full))
+    operator.live(task.seconds)
     return result(
-        Life, task, moved_s=round(person.moved_s, 1), guards=tuple(person.guards), others=dict(person.others),
-        commands=dict(person.commands), following_share=round(person.following_share, 3),
+        OperationRow, task, moved_s=round(operator.moved_s, 1), guards=tuple(operator.guards),
+        others=dict(operator.others), commands=dict(operator.commands),
+        following_share=round(operator.following_share, 3),
     )  # fmt: skip
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[LifeTask]:
-    """One life for each seed."""
-    return [LifeTask(arguments.rig, seed, arguments.seconds, arguments.light) for seed in harness.seeds_of(arguments)]
+def draw(arguments: argparse.Namespace) -> Sequence[OperationTask]:
+    """One run for each seed."""
+    return [
+        OperationTask(arguments.rig, seed, arguments.seconds, arguments.light) for seed in harness.seeds_of(arguments)
+    ]
 
 
-def remarks(rows: Sequence[Life]) -> Iterator[str]:
-    """A line for each false alarm, and each life that ended in an error."""
+def remarks(rows: Sequence[OperationRow]) -> Iterator[str]:
+    """A line for each false alarm and each run that ended in an error."""
     for row in rows:
         if row.error:
             yield f"{row.rig} {row.seed}: {row.error}"
@@ -281,18 +285,18 @@ def remarks(rows: Sequence[Life]) -> Iterator[str]:
 STUDY = Study(
     "false alarms",
     draw,
-    lived,
-    Life,
+    run,
+    OperationRow,
     order=lambda row: row.seed,
     by=lambda row: row.rig,
     columns=[
-        ("lives", runs),
+        ("runs", runs),
         ("hours", lambda rows: f"{sum(row.seconds for row in rows) / 3600.0:.2f}"),
         ("moved", lambda rows: f"{sum(row.moved_s for row in rows) / 3600.0:.2f}"),
         ("false alarms", total(lambda row: len(row.guards))),
         ("other holds and stops", total(lambda row: sum(row.others.values()))),
         ("commands", total(lambda row: sum(row.commands.values()))),
-        ("following error, most of its limit", most(lambda row: row.following_share)),
+        ("largest following error / limit", most(lambda row: row.following_share)),
         ("errors", errors),
     ],
     remarks=remarks,
@@ -303,6 +307,6 @@ STUDY = Study(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     parser.add_argument("rig", choices=RIGS)
-    harness.add_arguments(parser, runs=10, seconds_each=60.0, output=None, what="how many lives")
+    harness.add_arguments(parser, runs=10, seconds_each=60.0, output=None, what="how many runs")
     parser.set_defaults(seed=9100)
-    parser.add_argument("--light", action="store_true", help="no real observer: for more hours")
+    parser.add_argument("--light", action="store_true", help="without a real observer, for longer simulated times")

@@ -1,7 +1,7 @@
-"""The fault campaign's table: what is done to rig and processes, and what must come of it. Pure.
+"""The fault campaign's table: what is done to rig and processes, and the expected reaction. Pure.
 
-What must come is written down here a second time, apart from `palmd.faults`: a row whose fault turns up with another
-severity there, or leads to another state, differs.
+The expected severities are defined here independently of `palmd.faults`: a fault with another severity, or another
+resulting state, is a deviation.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ State = Literal["tracking", "ready", "hold", "fault"]
 
 HOST_ALIVE_S = 0.060
 HOST_DEAD_S = 0.200
-"""From the cause to the arm standing still: the goals with the daemon alive, and without it."""
+"""Goals for the time from the cause to standstill of the arm, with the daemon alive and without it (s)."""
 
 STOPPED_S = 0.5
-"""The same where it takes some reports or readings to know the cause."""
+"""The same if detection takes several reports or readings (s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RowFault:
-    """A mischief of the emulated rig, for so long or until it is switched off."""
+    """A fault injected into the emulated rig, for `for_s` seconds or until it is switched off."""
 
     name: str
     port: PortName | None = None
@@ -35,7 +35,7 @@ class RowFault:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """A process gets no processor for so long (SIGSTOP, SIGCONT)."""
+    """A process is stopped for so many seconds (SIGSTOP, SIGCONT)."""
 
     process: Process
     seconds: float
@@ -43,14 +43,14 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """A process is gone without a word (SIGKILL)."""
+    """A process is killed (SIGKILL)."""
 
     process: Process
 
 
 @dataclass(frozen=True, slots=True)
 class FullDisk:
-    """The recorder can write no further: its limit of file size (RLIMIT_FSIZE) is what its file has."""
+    """The recorder cannot write: its limit of file size (RLIMIT_FSIZE) is set to the present size of its file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class TakenAddress:
 
 @dataclass(frozen=True, slots=True)
 class WallClockStep:
-    """The daemon's wall clock, as Python tells it, is set by so many seconds; nobody can set the machine's here."""
+    """The daemon's wall clock in Python is set by so many seconds; the machine's clock cannot be set here."""
 
     seconds: float
 
@@ -70,10 +70,10 @@ Act = RowFault | Pause | Kill | FullDisk | TakenAddress | WallClockStep
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """One cause and its effect: `faults` must come, with these severities, and no grave ones but those in `may`.
+    """One cause and its expected effect: `faults` with these severities, and no others that stop motion except `may`.
 
-    `why` holds what `palmd why` may answer of the recording alone, by the names of causes. `goal_s` bounds the time
-    from the cause to the arm standing still where the state is not tracking; infinite where somebody else moves it.
+    `why`: names of the causes that `palmd why` may answer from the recording alone. `goal_s`: goal for the time from
+    the cause to standstill if the state is not tracking; infinite if an operator moves the arm.
     """
 
     name: str
@@ -87,20 +87,21 @@ class FaultRow:
 
     @property
     def codes(self) -> frozenset[str]:
-        """Of the faults that must come."""
+        """Codes of the expected faults."""
         return frozenset(code for code, _ in self.faults)
 
 
 # fmt: off
 def pad_rows(pad: PortName, damaged: tuple[str, float]) -> tuple[FaultRow, ...]:
-    """Of a pad on a serial line; `damaged`: the share of its bytes that it can just do without, in words and number."""
+    """Rows for a pad on a serial line; `damaged`: share of damaged bytes that it just tolerates, in words and number.
+    """
     silent, garbled, port = f"{pad}-silent", f"{pad}-garbled", f"{pad}-port"
     late = (silent, f"{pad}-lifted")
     return (
         FaultRow(f"{pad}-dead", "its port disappears", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
         FaultRow(f"{pad}-garbled", f"{damaged[0]} of its bytes are damaged", RowFault("garble", pad, damaged[1]),
                  "tracking", ("nothing", f"{pad}-damaged"), ((garbled, "degrade"),), late),
-        FaultRow(f"{pad}-late", "what it says comes 200 ms late", RowFault("late", pad, 0.2), "hold",
+        FaultRow(f"{pad}-late", "its data arrive 200 ms late", RowFault("late", pad, 0.2), "hold",
                  (f"{pad}-mute",), ((silent, "hold"),)),
         FaultRow(f"{pad}-mute", "it falls silent", RowFault("mute", pad), "hold", (f"{pad}-mute",),
                  ((silent, "hold"),)),
@@ -124,10 +125,10 @@ ARM_LOST = ("arm-link-lost", "stop")
 def arm_port_rows(
     port: str, mute: str, foreign: tuple[str, str], own: tuple[str, ...], goal_s: float = HOST_ALIVE_S
 ) -> tuple[FaultRow, FaultRow, FaultRow, FaultRow]:
-    """Of the arm's line: dead, mute, replaced, foreign.
+    """Rows for the arm's line: dead, mute, replaced, foreign.
 
-    port, mute: what disappears and what falls silent, in words. foreign: what speaks otherwise, in words, and what
-    `palmd why` makes of it. own: what the arm may say of itself once it is heard again.
+    port, mute: what disappears and what falls silent, in words. foreign: the other device in words, and the answer of
+    `palmd why`. own: faults that the arm may report once it is connected again.
     """
     gone, lost = ("arm-port",), ("arm-link-lost", *own)
     stop = (("arm-port", "stop"),)
@@ -168,7 +169,7 @@ ROWS: tuple[FaultRow, ...] = (
     _ARM_DEAD,
     FaultRow("arm-garbled", "a fifth of its line's bytes are damaged", RowFault("garble", "arm", 0.2), "fault",
              ("arm-damaged",), (ARM_LOST,), ("arm-fault", "arm-left-tracking")),
-    FaultRow("arm-late", "what it says comes 120 ms late", RowFault("late", "arm", 0.12), "tracking", ("arm-late",),
+    FaultRow("arm-late", "its data arrive 120 ms late", RowFault("late", "arm", 0.12), "tracking", ("arm-late",),
              (("arm-late", "degrade"),)),
     _ARM_MUTE, _ARM_REPLACED, _ARM_FOREIGN,
     FaultRow("controller-break", "a break on the arm's line", RowFault("break", "arm"), "fault", ("arm-break",),
@@ -207,10 +208,10 @@ NAMES = tuple(row.name for row in ROWS)
 # ---- rigs of servos, strips and input devices
 
 SERVOS_DEAD_S = 0.150
-"""From the host's death to the palms standing still: the servos' own watchdogs."""
+"""Goal for the time from the host's death to standstill (s), by the servos' own watchdogs."""
 
 _OWN = ("arm-fault", "arm-servo-watchdog", "arm-servo-restarted", "arm-servo-refused")
-"""What a servo may say of itself once it is heard again."""
+"""Faults that a servo may report once it is connected again."""
 
 
 def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
@@ -219,8 +220,8 @@ def _servo(name: str, cause: str, trick: str, code: str) -> FaultRow:
 
 _SERVOS_DEAD, _SERVOS_MUTE, _SERVOS_REPLACED, _SERVOS_FOREIGN = arm_port_rows(
     "the adapter's port",
-    "both servos fall silent, and hear nothing",
-    ("the bus runs at another speed", "arm-mute"),  # for the servos hear nothing that is an instruction
+    "both servos fall silent and receive nothing",
+    ("the bus runs at another speed", "arm-mute"),  # the servos receive no valid instruction
     _OWN,
     SERVOS_DEAD_S,
 )
@@ -229,8 +230,8 @@ SERVO_ROWS: tuple[FaultRow, ...] = (
     _SERVOS_DEAD, _SERVOS_MUTE, _SERVOS_FOREIGN, _SERVOS_REPLACED,
     _servo("servo-overload", "palm 1's servo is overloaded", "overload", "arm-servo-overload"),
     _servo("servo-hot", "palm 1's servo gets too hot", "overheat", "arm-servo-hot"),
-    _servo("servo-voltage", "palm 1's servo says that its supply is out of range", "undervoltage", "arm-servo-voltage"),
-    FaultRow("servo-brownout", "palm 1's servo starts anew, which takes it 0.4 s", RowFault("brownout", "arm"),
+    _servo("servo-voltage", "palm 1's servo reports a supply out of range", "undervoltage", "arm-servo-voltage"),
+    FaultRow("servo-brownout", "palm 1's servo restarts, which takes 0.4 s", RowFault("brownout", "arm"),
              "fault", ("arm-mute",), (ARM_LOST,), _OWN),
     FaultRow("supply-cut", "the supply's switch is opened", RowFault("estop", "arm"), "fault", ("arm-mute",),
              (ARM_LOST,), _OWN),
@@ -252,9 +253,9 @@ def _input(pad: PortName) -> tuple[FaultRow, ...]:
         FaultRow(f"{pad}-dead", "it is unplugged", RowFault("unplug", pad), "hold", (port,), ((port, "hold"),)),
         FaultRow(f"{pad}-replaced", "it comes back under another number", RowFault("unplug", pad, for_s=0.5), "hold",
                  (port,), ((port, "hold"),), (f"{pad}-silent",)),
-        FaultRow(f"{pad}-overflow", "the kernel drops what it said", RowFault("overflow", pad), "tracking",
+        FaultRow(f"{pad}-overflow", "the kernel drops its data", RowFault("overflow", pad), "tracking",
                  ("nothing",)),
-        FaultRow(f"{pad}-mute", "it says nothing any more, and the palms turn", RowFault("mute", pad), "hold",
+        FaultRow(f"{pad}-mute", "it falls silent while the palms turn", RowFault("mute", pad), "hold",
                  (f"{pad}-mute",), ((f"{pad}-silent", "hold"),)),
     )
 

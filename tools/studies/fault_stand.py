@@ -1,4 +1,4 @@
-"""Rig, daemon, recorder and page as processes, and the hand that provokes faults on them and looks at what comes."""
+"""Test stand of rig, daemon, recorder and page as processes, on which faults are injected and reactions measured."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from palmd.harness.operator import Operator
 from palmd.harness.stack import START_S, Stack, not_started
 from palmd.record import RunError
 from palmd.record.run import read_run
-from tools.studies.fault_reaction import Reaction, ReactionWatch, Turning, complete
+from tools.studies.fault_reaction import Reaction, ReactionWatch, TrueMotion, complete
 from tools.studies.fault_rows import (
     Act,
     FaultRow,
@@ -33,37 +33,37 @@ from tools.studies.fault_rows import (
 )
 from tools.studies.fault_why import ask, asked_at
 
-PATIENCE_S = 40.0  # until the palms move again
-WATCHED_LEAST_S, WATCHED_MOST_S = 1.0, 10.0
-AFTERWARDS_S = 0.5  # looked on after all has come
-LOOK_S = 0.02
+PATIENCE_S = 40.0  # longest time until the palms move again
+WATCHED_LEAST_S, WATCHED_MOST_S = 1.0, 10.0  # duration of watching a reaction
+AFTERWARDS_S = 0.5  # watched on after the reaction is complete
+LOOK_S = 0.02  # polling period
 CLOCKS_AGREE_S = 1.0
 BRISK_RAD_S = 0.4
-"""How fast a palm must turn when a cause comes, or there would be nothing to stop."""
+"""Rate that a palm must have when a cause occurs, so that there is a motion to stop (rad/s)."""
 
 STEPPED_CLOCK = """\
 import os, time
 _time, _mark = time.time, {mark!r}
 time.time = lambda: _time() + ({seconds!r} if os.path.exists(_mark) else 0.0)
 """
-"""For the interpreter's `sitecustomize`: the wall clock of one process, set as soon as the mark is there."""
+"""For the interpreter's `sitecustomize`: steps the wall clock of one process as soon as the mark file exists."""
 
 
 class Stand:
-    """See the module; enter it to have the processes, leave it and they are gone.
+    """See the module; a context manager that starts the processes and ends them.
 
-    `usable` is False once the palms could not be brought to move again.
+    `usable` becomes False if the palms could not be brought to move again.
     """
 
     def __init__(self, folder: Path, config: Config, seed: int, runs: Path) -> None:
-        """`folder` takes configurations and output, `runs` the recordings; `config` has the plan that is run."""
+        """`folder`: for configurations and output; `runs`: for recordings; `config` has the plan to run."""
         self._folder, self._seed = folder, seed
         self._stack = Stack(folder, config, runs)
         self._operator = Operator()
         self.usable = True
 
     def __enter__(self) -> Self:
-        """Raises CliError when a process does not start."""
+        """Start the processes; raises CliError if one does not start."""
         try:
             self._stack.start_rig("--seed", str(self._seed))
             self._stack.start(record=True)
@@ -79,10 +79,10 @@ class Stand:
         self._stack.__exit__(kind, error, traceback)
 
     def _restart_daemon(self, watch: ReactionWatch, **environment: str) -> None:
-        """`watch` takes what is heard until the daemon speaks."""
+        """Start a daemon and wait for its first state; `watch` takes the messages until then."""
         self._stack.begin_daemon(**environment)
         self._operator = Operator()
-        if not self._stack.wait_for_daemon(lambda message: self._hear(watch, message)):
+        if not self._stack.wait_for_daemon(lambda message: self._take(watch, message)):
             raise not_started(self._stack.children["daemon"])
         while not self._operator.state:
             self._listen(watch, LOOK_S)
@@ -91,37 +91,37 @@ class Stand:
     # ---- what an operator does ---------------------------------------------------------------------------
 
     def bring_to_motion(self) -> None:
-        """Arm, start, go on or reset as it needs, until the palms turn briskly; raises CliError."""
+        """Arm, start, resume or reset as needed until the palms turn fast; raises CliError after `PATIENCE_S`."""
         watch = ReactionWatch()
         t_end = time.monotonic() + PATIENCE_S
         while not self._brisk(watch):
             self._listen(watch, LOOK_S)
             t = time.monotonic()
             if t > t_end:
-                said = self._stack.children["daemon"].error_output()
-                raise CliError(RIG_FAILED, f"the palms were not brought to move: {self._operator.state}\n{said}")
+                text = self._stack.children["daemon"].error_output()
+                raise CliError(RIG_FAILED, f"the palms did not start to move: {self._operator.state}\n{text}")
             command = self._operator.decide(t)
             if command is not None:
                 self._stack.client.ask(command)
 
     def _brisk(self, watch: ReactionWatch) -> bool:
-        last: Turning | None = watch.turning[-1] if watch.turning else None
-        follows = self._operator.moves and self._operator.motion["segment"] > 0
+        last: TrueMotion | None = watch.motions[-1] if watch.motions else None
+        moves = self._operator.moves and self._operator.motion["segment"] > 0
         grave = {"hold", "stop"} & set(self._operator.state.get("severities", ()))
-        return last is not None and follows and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
+        return last is not None and moves and not grave and max(map(abs, last.omega)) > BRISK_RAD_S
 
     def _listen(self, watch: ReactionWatch, seconds: float) -> None:
         for message in self._stack.subscriber.until(time.monotonic() + seconds):
-            self._hear(watch, message)
+            self._take(watch, message)
 
-    def _hear(self, watch: ReactionWatch, message: Message) -> None:
+    def _take(self, watch: ReactionWatch, message: Message) -> None:
         self._operator.take(message.topic, message.fields)
         watch.take(message.topic, message.fields)
 
     # ---- a row -------------------------------------------------------------------------------------------
 
     def provoke(self, row: FaultRow) -> Reaction:
-        """From brisk motion: the cause, what comes of it, its end, and the palms moving again; raises CliError."""
+        """Inject a row's fault during fast motion, measure the reaction, undo the fault and resume; raises CliError."""
         if isinstance(row.act, WallClockStep):
             self._restart_daemon(ReactionWatch(), PYTHONPATH=self._stepped_clock(row.act))
         self.bring_to_motion()
@@ -133,7 +133,7 @@ class Stand:
         reaction = self._watch(row, watch, t_cause)
         wrong += self._set_points(before, reaction)
         wrong += self._undo(row.act)
-        self._listen(ReactionWatch(), AFTERWARDS_S)  # a line that was late has bytes of then to deliver
+        self._listen(ReactionWatch(), AFTERWARDS_S)  # a delayed line still has old bytes to deliver
         try:
             self.bring_to_motion()
         except CliError as error:
@@ -146,7 +146,7 @@ class Stand:
         return replace(seen, why=ask(row, Path(kept["path"]), t_cause, t_asked))
 
     def _watch(self, row: FaultRow, watch: ReactionWatch, t_cause: float) -> Reaction:
-        """Look on until all that the row promises has come, and a little longer."""
+        """Watch until everything that the row expects has happened, and `AFTERWARDS_S` longer."""
         t_begin = time.monotonic()
         t_done = t_begin + WATCHED_MOST_S
         while time.monotonic() < t_done:
@@ -157,7 +157,7 @@ class Stand:
         return watch.reaction(row, t_cause)
 
     def _do(self, act: Act, watch: ReactionWatch, wrong: list[str]) -> float:
-        """Bring the cause about; returns its time (s, monotonic clock)."""
+        """Cause the fault; returns its time (s, monotonic clock)."""
         t = time.monotonic()
         match act:
             case RowFault():
@@ -183,7 +183,7 @@ class Stand:
         return t
 
     def _number(self, process: Process) -> int:
-        """Of a process of ours, or of the daemon's smoother."""
+        """Process id of a child, or of the daemon's smoother."""
         if process in ("daemon", "recorder", "page"):
             return self._stack.children[process].number
         daemon = self._stack.children["daemon"].number
@@ -193,7 +193,7 @@ class Stand:
         raise CliError(RIG_FAILED, "the daemon has no smoother")
 
     def _undo(self, act: Act) -> list[str]:
-        """End the cause, and start again what is gone; what went wrong with that."""
+        """End the cause and restart ended processes; returns what went wrong."""
         match act:
             case RowFault() if act.for_s is None:
                 self._stack.ask_rig("calm", name=act.name, port=act.port)
@@ -215,7 +215,7 @@ class Stand:
         return []
 
     def _refused_beside(self) -> list[str]:
-        """What is wrong with a second daemon's end, which must say why."""
+        """Start a second daemon on the same addresses; returns a deviation unless it ends with the right message."""
         child = self._stack.begin("second", "run", str(self._stack.path), "--no-record")
         t_end = time.monotonic() + START_S
         while child.status is None and time.monotonic() < t_end:
@@ -228,7 +228,7 @@ class Stand:
         t_end = time.monotonic() + PATIENCE_S
         while code in self._operator.state["faults"]:
             if time.monotonic() > t_end:
-                return [f"{code} does not go away"]
+                return [f"{code} did not clear"]
             self._listen(ReactionWatch(), LOOK_S)
         return []
 
@@ -238,7 +238,7 @@ class Stand:
         resource.prlimit(number, resource.RLIMIT_FSIZE, (size_bytes, hard))
 
     def _stepped_clock(self, act: WallClockStep) -> str:
-        """A PYTHONPATH in which the interpreter finds `STEPPED_CLOCK` first."""
+        """A PYTHONPATH with `STEPPED_CLOCK` as `sitecustomize`."""
         folder = self._folder / "clock"
         folder.mkdir(exist_ok=True)
         self._mark = folder / "stepped"
@@ -247,30 +247,30 @@ class Stand:
         (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
         return os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH", "")]))
 
-    # ---- what the others say -----------------------------------------------------------------------------
+    # ---- status of rig and recorder ----------------------------------------------------------------------
 
     def _recorder(self) -> dict[str, Any]:
-        """What the recorder last told the daemon, once it has a file."""
+        """The recorder's last report to the daemon, once it has a file."""
         t_end = time.monotonic() + PATIENCE_S
         while time.monotonic() < t_end:
             result = self._stack.client.ask("status").get("result") or {}
-            told: dict[str, Any] = result.get("recorder") or {}
-            if "path" in told:
-                return told
+            report: dict[str, Any] = result.get("recorder") or {}
+            if "path" in report:
+                return report
             time.sleep(LOOK_S)
         raise CliError(RIG_FAILED, f"the recorder does not record\n{self._stack.children['recorder'].error_output()}")
 
     def _set_points(self, before: dict[str, Any], reaction: Reaction) -> list[str]:
-        """What is wrong with those that the rig has heard: outside the limits, or taken by an arm that must stand."""
+        """Deviations of the set-points that the rig received: outside the limits, or sent to an arm that must rest."""
         now = self._stack.rig_status()
         wrong = []
         if now["setpoints_outside_limits"] > before["setpoints_outside_limits"]:
             wrong.append("set-points outside the limits")
-        taken = "accepted" if "accepted" in now else "setpoints"  # servos take what is on the bus
+        taken = "accepted" if "accepted" in now else "setpoints"  # servos accept everything on the bus
         if reaction.state in ("ready", "fault"):
             time.sleep(AFTERWARDS_S)
             if self._stack.rig_status()[taken] > now[taken]:
-                wrong.append("set-points to an arm that must stand")
+                wrong.append("set-points to an arm that must rest")
         return wrong
 
 
@@ -278,13 +278,13 @@ def _concerns_recording(act: Act) -> bool:
     return isinstance(act, FullDisk) or (isinstance(act, Kill | Pause) and act.process in ("daemon", "recorder"))
 
 
-def _lost(told: dict[str, Any]) -> list[str]:
-    """What is missing of the messages that the recorder had told of, or between those of the file."""
+def _lost(report: dict[str, Any]) -> list[str]:
+    """Messages that the recorder had reported and that its file lacks, and gaps in the file."""
     try:
-        survey = read_run(Path(told["path"])).survey()
+        survey = read_run(Path(report["path"])).survey()
     except RunError as error:
         return [str(error)]
     count = sum(found.count for found in survey.values())
     missing = sum(found.missing for found in survey.values())
-    wrong = [f"{told['messages'] - count:.0f} recorded messages are lost"] if count < told["messages"] else []
+    wrong = [f"{report['messages'] - count:.0f} recorded messages are lost"] if count < report["messages"] else []
     return wrong + ([f"{missing} messages are missing in the recording"] if missing else [])

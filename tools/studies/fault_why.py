@@ -1,4 +1,4 @@
-"""Whether `palmd why` tells a provocation's cause, asked of its recording alone."""
+"""Check whether `palmd why` finds a provocation's cause from its recording alone."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from palmd.report.course import course_of
 from palmd.report.why import Explanation, answer
 from tools.studies.fault_rows import FaultRow, Kill
 
-AFTER_S = 0.05  # after it came to its state, or was noticed
-UNNOTICED_S = 1.0  # after a cause of which nothing is noticed
-GOAL = 0.95
+AFTER_S = 0.05  # from the row's state or the first fault to the time of the question
+UNNOTICED_S = 1.0  # the same from a cause without any fault
+GOAL = 0.95  # share of right answers
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What was answered, with the log and without it as in runs of before there was one, by the causes' names.
+    """The answers as names of causes, with `palm/log` and without it, as in older runs.
 
-    `recording` is the file that was asked about `at_s`; the cause was at `cause_s` (s since its first message). A
-    provocation is spoilt when something else had held the motion by then.
+    `recording`: the file, asked about time `at_s`; the cause was at `cause_s` (s since its first message). `spoilt`:
+    something else had stopped the motion before the cause.
     """
 
     recording: str
@@ -37,9 +37,9 @@ class Judgement:
 
 
 def asked_at(row: FaultRow, t_cause: float, noticed_s: float, came_s: float) -> float:
-    """When (s) the question is about: once it stands, once it is noticed, or a while after what nobody notices.
+    """The time (s) that `palmd why` is asked about: after the row's state, after the first fault, or `UNNOTICED_S`.
 
-    noticed_s, came_s: from the cause to the first word of it, and to the row's state; NaN for what did not come.
+    noticed_s, came_s: from the cause to the first fault and to the row's state; NaN for what did not happen.
     """
     if isinstance(row.act, Kill) and row.act.process == "daemon":
         return t_cause + UNNOTICED_S
@@ -48,7 +48,7 @@ def asked_at(row: FaultRow, t_cause: float, noticed_s: float, came_s: float) -> 
 
 
 def ask(row: FaultRow, path: Path, t_cause: float, t: float) -> Judgement:
-    """The answer of the recording in a file about the time `t` (s, monotonic clock), judged by the row."""
+    """The answer for a recording at the time `t` (s, monotonic clock), judged by the row."""
     try:
         run = read_run(path)
         course = course_of(run)
@@ -69,13 +69,13 @@ def ask(row: FaultRow, path: Path, t_cause: float, t: float) -> Judgement:
     )
 
 
-def _right(row: FaultRow, told: Explanation) -> bool:
-    """Whether it is the row's cause; what holds nothing must at least be mentioned."""
-    said = " ".join(each.what for each in told.cause.evidence)
-    mentioned = told.cause.kind != "nothing" or all(code in said for code in row.codes)
-    return told.cause.name in row.why and mentioned
+def _right(row: FaultRow, explanation: Explanation) -> bool:
+    """Whether it names the row's cause; faults that do not stop motion must at least be mentioned."""
+    evidence = " ".join(each.what for each in explanation.cause.evidence)
+    mentioned = explanation.cause.kind != "nothing" or all(code in evidence for code in row.codes)
+    return explanation.cause.name in row.why and mentioned
 
 
 def enough(judged: Sequence[Judgement]) -> bool:
-    """Whether the share of right answers is as it must be."""
+    """Whether the share of right answers reaches `GOAL`."""
     return sum(one.right for one in judged) >= GOAL * len(judged)

@@ -1,8 +1,8 @@
-"""Every fault provoked on the emulated rig, with real processes: what comes of it, and how soon the arm stands.
+"""Every fault injected into the emulated rig, with real processes: the reaction, and the time to standstill.
 
-What happened was recorded, and `palmd why` is asked of the recording. Exit status 1 when a row does otherwise than it
-must, or fewer than 95 % of the answers are right. How soon the arm stands is told beside the goal, and no reason
-for status 1: that is a matter of the machine as well.
+The runs are recorded, and `palmd why` is asked about each recording. Exit status 1 if a row deviates, or if fewer than
+95 % of the answers are right. The time to standstill is reported beside its goal but does not affect the status, since
+it depends on the machine as well.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from tools.studies.harness import terminable, writable, write
 
 PLAN = "plans/lively.yaml"
 RECORDINGS = "recordings"
-STARVED_TRIES = 3  # for a row that differs while the machine kept the rig from its work
+STARVED_TRIES = 3  # tries of a row that deviates while the machine delayed the rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The bench's arguments."""
+    """The study's arguments."""
     add = parser.add_argument
     add("--rig", choices=RIGS, default="adept",
         help="an arm and VersaPads, or servos with strips or input devices (default: %(default)s)")  # fmt: skip
-    add("--only", nargs="+", metavar="NAME", help=f"these rows alone; with an arm there are {', '.join(NAMES)}")
-    add("--times", type=count, default=1, metavar="N", help="how often each is provoked (default: %(default)s)")
-    add("--seed", type=seed, default=3, help="which object and noise (default: %(default)s)")
+    add("--only", nargs="+", metavar="NAME", help=f"only these rows; with an arm there are {', '.join(NAMES)}")
+    add("--times", type=count, default=1, metavar="N", help="provocations of each row (default: %(default)s)")
+    add("--seed", type=seed, default=3, help="seed of object and noise (default: %(default)s)")
     add("-o", "--output", type=Path, default=Path("faults"), metavar="FOLDER",
-        help=f"for {FILE}, which is overwritten, and the {RECORDINGS} (default: %(default)s)")  # fmt: skip
+        help=f"folder for {FILE}, which is overwritten, and {RECORDINGS} (default: %(default)s)")  # fmt: skip
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Raises CliError when rig or daemon do not start or the palms cannot be brought to move."""
+    """Run the campaign; raises CliError if rig or daemon do not start or the palms do not start to move."""
     kind = RIGS[arguments.rig]
     rows = [row for row in kind.rows if arguments.only is None or row.name in arguments.only]
     if unknown := set(arguments.only or ()) - {row.name for row in rows}:
@@ -75,14 +75,14 @@ def conduct(arguments: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class RigKind:
-    """What the campaign can be done to: its configuration, by name, what its pads are instead, and its rows."""
+    """A rig for the campaign: name of its shipped configuration, its rows, and other pads, if any."""
 
     shipped: str
     rows: tuple[FaultRow, ...]
     pads: PadsConfig | None = None
 
     def config(self) -> Config:
-        """As shipped, but for the pads."""
+        """The shipped configuration with these pads."""
         config = load_config(shipped(self.shipped))
         return config if self.pads is None else config.model_copy(update={"pads": self.pads})
 
@@ -101,7 +101,7 @@ RIGS = {
 
 
 class _Campaign(ExitStack):
-    """Has a stand as soon as a row needs one, and another one when that has become useless."""
+    """Creates a stand when a row needs one, and a new one when the stand has become unusable."""
 
     def __init__(self, kind: RigKind, seed: int, runs: Path) -> None:
         super().__init__()
@@ -109,12 +109,12 @@ class _Campaign(ExitStack):
         self._stand: Stand | None = None
 
     def provoke(self, row: FaultRow) -> Reaction:
-        """One provocation; where the machine has starved the rig and the row differs, tried again."""
+        """One provocation, repeated if the row deviates while the machine delayed the rig."""
         for _ in range(STARVED_TRIES):
             reaction = self._on_stand(row)
             if not (reaction.starved and differences(row, reaction)):
                 break
-            print(f"{row.name}: the machine kept the rig from its work; it is tried again", file=sys.stderr)
+            print(f"{row.name}: the machine delayed the rig; trying again", file=sys.stderr)
         return reaction
 
     def _on_stand(self, row: FaultRow) -> Reaction:

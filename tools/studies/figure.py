@@ -1,4 +1,4 @@
-"""A study as one figure: for each group of runs the share that stays below a value, a panel a quantity.
+"""Figure of a study: cumulative distributions for each group of runs, one panel for each quantity.
 
 Needs matplotlib.
 """
@@ -24,7 +24,7 @@ Groups = Mapping[str, Sequence[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """A quantity, its axis' label, what a unit of the axis is, and values that are marked, in units of the axis."""
+    """A quantity with its axis label, the factor to the axis' unit, and values to mark, in units of the axis."""
 
     label: str
     value: Callable[[Any], float]
@@ -34,7 +34,7 @@ class Panel:
 
 
 def save(groups: Groups, panels: Sequence[Panel], stem: Path) -> list[Path]:
-    """Draws the runs into `stem`.svg and .png; the same rows give the same files."""
+    """Draw the runs into `stem`.svg and .png; the same rows give the same files."""
     paths = [stem.with_suffix(".svg"), stem.with_suffix(".png")]
     with matplotlib.rc_context({"svg.hashsalt": "palmd", "font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3}):
         figure = drawn(groups, panels)
@@ -44,7 +44,7 @@ def save(groups: Groups, panels: Sequence[Panel], stem: Path) -> list[Path]:
 
 
 def drawn(groups: Groups, panels: Sequence[Panel]) -> Figure:
-    """The figure, not written yet."""
+    """The figure."""
     down = -(-len(panels) // _ACROSS)
     figure = Figure(figsize=(_ACROSS * _SIZE_IN[0], down * _SIZE_IN[1]), layout="constrained")
     for axes, panel in zip(figure.subplots(down, _ACROSS, squeeze=False).flat, panels, strict=False):
@@ -53,12 +53,12 @@ def drawn(groups: Groups, panels: Sequence[Panel]) -> Figure:
 
 
 def _shares(axes: Axes, panel: Panel, groups: Groups) -> None:
-    """A run without the number is nowhere below."""
+    """Draw cumulative shares of all runs; a run without the value counts as infinite."""
     positive = False
     for colour, (name, rows) in zip(COLOURS, groups.items(), strict=False):
         known = sorted(value * panel.unit for row in rows if math.isfinite(value := panel.value(row)))
         positive |= bool(known) and known[-1] > 0.0
-        ends = [*known[:1], *known]  # the first step begins at nothing
+        ends = [*known[:1], *known]  # the first step starts at 0
         shares = [i / len(rows) for i in range(len(ends))]
         axes.step(ends, shares, where="post", color=colour, label=f"{name} ({len(rows)})")
     for mark in panel.marks:

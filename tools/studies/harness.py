@@ -1,7 +1,7 @@
-"""One harness for studies of many independent runs: what is drawn, done, written, resumed, tabled and judged.
+"""Harness for studies of many independent runs: drawing, running, writing, resuming, tabulating, judging.
 
-A study gives tasks (frozen dataclasses) and a function that makes a row of one. A row is a dataclass that has the
-task's fields, then `error` and what was measured, all with defaults. `run` needs nothing but its task, so that it gives
+A study defines tasks (frozen dataclasses) and a function that makes a row from one. A row is a dataclass with the
+task's fields, then `error` and the measured values, all with defaults. `run` depends on its task only, so that it gives
 the same row in any process, on any machine and in any order.
 """
 
@@ -42,12 +42,12 @@ Row = TypeVar("Row", bound="DataclassInstance")
 Panel = tuple[str, Callable[[Any], float], float, Sequence[float], bool]
 Draw = Callable[[argparse.Namespace], Sequence[Task]]
 Columns = Sequence[tuple[str, Callable[[Sequence[Row]], str]]]
-"""Titles, and what stands below one of some rows (`cells` has the usual ones)."""
+"""Titles, and functions that give the cell for some rows (see `cells`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Goal(Generic[Row]):
-    """What must hold of all rows; a study that misses one ends with status 1."""
+    """A condition on all rows; a study that misses one ends with status 1."""
 
     text: str
     met: Callable[[Sequence[Row]], bool]
@@ -55,13 +55,13 @@ class Goal(Generic[Row]):
 
 @dataclass(frozen=True)
 class Study(Generic[Task, Row]):
-    """See the module. `order`: the sort key of rows. `by`: the name of a row's group, a line of the table each.
+    """See the module. `order`: sort key of rows. `by`: name of a row's group; each group is a line of the table.
 
-    across: the table has a column for each group. whole: the name of a last group of all rows. report: instead of a
-    table. remarks: lines about single runs. panels: of a figure (label, value, unit, marks, whether logarithmic; see
-    `figure`); `output` is then a folder. resumes: rows that the file has are kept, and their tasks not done again.
-    line, row_of: how a row is written and read where fields of plain values do not suffice; `row_of` raises TypeError,
-    KeyError, ValueError or AttributeError for what is no row.
+    across: each group is a column instead. whole: name of a last group with all rows. report: replaces the table.
+    remarks: lines about single runs. panels: of a figure (label, value, unit, marks, logarithmic; see `figure`);
+    `output` is then a folder. resumes: rows in the file are kept, and their tasks are not repeated. line, row_of:
+    writer and reader of rows with more than plain values; `row_of` raises TypeError, KeyError, ValueError or
+    AttributeError for anything else.
     """
 
     name: str
@@ -82,9 +82,9 @@ class Study(Generic[Task, Row]):
     row_of: Callable[[Line], Row] | None = None
 
     def conduct(self, arguments: argparse.Namespace) -> int:
-        """Do what the command line asks for; interrupted, it reports what is finished until then.
+        """Run the study as requested on the command line; if interrupted, report the finished runs.
 
-        Raises CliError where the file is another study's or cannot be written, or the cluster is not there.
+        Raises CliError if the file belongs to another study or cannot be written, or if there is no such cluster.
         """
         tasks = self.draw(arguments)
         output: Path | None = arguments.output
@@ -97,11 +97,11 @@ class Study(Generic[Task, Row]):
         return self._concluded(rows, path) or status if rows else status
 
     def attempted(self, task: Task) -> Row:
-        """The task's row; what raises becomes a row that says so."""
+        """The task's row; an exception becomes a row with its error."""
         return _attempted(self.run, self.row, task)
 
     def tabled(self, rows: Sequence[Row]) -> str:
-        """The table of these rows, which are in order."""
+        """The table of these rows, which are sorted."""
         groups = self._grouped(rows)
         if self.whole and len(groups) > 1:
             groups[self.whole] = list(rows)
@@ -115,13 +115,13 @@ class Study(Generic[Task, Row]):
         return {name: [row for row in rows if self.by(row) == name] for name in dict.fromkeys(map(self.by, rows))}
 
     def as_line(self, row: Row) -> Line:
-        """The row as a JSON object; None for a number that is none."""
+        """The row as a JSON object; None for a number that is not finite."""
         return self.line(row) if self.line else as_line(row)
 
     def _finished(
         self, tasks: Sequence[Task], begin: Callable[[ExitStack], Executor], path: Path | None
     ) -> tuple[list[Row], int]:
-        """The workers come first, so that rows of an earlier study outlive a wrong address."""
+        """Run the tasks. The workers start first, so that a wrong address does not destroy rows of an earlier study."""
         finished: list[Row] = []
         try:
             with terminable(), ExitStack() as stack:
@@ -141,11 +141,11 @@ class Study(Generic[Task, Row]):
 
     def _kept(self, path: Path, tasks: Sequence[Task]) -> list[Row]:
         rows = already_in(path, self.row_of or partial(row_of, self.row))
-        lasts = {task.seconds for task in tasks if hasattr(task, "seconds")}
+        durations = {task.seconds for task in tasks if hasattr(task, "seconds")}
         given = [float(row.seconds) for row in rows if hasattr(row, "seconds")]
-        other = next((each for each in given if lasts and each not in lasts), None)
+        other = next((each for each in given if durations and each not in durations), None)
         if other is not None:
-            raise CliError(BAD_INPUT, f"{path}: has runs of {other:g} s, not {min(lasts):g} s")
+            raise CliError(BAD_INPUT, f"{path}: has runs of {other:g} s, not {min(durations):g} s")
         return list({_key(row, tasks): row for row in rows}.values())
 
     def _concluded(self, rows: Sequence[Row], path: Path | None) -> int:
@@ -178,37 +178,37 @@ def add_arguments(
     length: Callable[[str], float] = seconds,
     what: str = "how many of each kind",
 ) -> None:
-    """What most studies take: how many runs of which kinds, the first seed, how long, where to, and who does them."""
+    """Add the common arguments: number and kinds of runs, first seed, duration, output, workers."""
     add = parser.add_argument
     add("--runs", type=count, default=runs, metavar="N", help=f"{what} (default: %(default)s)")
     if kinds:
-        add("--kind", choices=(*kinds, ALL), default=ALL, help="what sort of run (default: %(default)s)")
-    add("--seed", type=seed, default=0, metavar="FIRST", help="the first run's (default: %(default)s)")
-    add("--seconds", type=length, default=seconds_each, metavar="S", help="how long each lasts (default: %(default)s)")
+        add("--kind", choices=(*kinds, ALL), default=ALL, help="kind of run (default: %(default)s)")
+    add("--seed", type=seed, default=0, metavar="FIRST", help="seed of the first run (default: %(default)s)")
+    add("--seconds", type=length, default=seconds_each, metavar="S", help="duration of a run (default: %(default)s)")
     add("-o", "--output", type=Path, default=output and Path(output), metavar="PATH",
-        help=f"file of JSON lines, one a run, or folder for {ROWS} and figure (default: %(default)s)")  # fmt: skip
+        help=f"file of JSON lines, one per run, or folder for {ROWS} and figure (default: %(default)s)")  # fmt: skip
     add_workers(parser)
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """How many processes, or which cluster."""
+    """Add the arguments for the number of processes or the cluster."""
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--jobs", type=count, metavar="J", help="processes on this machine (default: one a processor)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://127.0.0.1:8786")
+    where.add_argument("--jobs", type=count, metavar="J", help="processes on this machine (default: one per processor)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a Dask cluster, e.g. tcp://127.0.0.1:8786")
 
 
 def kinds_of(arguments: argparse.Namespace, kinds: Sequence[str]) -> Sequence[Any]:
-    """Those that `--kind` asks for."""
+    """The kinds requested by `--kind`."""
     return kinds if arguments.kind == ALL else (arguments.kind,)
 
 
 def seeds_of(arguments: argparse.Namespace) -> range:
-    """Those that `--seed` and `--runs` ask for."""
+    """The seeds requested by `--seed` and `--runs`."""
     return range(arguments.seed, arguments.seed + arguments.runs)
 
 
 def result(row: type[Row], task: DataclassInstance, **measured: Any) -> Row:
-    """A row of this task."""
+    """The row of a task with these measured values."""
     return row(**{each.name: getattr(task, each.name) for each in fields(task)}, **measured)
 
 
@@ -227,11 +227,11 @@ def _failed(row: type[Row], task: DataclassInstance, error: BaseException) -> Ro
     return result(row, task, error=f"{type(error).__name__}: {error}")
 
 
-# ----------------------------------------------------------------------------------------------- who does them
+# ----------------------------------------------------------------------------------------------------- workers
 
 
 def workers(arguments: argparse.Namespace) -> Callable[[ExitStack], Executor]:
-    """So many processes or a cluster, when entered; CliError where there is no such cluster, or no Dask."""
+    """A function that starts local processes or connects to a cluster; it raises CliError without cluster or Dask."""
     address = getattr(arguments, "scheduler", None)
     if address is None:
         return lambda stack: stack.enter_context(runs.local(arguments.jobs or os.cpu_count() or 1))
@@ -250,7 +250,7 @@ def _of_cluster(stack: ExitStack, address: str) -> Executor:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """A termination does what Ctrl-C does."""
+    """Treat SIGTERM as Ctrl-C."""
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         yield
@@ -266,7 +266,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 def as_line(row: DataclassInstance) -> Line:
-    """The row as a JSON object of its fields; None for a number that is none."""
+    """The row as a JSON object of its fields; None for a number that is not finite."""
     values: dict[str, Any] = {each.name: getattr(row, each.name) for each in fields(row)}
     return {
         name: as_line(each) if hasattr(each, "__dataclass_fields__") else or_none(each) for name, each in values.items()
@@ -274,7 +274,7 @@ def as_line(row: DataclassInstance) -> Line:
 
 
 def row_of(row: type[Row], line: Line) -> Row:
-    """What `as_line` made of a row of plain values; raises KeyError or TypeError for anything else."""
+    """The inverse of `as_line` for a row of plain values; raises KeyError or TypeError for anything else."""
     names = {each.name for each in fields(row)}
     if names ^ line.keys():
         raise KeyError(*(names ^ line.keys()))
@@ -282,7 +282,7 @@ def row_of(row: type[Row], line: Line) -> Row:
 
 
 def already_in(path: Path, row_from: Callable[[Line], Row]) -> list[Row]:
-    """The rows that a file to resume has, none where there is no file; CliError for a file of anything else."""
+    """The rows in a file to resume, none if there is no file; CliError for any other file."""
     if not path.exists():
         return []
     try:
@@ -294,13 +294,13 @@ def already_in(path: Path, row_from: Callable[[Line], Row]) -> list[Row]:
         try:
             rows.append(row_from(json.loads(line)))
         except (AttributeError, KeyError, TypeError, ValueError):
-            mend = f"line {number} is no run; remove it, or take another file"
-            raise CliError(BAD_INPUT, f"{path}: is no file of this study: {mend}") from None
+            mend = f"line {number} is not a run; remove it, or use another file"
+            raise CliError(BAD_INPUT, f"{path}: is not a file of this study: {mend}") from None
     return rows
 
 
 def writable(stack: ExitStack, path: Path, append: bool = False) -> TextIO:
-    """The file, empty unless it is to `append` to, in a folder that is made; CliError when that cannot be."""
+    """Open the file, empty unless `append`, and create its folder; raises CliError if that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return stack.enter_context(path.open("a" if append else "w", encoding="utf-8"))
@@ -309,22 +309,22 @@ def writable(stack: ExitStack, path: Path, append: bool = False) -> TextIO:
 
 
 def write(stream: TextIO, lines: Iterable[Line]) -> None:
-    """Append them, and see that they are there."""
+    """Append lines and flush."""
     for line in lines:
         stream.write(json.dumps(line, allow_nan=False, ensure_ascii=False) + "\n")
     stream.flush()
 
 
 def rewrite(path: Path, lines: Iterable[Line]) -> None:
-    """Put these in the place of the file's lines, all at once."""
-    beside = path.with_suffix(".tmp")
-    with beside.open("w", encoding="utf-8") as stream:
+    """Replace the file's lines atomically."""
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("w", encoding="utf-8") as stream:
         write(stream, lines)
-    beside.replace(path)
+    temporary.replace(path)
 
 
 def numbers(each: Iterable[int]) -> str:
-    """Whole numbers in words: those that follow each other as first–last."""
+    """Whole numbers as text; consecutive ones as first–last."""
     parts: list[list[int]] = []
     for number in sorted(set(each)):
         if parts and number == parts[-1][-1] + 1:

@@ -45,7 +45,7 @@ MEDIAN_P90_P95 = (0.5, 0.9, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class MonteCarloTask:
-    """One run to do: as `simulated` takes it, lasting so many seconds, and whether to replay it causally too."""
+    """One run: arguments of `simulated`, and whether to replay it through the live observer too."""
 
     kind: Kind
     seed: int
@@ -56,7 +56,7 @@ class MonteCarloTask:
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """One parameter: its true value, the estimate's error and 1σ, and the least 1σ possible."""
+    """One parameter: its true value, the estimate's error and 1σ, and the lower bound of 1σ."""
 
     true: float = math.nan
     error: float = math.nan
@@ -71,12 +71,12 @@ class Scalar:
 
 @dataclass(frozen=True, slots=True)
 class MonteCarloRow(MonteCarloTask):
-    """A run in numbers; NaN for what there is not.
+    """The results of one run; NaN for missing values.
 
-    error: what was raised, then nothing else is known. converged, reason, chi2, took: as `reconstruct` says. e_h,
-    max_error: over the touched normals after the best rotation; touched: their share. h_bound: RMS of the posterior
-    Cramér–Rao bound over the same normals, efficiency: h_bound / e_h. nees_h: mean over them of (error / 1σ)².
-    psi_rms: without the constant that is gauge.
+    error: the exception, without any other result. converged, reason, chi2, took_s: from `reconstruct`. e_h_m,
+    max_error_m: over the touched normals after the best rotation; touched: their share. h_bound_m: RMS of the posterior
+    Cramér–Rao bound over the same normals, efficiency: h_bound_m / e_h_m. nees_h: their mean of (error / 1σ)².
+    psi_rms_rad: without the constant gauge.
     """
 
     error: str = ""
@@ -100,12 +100,12 @@ class MonteCarloRow(MonteCarloTask):
 
     @property
     def right(self) -> bool:
-        """Whether the outline is right to `RIGHT_M`, accepted or not."""
+        """Whether the outline's error is below `RIGHT_M`, accepted or not."""
         return self.e_h_m < RIGHT_M
 
     @property
     def wrong(self) -> bool:
-        """Whether it is accepted, and the outline is off by more than `WRONG_M`."""
+        """Whether the outline is accepted and its error exceeds `WRONG_M`."""
         return self.converged and self.e_h_m > WRONG_M
 
 
@@ -113,7 +113,7 @@ def run(task: MonteCarloTask) -> MonteCarloRow:
     """Simulate, reconstruct, replay and score."""
     log, truth_line = simulated(task.kind, task.seed, task.seconds, imperfections=task.imperfections)
     truth = truth_of(truth_line)
-    # The estimators' own seeds stay at their defaults, so that the commands give the same answers on the same log.
+    # the estimators' seeds stay at their defaults, so that the commands give the same results for the same log
     answer = reconstruct(log.events, log.rig)
     outline = outline_errors(answer, truth)
     bound = cramer_rao(log.events, log.rig, truth, truth.theta if outline is None else outline.true_theta)
@@ -123,7 +123,7 @@ def run(task: MonteCarloTask) -> MonteCarloRow:
 
 
 def answers(log: EventLog, truth: Line, watcher: observer.Observer) -> ObserverAnswers:
-    """Everything that the observer says of the run, tick by tick, against the `truth`."""
+    """The observer's estimates of a run, tick by tick, with their errors."""
     true_h = np.array(truth["h_m"])
     t, valid, r, sd, e_h, latest = [], [], [], [], [], math.nan
     for tick in replay(log, watcher):
@@ -174,7 +174,7 @@ def row_of(
         causal=causal,
     )
     if len(answer.t):
-        turn = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)  # a straight line would be off by 0.3 mrad
+        turn = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)  # linear interpolation errs by 0.3 mrad
         psi, omega0 = turn(answer.t), turn(answer.t, 1)
         row = replace(
             row, psi_rms_rad=rms(_without_gauge(answer.psi - psi)), omega0_rms_rad_s=rms(answer.omega0 - omega0)
@@ -199,7 +199,7 @@ def _scalar(true: float, value: float, sd: float, bound: float) -> Scalar:
 
 
 def _without_gauge(angle: FloatArray) -> FloatArray:
-    """The angles about their own mean, on whichever branch they were given (rad)."""
+    """The angles minus their circular mean (rad), whatever their branch."""
     centred = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
     return np.asarray(centred - np.mean(centred))
 
@@ -208,7 +208,7 @@ def _without_gauge(angle: FloatArray) -> FloatArray:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[MonteCarloTask]:
-    """So many runs of each kind, all kinds with the same seeds."""
+    """The requested number of runs of each kind, all kinds with the same seeds."""
     how = arguments.seconds, arguments.causal, arguments.imperfections
     kinds = harness.kinds_of(arguments, KINDS)
     return [MonteCarloTask(kind, seed, *how) for seed in harness.seeds_of(arguments) for kind in kinds]
@@ -227,7 +227,7 @@ def _parameter(name: str, of: Callable[[Any], Scalar]) -> list[tuple[str, Cell]]
 
 
 def _causal(value: Value, unit: float = 1.0, *, worst: bool = False) -> Cell:
-    """Over all runs where some were replayed: one that came to nothing has not converged either."""
+    """Quantiles over the replayed runs; worst: a run without the value counts as infinite."""
     qs = MEDIAN_P90_P95 if worst else (0.5,)
     return among(lambda row: row.causal is not None, quantiles(lambda row: value(row.causal), unit, qs, worst=worst))
 
@@ -263,7 +263,7 @@ COLUMNS: list[tuple[str, Cell]] = [
 
 
 def remarks(rows: Sequence[MonteCarloRow]) -> list[str]:
-    """The runs to look at: a line for each that is accepted and wrong, or ended in an error."""
+    """A line for each run that is accepted and wrong, or ended in an error."""
     return [
         f"{row.kind} {row.seed}: {row.error or f'accepted but wrong by {row.e_h_m * 1e6:.0f} µm'}"
         for row in rows

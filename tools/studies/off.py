@@ -1,9 +1,9 @@
-"""One property of the rig is not as configured: what is still accepted, how far off it is, and whether it is named.
+"""Mis-calibration study: one property of the rig differs from its configuration; which runs are accepted or named.
 
-Runs of 20 s (kinds friction and rig in turns) on an emulated rig of which one constant is off, or whose readings are
-spoilt. The rest of the rig is either as described, and declared to be (`exact`), or as calibration leaves one, which is
-what a log without a word about it is taken for (`calibrated`). Of each run the first ten seconds are reconstructed too:
-by then what leads the outline astray should have a name, where the readings determine it.
+Runs of 20 s (kinds friction and rig in turns) on an emulated rig with one wrong constant, or with corrupted readings.
+The rest of the rig is exactly known and declared so (`exact`), or has residual calibration errors, as is assumed for a
+log without a declaration (`calibrated`). The first ten seconds of each run are reconstructed too: by then the cause of
+a wrong outline should be named, if the readings determine it.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ from tools.studies.simulated import written
 
 TakenFor = Literal["exact", "calibrated"]
 TAKEN_FOR: tuple[TakenFor, ...] = get_args(TakenFor)
-# How alike the palms rub is no matter of calibration: a log that declares its rig exact leaves it open.
+# Unequal friction of the palms is not a matter of calibration: a log that declares its rig exact leaves it open.
 _KNOWN: Mapping[TakenFor, Mapping[str, float]] = {
     "exact": {**PERFECTLY_KNOWN, "friction_sd": AS_CALIBRATED["friction_sd"]},
     "calibrated": AS_CALIBRATED,
 }
 NAMED_WITHIN_S = 10.0
-_STREAM = 29  # of a seed's random numbers: what is done to the readings
-_BATCH_S, _PACKET_S = 0.016, 0.00625
+_STREAM = 29  # random stream of the corrupted readings
+_BATCH_S, _PACKET_S = 0.016, 0.00625  # period of a USB adapter, and of a pad's packets
 
 Random = np.random.Generator
 Spoil = Callable[[list[Event], Random], list[Event]]
 
 
 @dataclass(frozen=True, slots=True)
-class Off:
-    """What is off: constants of the rig by their published names (SI), other laws of the plant, or the readings.
+class Miscalibration:
+    """One mis-calibration: wrong rig constants by published name (SI), another law of the plant, or bad readings.
 
-    Where no constant is, none may be named but `as_well`: those whose name is as right, because touch cannot tell them
-    from what is off, or because that is what it comes to. blind: touch tells it in part at most
-    (docs/theory/limits.md), so that to declare it exact is what few readings can contradict.
+    as_well: constants that may be named too, because touch cannot distinguish them from the cause, or because they
+    describe its effect; no other constant may be named. blind: touch determines it in part at most
+    (docs/theory/limits.md), so that readings can hardly contradict a rig that is declared exact.
     """
 
     name: str
@@ -68,9 +68,9 @@ class Off:
 
 
 def _batched(packet_s: float) -> Spoil:
-    """A USB adapter hands over what came within 16 ms at once: the last packet has just ended, it seems.
+    """Time stamps of a USB adapter that delivers in batches of 16 ms: the last packet gets the time of delivery.
 
-    packet_s: by how much each packet is dated before the next; 0: all of a read have one stamp.
+    packet_s: by how much each packet is dated before the next; 0: all packets of a batch have one stamp.
     """
     return lambda events, _: _in_batches(events, packet_s)
 
@@ -109,43 +109,43 @@ def _student(sample: PadSample, random: Random) -> PadSample:
     return replace(sample, s=sample.s + 1e-4 * float(random.standard_t(3)))
 
 
-OFF: tuple[Off, ...] = (
-    Off("nothing"),
-    Off("pad 1's zero 0.1 mm", {"pad1_zero_m": 1e-4}),
-    Off("pad 1's zero 0.3 mm", {"pad1_zero_m": 3e-4}),
-    Off("both zeros 0.3 mm", {"pad1_zero_m": 3e-4, "pad2_zero_m": 3e-4}),
-    Off("pad 2's scale 1 %", {"pad2_scale": 0.01}, as_well=("pad1_scale",), blind=True),  # of their mean
-    Off("φ1 0.3°", {"phi1_rad": math.radians(0.3)}),
-    Off("gravity 0.5°", {"phi1_rad": math.radians(0.5)}),
-    Off("φ2 0.3°", {"phi2_rad": math.radians(0.3)}),
-    Off("φ2 1°", {"phi2_rad": math.radians(1.0)}),
-    Off("pad 1 0.5 mm high", {"pad1_standoff_m": 5e-4}, blind=True),
-    Off("pad 1 bowed 0.1 mm", {"pad1_sagitta_m": 1e-4}),
-    Off("pad 1 bowed 0.3 mm", {"pad1_sagitta_m": 3e-4}),
-    Off("pad 1 0.1 mm/N", {"pad1_force_m_per_n": 1e-4}),
-    Off("pad 1 0.3 mm/N", {"pad1_force_m_per_n": 3e-4}),
-    Off("μ1 = 2 μ2", {"friction_asymmetry": 1 / 3}),
-    Off("μ1 = μ2 / 5", {"friction_asymmetry": -2 / 3}),
-    Off("pad 2 15 ms late", {"pad2_lag_s": 0.015}),
-    Off("stick-slip", options=PlantOptions(friction_law="coulomb")),
-    Off("vibration 0.3 m/s²", vibration=0.3),
-    Off("16 ms batches", spoil=_batched(_PACKET_S), as_well=("pad1_lag_s", "pad2_lag_s")),
-    Off("16 ms batches of one stamp", spoil=_batched(0.0), as_well=("pad1_lag_s", "pad2_lag_s")),
-    Off("5 % outliers", spoil=_each_reading(_outlier)),
-    Off("30 % dropped", spoil=_each_reading(_dropped)),
-    Off("Student's noise", spoil=_each_reading(_student)),
+MISCALIBRATIONS: tuple[Miscalibration, ...] = (
+    Miscalibration("nothing"),
+    Miscalibration("pad 1's zero 0.1 mm", {"pad1_zero_m": 1e-4}),
+    Miscalibration("pad 1's zero 0.3 mm", {"pad1_zero_m": 3e-4}),
+    Miscalibration("both zeros 0.3 mm", {"pad1_zero_m": 3e-4, "pad2_zero_m": 3e-4}),
+    Miscalibration("pad 2's scale 1 %", {"pad2_scale": 0.01}, as_well=("pad1_scale",), blind=True),  # of their mean
+    Miscalibration("φ1 0.3°", {"phi1_rad": math.radians(0.3)}),
+    Miscalibration("gravity 0.5°", {"phi1_rad": math.radians(0.5)}),
+    Miscalibration("φ2 0.3°", {"phi2_rad": math.radians(0.3)}),
+    Miscalibration("φ2 1°", {"phi2_rad": math.radians(1.0)}),
+    Miscalibration("pad 1 0.5 mm high", {"pad1_standoff_m": 5e-4}, blind=True),
+    Miscalibration("pad 1 bowed 0.1 mm", {"pad1_sagitta_m": 1e-4}),
+    Miscalibration("pad 1 bowed 0.3 mm", {"pad1_sagitta_m": 3e-4}),
+    Miscalibration("pad 1 0.1 mm/N", {"pad1_force_m_per_n": 1e-4}),
+    Miscalibration("pad 1 0.3 mm/N", {"pad1_force_m_per_n": 3e-4}),
+    Miscalibration("μ1 = 2 μ2", {"friction_asymmetry": 1 / 3}),
+    Miscalibration("μ1 = μ2 / 5", {"friction_asymmetry": -2 / 3}),
+    Miscalibration("pad 2 15 ms late", {"pad2_lag_s": 0.015}),
+    Miscalibration("stick-slip", options=PlantOptions(friction_law="coulomb")),
+    Miscalibration("vibration 0.3 m/s²", vibration=0.3),
+    Miscalibration("16 ms batches", spoil=_batched(_PACKET_S), as_well=("pad1_lag_s", "pad2_lag_s")),
+    Miscalibration("16 ms batches of one stamp", spoil=_batched(0.0), as_well=("pad1_lag_s", "pad2_lag_s")),
+    Miscalibration("5 % outliers", spoil=_each_reading(_outlier)),
+    Miscalibration("30 % dropped", spoil=_each_reading(_dropped)),
+    Miscalibration("Student's noise", spoil=_each_reading(_student)),
 )
-"""Issue by issue what has been seen to lead estimates astray, and what has not."""
+"""The mis-calibrations, with and without effect on estimates."""
 
 
-def of_name(name: str) -> Off:
-    """The one of `OFF` that is called so."""
-    return next(each for each in OFF if each.name == name)
+def of_name(name: str) -> Miscalibration:
+    """The entry of `MISCALIBRATIONS` with this name."""
+    return next(each for each in MISCALIBRATIONS if each.name == name)
 
 
 @dataclass(frozen=True, slots=True)
-class OffTask:
-    """One run: which of `OFF`, what the rest of the rig is, kind, seed, and how long (s)."""
+class MiscalibrationTask:
+    """One run; `off`: name in `MISCALIBRATIONS`; `taken_for`: the rest of the rig; `seconds`: duration."""
 
     off: str
     taken_for: TakenFor
@@ -156,13 +156,13 @@ class OffTask:
 
 
 @dataclass(frozen=True, slots=True)
-class OffRow(OffTask):
-    """What came of it; NaN for what there is not.
+class MiscalibrationRow(MiscalibrationTask):
+    """The results of one run; NaN for missing values.
 
-    e_h, h_sd: RMS over the touched normals (m). z: of the constants that are off, the largest error in 1σ. named,
-    named_early: constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. ticks, valid,
-    live_far, live_wrong: of a causal replay, those that are valid, and of these with r1 and r2 by RMS more than `FAR`
-    1σ off, or either by more than `WRONG_M`.
+    e_h_m, h_sd_m: RMS over the touched normals. z: largest error of the wrong constants, in 1σ. named, named_early:
+    constants contradicted by all readings, and by those of the first `NAMED_WITHIN_S`. ticks, valid, live_far,
+    live_wrong: ticks of a causal replay, valid ones, and valid ones with an RMS error of r1 and r2 above `FAR` 1σ, or
+    with an error of either above `WRONG_M`.
     """
 
     error: str = ""
@@ -180,53 +180,53 @@ class OffRow(OffTask):
 
     @property
     def far(self) -> bool:
-        """Whether it is accepted, and wrong by more than its band allows."""
+        """Whether it is accepted and its error exceeds `FAR` 1σ."""
         return self.accepted and self.e_h_m > FAR * self.h_sd_m
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[OffTask]:
-    """So many runs of each, the kinds `friction` and `rig` in turns."""
+def draw(arguments: argparse.Namespace) -> Sequence[MiscalibrationTask]:
+    """The requested number of runs of each, with kinds `friction` and `rig` in turns."""
     kinds: tuple[Kind, Kind] = ("friction", "rig")
     return [
-        OffTask(off, world, kinds[seed % 2], seed, arguments.seconds, arguments.live)
+        MiscalibrationTask(off, world, kinds[seed % 2], seed, arguments.seconds, arguments.live)
         for world in arguments.taken_for
         for off in arguments.only
         for seed in harness.seeds_of(arguments)
     ]
 
 
-def run(task: OffTask) -> OffRow:
-    """Simulate, spoil, reconstruct, compare."""
-    off = of_name(task.off)
+def run(task: MiscalibrationTask) -> MiscalibrationRow:
+    """Simulate, corrupt the readings, reconstruct, compare."""
+    miscalibration = of_name(task.off)
     known = RigDescription().known_to(_KNOWN[task.taken_for])
     stream = KINDS.index(task.kind), task.seed
     rest = PERFECT if task.taken_for == "exact" else drawn(known, *stream)
-    lines, told = simulate_log(
-        task.kind, task.seed, task.seconds, off.options,
-        imperfections=replace(with_constants(rest, off.constants), vibration=off.vibration),
+    lines, truth_line = simulate_log(
+        task.kind, task.seed, task.seconds, miscalibration.options,
+        imperfections=replace(with_constants(rest, miscalibration.constants), vibration=miscalibration.vibration),
         calibration_sd=_KNOWN[task.taken_for],
     )  # fmt: skip
     with written(lines) as path:
         log = read_log(path)
     events: list[Event] = list(log.events)
-    if off.spoil is not None:
-        events = off.spoil(events, np.random.default_rng([*stream, _STREAM]))
+    if miscalibration.spoil is not None:
+        events = miscalibration.spoil(events, np.random.default_rng([*stream, _STREAM]))
     first = [event for event in events if event.t_sample < NAMED_WITHIN_S]
     early = reconstruct(first, log.rig)
     answer = early if len(first) == len(events) else reconstruct(events, log.rig)
     row = result(
-        OffRow, task, accepted=bool(answer.converged), reason=answer.reason,
+        MiscalibrationRow, task, accepted=bool(answer.converged), reason=answer.reason,
         named=names(answer.contradicted), named_early=names(early.contradicted),
     )  # fmt: skip
     if task.live:
-        row = _replayed(row, replace(log, events=tuple(events)), told)
-    truth, true = truth_of(told), np.array([told["rig"][name] for name in RIG_NAMES])
+        row = _replayed(row, replace(log, events=tuple(events)), truth_line)
+    truth, true = truth_of(truth_line), np.array([truth_line["rig"][name] for name in RIG_NAMES])
     scored = outline_errors(answer, truth)
     if scored is None:
         return row
     at = scored.touched
     z = np.abs(true - answer.rig) / answer.rig_sd
-    which = [RIG_NAMES.index(name) for name in off.constants]
+    which = [RIG_NAMES.index(name) for name in miscalibration.constants]
     return replace(
         row,
         e_h_m=scored.score.e_h,
@@ -235,35 +235,35 @@ def run(task: OffTask) -> OffRow:
     )
 
 
-def _replayed(row: OffRow, log: EventLog, told: Line) -> OffRow:
-    """With what the live observer says of the run, tick by tick, the smoother beside it simulated."""
-    live = answers(log, told, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig)))
+def _replayed(row: MiscalibrationRow, log: EventLog, truth: Line) -> MiscalibrationRow:
+    """The row with the results of a replay through the live observer, with a simulated smoother."""
+    live = answers(log, truth, observer.make("shape", log.rig, smoothing=observer.Simulated(log.rig)))
     error, sd = live.r_error[live.valid], live.r_sd[live.valid]
     far = np.mean((error / sd) ** 2, axis=1) > FAR**2
     return replace(row, ticks=len(live.t), valid=len(error), live_far=int(far.sum()), live_wrong=int(live.wrong.sum()))
 
 
 def with_constants(rest: Imperfections, values: Mapping[str, float]) -> Imperfections:
-    """These constants of the rig as given, by their published names; the others as in `rest`."""
-    fields_of = {told: name.removesuffix("_sd") for name, told in CALIBRATION_KEYS.items()}
+    """Imperfections with these constants, by their published names; the others as in `rest`."""
+    fields_of = {key: name.removesuffix("_sd") for name, key in CALIBRATION_KEYS.items()}
     angles, pads = list(rest.angles), list(rest.pads)
-    off = rest
+    imperfections = rest
     for name, value in values.items():
         if name == "phi1_rad":
             angles[0] = value - rest.gravity
         elif name == "phi2_rad":
             angles[1] = value
         elif name == "friction_asymmetry":
-            off = replace(off, friction=value)
+            imperfections = replace(imperfections, friction=value)
         else:
-            pad, told = name.removeprefix("pad").split("_", 1)
-            changed: dict[str, Any] = {fields_of[told]: value}
+            pad, key = name.removeprefix("pad").split("_", 1)
+            changed: dict[str, Any] = {fields_of[key]: value}
             pads[int(pad) - 1] = replace(pads[int(pad) - 1], **changed)
-    return replace(off, angles=(angles[0], angles[1]), pads=tuple(pads))
+    return replace(imperfections, angles=(angles[0], angles[1]), pads=tuple(pads))
 
 
 def names(contradicted: Iterable[float]) -> tuple[str, ...]:
-    """Which constants are contradicted."""
+    """Names of the contradicted constants."""
     return tuple(name for name, z in zip(RIG_NAMES, contradicted, strict=False) if z != 0.0)
 
 
@@ -271,14 +271,14 @@ def names(contradicted: Iterable[float]) -> tuple[str, ...]:
 
 
 VERDICTS = ("right", "with others", "wrong", "none")
-NAMES = [each.name for each in OFF]
+NAMES = [each.name for each in MISCALIBRATIONS]
 
 
-def verdict(off: Off, named: Sequence[str]) -> str:
-    """What is off is named alone (`right`) or `with others`; something else is (`wrong`), or nothing (`none`)."""
+def verdict(miscalibration: Miscalibration, named: Sequence[str]) -> str:
+    """`right`: only the wrong constants are named; `with others`: others too; `wrong`: only others; `none`: nothing."""
     if not named:
         return "none"
-    right = {*off.constants, *off.as_well}
+    right = {*miscalibration.constants, *miscalibration.as_well}
     if not right & set(named):
         return "wrong"
     return "right" if set(named) <= right else "with others"
@@ -292,7 +292,7 @@ def _of_accepted(cell: Cell) -> Cell:
     return among(lambda row: row.accepted, cell)
 
 
-def _of_ticks(name: str) -> Callable[[OffRow], float]:
+def _of_ticks(name: str) -> Callable[[MiscalibrationRow], float]:
     return lambda row: getattr(row, name) / row.valid if row.valid else math.nan
 
 
@@ -311,38 +311,38 @@ COLUMNS: list[tuple[str, Cell]] = [
 ]
 
 
-def remarks(rows: Sequence[OffRow]) -> list[str]:
-    """How many are accepted too sharply, in each world; then a line for each that is, or is not accepted."""
-    said = []
+def remarks(rows: Sequence[MiscalibrationRow]) -> list[str]:
+    """Numbers of overconfident accepted runs by kind of rig; then a line for each of them and each rejected run."""
+    lines = []
     for world in dict.fromkeys(row.taken_for for row in rows):
         accepted = [row for row in rows if row.accepted and row.taken_for == world]
         plain = [row for row in accepted if not of_name(row.off).blind]
-        said.append(
-            f"{world}: {sum(row.far for row in accepted)} of {len(accepted)} accepted are more than {FAR:g} sd off, "
-            f"{sum(row.far for row in plain)} of {len(plain)} where touch can determine all of what is off"
+        lines.append(
+            f"{world}: {sum(row.far for row in accepted)} of {len(accepted)} accepted have errors above {FAR:g} sd, "
+            f"{sum(row.far for row in plain)} of {len(plain)} where touch can determine the whole mis-calibration"
         )
     ticks, valid, far, wrong = (sum(getattr(row, name) for row in rows) for name in _TICKS)
     if ticks:
-        said.append(
-            f"live: {far} of {valid} valid ticks are more than {FAR:g} sd off, "
-            f"{wrong} by more than {1e3 * WRONG_M:g} mm; valid are {valid / ticks:.0%}"
+        lines.append(
+            f"live: {far} of {valid} valid ticks have errors above {FAR:g} sd, "
+            f"{wrong} above {1e3 * WRONG_M:g} mm; {valid / ticks:.0%} of the ticks are valid"
         )
     for row in rows:
         if row.error or not row.accepted:
-            said.append(f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}")
+            lines.append(f"{row.off}, {row.kind} {row.seed}: {row.error or row.reason}")
         elif row.far:
-            off, sd = 1e6 * row.e_h_m, 1e6 * row.h_sd_m
-            said.append(f"{row.off}, {row.kind} {row.seed}: {off:.0f} µm off, sd {sd:.0f} µm")
-    return said
+            error, sd = 1e6 * row.e_h_m, 1e6 * row.h_sd_m
+            lines.append(f"{row.off}, {row.kind} {row.seed}: error {error:.0f} µm, sd {sd:.0f} µm")
+    return lines
 
 
 _TICKS = ("ticks", "valid", "live_far", "live_wrong")
 
 STUDY = Study(
-    "one property off",
+    "mis-calibration",
     draw,
     run,
-    OffRow,
+    MiscalibrationRow,
     order=lambda row: (TAKEN_FOR.index(row.taken_for), NAMES.index(row.off), row.seed),
     by=lambda row: f"{row.taken_for}: {row.off}",
     columns=COLUMNS,
@@ -352,11 +352,11 @@ STUDY = Study(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
-    harness.add_arguments(parser, runs=4, seconds_each=20.0, output="off.jsonl", what="how many of each")
+    harness.add_arguments(parser, runs=4, seconds_each=20.0, output="off.jsonl", what="how many runs of each")
     add = parser.add_argument
     add("--taken-for", choices=TAKEN_FOR, nargs="+", default=TAKEN_FOR, metavar="WORLD",
-        help=f"what the rest of the rig is: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
+        help=f"the rest of the rig: {', '.join(TAKEN_FOR)} (default: both)")  # fmt: skip
     add("--only", choices=NAMES, nargs="+", default=NAMES, metavar="WHAT",
-        help=f"what is off: {'; '.join(NAMES)} (default: each of them)".replace("%", "%%"))  # fmt: skip
+        help=f"mis-calibrations: {'; '.join(NAMES)} (default: all)".replace("%", "%%"))  # fmt: skip
     add("--live", action="store_true",
         help="replay each log through the live observer too, as `palmd estimate` does")  # fmt: skip

@@ -1,7 +1,8 @@
-"""The runs behind the figures of CMU-CS-01-107, chapter 3: its method and palmd's.
+"""The runs behind the figures of CMU-CS-01-107, chapter 3, by the paper's method and by palmd's.
 
-Its simulation (section 3.4) is an object that is always in balance, felt exactly. Its experiment (section 3.5) is an
-object with friction under noisy, irregular readings, here from the emulated plant or from any log with its truth.
+The paper's simulation (section 3.4) has an object that is always in balance, with exact readings. Its experiment
+(section 3.5) has an object with friction and noisy, irregular readings, here from the emulated plant or from any log
+with its truth.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from tools.studies.scoring import Bools, rms, score_where_known
 from tools.studies.simulated import simulated
 
 PUBLISHED_RADIUS, PUBLISHED_PSI_RAD = 0.06, 0.078
-"""Errors read off figures 3.10 and 3.11, for the paper prints none: of r1, r2 over their RMS, and of ψ."""
+"""Errors taken from figures 3.10 and 3.11, as the paper prints none: of r1, r2 over their RMS, and of ψ."""
 HARDWARE_RMS_M, HARDWARE_RADIUS_M, HARDWARE_TOUCHED, HARDWARE_PSI_RAD = 1.9e-3, 41e-3, 0.54, 0.27
-"""Off figure 3.15: distance of the points from the true outline, its radius, share touched, ψ against the camera's."""
+"""From figure 3.15: distance of points from the true outline, its radius, touched share, ψ against the camera's."""
 SIMULATED: tuple[tuple[Kind, int], ...] = (("friction", 401), ("friction", 405), ("rig", 401), ("rig", 404))
 TRUTH = ("t", "psi_rad", "r1_m", "r2_m", "theta_rad", "h_m")
 HEAD = ("method", "outline e_h", "of the radius", "r1, r2", "ψ", "touched")
@@ -42,7 +43,7 @@ HEAD = ("method", "outline e_h", "of the radius", "r1, r2", "ψ", "touched")
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Of one method, RMS: outline where touched (m, and over the mean radius), radii (m), ψ without the gauge (rad)."""
+    """RMS errors of a method: touched outline (m; over mean radius), radii (m), ψ without gauge (rad)."""
 
     e_h_m: float = math.nan
     of_radius: float = math.nan
@@ -53,7 +54,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class PaperTask:
-    """A log in a file with its truth beside it, or a simulated run by kind, seed and length (s)."""
+    """A log file with its truth beside it, or a simulated run by kind, seed and duration (s)."""
 
     log: str
     kind: Kind
@@ -63,7 +64,7 @@ class PaperTask:
 
 @dataclass(frozen=True, slots=True)
 class PaperRow(PaperTask):
-    """Errors of "it does not turn" (psi_still, rad), of the paper's quasistatic observer and of `reconstruct`."""
+    """Errors of the paper's quasistatic observer and of `reconstruct`; psi_still: of assuming constant ψ (rad)."""
 
     error: str = ""
     psi_still: float = math.nan
@@ -72,12 +73,12 @@ class PaperRow(PaperTask):
 
     @property
     def name(self) -> str:
-        """What it is called in the table."""
+        """The name in the table."""
         return Path(self.log).stem if self.log else f"{self.kind} {self.seed}"
 
 
 def run(task: PaperTask) -> PaperRow:
-    """Both methods on one run, against its truth."""
+    """Score both methods on one run."""
     if task.log:
         path = Path(task.log)
         log, truth = read(path), truth_beside(path)
@@ -115,12 +116,12 @@ def _errors(
     if score is None:
         return Errors()
     true1, true2, true_psi = (np.interp(t, truth["t"], truth[name]) for name in ("r1_m", "r2_m", "psi_rad"))
-    off = rms(np.stack([r1 - true1, r2 - true2]))
-    return Errors(score.e_h, score.e_h / float(np.mean(true_h)), off, float(np.std(psi - true_psi)), score.touched)
+    r_error = rms(np.stack([r1 - true1, r2 - true2]))
+    return Errors(score.e_h, score.e_h / float(np.mean(true_h)), r_error, float(np.std(psi - true_psi)), score.touched)
 
 
 def truth_beside(log: Path) -> Line:
-    """The truth of a log; CliError where it is none."""
+    """The truth beside a log; raises CliError if it is missing or invalid."""
     path = log.with_suffix(".truth.json")
     try:
         truth: Line = json.loads(path.read_text(encoding="utf-8"))
@@ -130,7 +131,7 @@ def truth_beside(log: Path) -> Line:
         raise CliError(BAD_INPUT, f"{path}: not JSON: {error}") from None
     missing = [name for name in TRUTH if not (isinstance(truth, dict) and isinstance(truth.get(name), list))]
     if missing:
-        raise CliError(BAD_INPUT, f"{path}: no truth: {', '.join(missing)} missing")
+        raise CliError(BAD_INPUT, f"{path}: not a truth file: {', '.join(missing)} missing")
     return truth
 
 
@@ -138,7 +139,7 @@ def truth_beside(log: Path) -> Line:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[PaperTask]:
-    """The logs that are given, or four simulated runs; CliError for a log that cannot be used."""
+    """The given logs, or four simulated runs; raises CliError for a log that cannot be used."""
     for path in arguments.logs:
         read(path)
         truth_beside(path)
@@ -147,17 +148,20 @@ def draw(arguments: argparse.Namespace) -> Sequence[PaperTask]:
 
 
 def report(rows: Sequence[PaperRow]) -> str:
-    """The paper's figures in numbers, beside those of the same runs here."""
+    """The paper's errors, beside those of the same runs here."""
     simulation = paper_simulation()
     run = simulation.run
     lines: list[tuple[str, Sequence[str]]] = [
         ("", HEAD),
         ("the paper's simulation", _cells("the paper's", r=f"{PUBLISHED_RADIUS:.0%}", psi=PUBLISHED_PSI_RAD)),
-        ("the same here, exact", _cells("e_f, e_c alone", r="any mean radius does")),
+        ("the same here, exact", _cells("only e_f, e_c", r="any mean radius fits")),
     ]
-    for beginning, trace in (("mean radius 6 % off", simulation.astray), ("with the conflict", simulation.found)):
-        off = f"{relative_radius_error(run, trace):.2%}"
-        lines.append(("the same here, exact", _cells(beginning, r=off, psi=psi_error(run, trace))))
+    for start, trace in (
+        ("mean radius wrong by 6 %", simulation.wrong_radius),
+        ("with the conflict", simulation.found),
+    ):
+        error = f"{relative_radius_error(run, trace):.2%}"
+        lines.append(("the same here, exact", _cells(start, r=error, psi=psi_error(run, trace))))
     hardware = Errors(HARDWARE_RMS_M, HARDWARE_RMS_M / HARDWARE_RADIUS_M, math.nan, HARDWARE_PSI_RAD, HARDWARE_TOUCHED)
     lines.append(("the paper's experiment", _of(hardware, "the paper's")))
     for row in rows:
@@ -167,13 +171,13 @@ def report(rows: Sequence[PaperRow]) -> str:
 
 
 def methods(row: PaperRow) -> Sequence[tuple[str, Errors]]:
-    """Both, by name."""
+    """Both methods by name."""
     return ("quasistatic", row.quasistatic), ("reconstruct", row.smoother)
 
 
 def _of(errors: Errors, method: str) -> Sequence[str]:
     if math.isnan(errors.e_h_m):
-        return (method, "no answer", *[NOTHING] * 4)
+        return (method, "no estimate", *[NOTHING] * 4)
     r = NOTHING if math.isnan(errors.r_m) else f"{errors.r_m * 1e3:.3f} mm"
     outline = f"{errors.e_h_m * 1e3:.3f} mm", f"{errors.of_radius:.2%}"
     return (method, *outline, r, f"{errors.psi_rad:.4f} rad", f"{errors.touched:.0%}")
@@ -199,6 +203,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("logs", nargs="*", type=Path, default=[], metavar="LOG",
         help="event logs with their truth in *.truth.json beside them (default: four simulated runs)")  # fmt: skip
-    add("--seconds", type=float, default=10.0, metavar="S", help="of the simulated runs (default: %(default)g)")
-    add("-o", "--output", type=Path, metavar="FILE", help="a JSON line for each run")
+    add("--seconds", type=float, default=10.0, metavar="S", help="duration of simulated runs (default: %(default)g)")
+    add("-o", "--output", type=Path, metavar="FILE", help="file of JSON lines, one for each run")
     harness.add_workers(parser)

@@ -1,4 +1,4 @@
-"""Stable poses as the paper writes them (CMU-CS-01-107, section 3.2): height, boundary, and palms that move slowly."""
+"""Stable poses in the paper's notation (CMU-CS-01-107, section 3.2): height, boundary, quasistatic palm paths."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from palmd.events import FloatArray
 from palmd.model.stable_poses import BoolArray, TouchedPoint, basins, nearest_turn, outline_at, touch
 from palmd.model.stable_surface import SurfaceLimits
 
-_STEP = 0.02  # rad: palms are followed in steps no longer than this
-_FOLD_SCAN = 720
+_STEP = 0.02  # rad; longest step along a path of the palms
+_FOLD_SCAN = 720  # samples of θ1 in the search for boundaries
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +25,10 @@ class Height:
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """The stable poses that an object goes through on a path of P palm poses, for S starts.
+    """The stable poses of an object along a path of P palm poses, for S starts.
 
-    psi: (P, S), continuous where nothing jumps (rad). jumped: (P, S), True where the minimum that held the object has
-    vanished since the pose before.
+    psi: (P, S), continuous except at jumps (rad). jumped: (P, S), True where the object's minimum has vanished since
+    the previous pose.
     """
 
     psi: FloatArray
@@ -73,11 +73,11 @@ def stable_poses(coefficients: FloatArray, phi1: float, phi2: float) -> FloatArr
 
 
 def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi2_path: FloatArray) -> Followed:
-    """Where the object goes from each of `psi` (S,) (rad) as the palms move slowly along a path of P poses (rad).
+    """The object's poses from each of `psi` (S,) (rad) while the palms move slowly along a path of P poses (rad).
 
-    It slides down to a minimum at once, stays in it as it moves, and where it vanishes slides down to the next one.
-    Between the path's poses the palms go straight. Raises ValueError as `height_series` does, and when there is
-    nothing to settle in.
+    It slides to a minimum at once, stays in it as the minimum moves, and slides to the next one if the minimum
+    vanishes. The palms move linearly between the path's poses. Raises ValueError as `height_series` does, and if there
+    is no minimum.
     """
     longest = np.maximum(np.abs(np.diff(phi1_path)), np.abs(np.diff(phi2_path)))
     steps = np.maximum(np.ceil(longest / _STEP), 1).astype(np.intp)
@@ -85,7 +85,7 @@ def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi
     fine = np.arange(ends[-1] + 1)
     path = basins(coefficients, np.interp(fine, ends, phi1_path), np.interp(fine, ends, phi2_path))
     if not path.count.all():
-        raise ValueError("the object balances everywhere: it has no stable pose to be followed")
+        raise ValueError("the object balances everywhere: it has no stable pose to follow")
     at = path.at((0,))
     now = nearest_turn(at.minima[at.index(psi)], psi)
     all_psi = np.empty((len(ends), len(psi)))
@@ -102,7 +102,7 @@ def follow(coefficients: FloatArray, psi: FloatArray, phi1_path: FloatArray, phi
 
 
 def inside_boundary(coefficients: FloatArray, limits: SurfaceLimits, phi2: FloatArray) -> FloatArray:
-    """Poses (φ1, φ2, ψ) (rad) where a minimum vanishes, at each of the given φ2 (rad): (F, 3), within the limits.
+    """Poses (φ1, φ2, ψ) (rad) at which a minimum vanishes, for each of the given φ2 (rad): (F, 3), within the limits.
 
     Balance needs d1 + λ d2 = 0 and a vanishing minimum h1″ + λ h2″ = 0, both with λ = sin φ1 / sin φ12: so
     d1 h2″ = d2 h1″ ((3.23) and (3.24) without φ1), which θ1 and φ2 decide alone; then λ = −d1/d2 gives

@@ -1,4 +1,4 @@
-"""The simulation of CMU-CS-01-107, section 3.4, by its own method: an object in balance, felt exactly. Pure."""
+"""The simulation of CMU-CS-01-107, section 3.4, by the paper's method: an object in balance, exact readings. Pure."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from palmd.observer.multi_start import BLOCKS, MultiStart, Spread
 from tools.studies.paper_poses import follow
 
 READINGS = 270
-# An elongated body whose centre of mass is off its middle, radii of 12 to 24 mm: the Fourier series of h (m).
+# Fourier series of h (m) of an elongated body with an eccentric centre of mass and radii of 12 to 24 mm.
 OUTLINE = np.array([18.0, 1.6, -1.0, 4.2, 0.0, 0.3, 0.6, *[0.0] * 8]) * 1e-3
-# Palms nearly level at first; then they squeeze, turn together, open, and so on (φ1, φ2 in rad).
+# Palms start nearly level; then they squeeze, turn together, open, and so on (φ1, φ2 in rad).
 CORNERS = np.array([[0.25, 2.4], [0.25, 0.92], [1.86, 0.83], [0.39, 2.39], [0.7, 0.87], [1.9, 0.99], [0.54, 1.21]])
 FIRST_PSI = 0.12
 ROUNDS = 6
-_MEAN_WIDTH, _BALANCE_WIDTH_M = 0.3, 2e-3  # of the first set of beginnings: of the circle's radius; m
-_NARROWED, _LEAST_WIDTH_M = 3.0, 3e-5
-VALLEY = 0.12  # of the true mean radius, on both sides
-ASTRAY = 0.06  # as far as the paper's radii are off
+_MEAN_WIDTH, _BALANCE_WIDTH_M = 0.3, 2e-3  # half-widths of the first set: relative to the circle's radius; e_f (m)
+_NARROWED, _LEAST_WIDTH_M = 3.0, 3e-5  # half-width of a narrower set: in 1σ of the weighted set, and at least (m)
+VALLEY = 0.12  # half-width of the examined range of mean radii, relative to the true one
+RADIUS_ERROR = 0.06  # relative error of the paper's radii
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """What a method says over time: (n,) each, in m, rad, rad/s; e_f and e_c NaN where a method has none."""
+    """Estimates over time: (n,) each, in m, rad, rad/s; e_f and e_c NaN if a method has none."""
 
     t: FloatArray
     r1: FloatArray
@@ -43,62 +43,62 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Valley:
-    """Errors (m, RMS over the run) of beginnings in balance, against the mean radius (m) they begin with."""
+    """Errors (m, RMS over the run) of initial conditions in balance, by their initial mean radius (m)."""
 
     mean: FloatArray
-    observable: FloatArray  # e_f and e_c, all that the paper minimises
-    conflict: FloatArray  # radii and offsets about one outline
+    observable: FloatArray  # e_f and e_c, which the paper minimises
+    conflict: FloatArray  # disagreement of radii and offsets about one outline
 
 
 @dataclass(frozen=True, slots=True)
 class PaperSimulation:
-    """The paper's simulated run, and what (3.33)–(3.35) make of it.
+    """The paper's simulated run, and its estimates by (3.33)–(3.35).
 
-    found: from the beginning with the least conflict. astray: from one in balance whose mean radius is `ASTRAY` too
-    large, which e_f and e_c cannot tell from the right one.
+    found: from the initial condition with the least conflict. wrong_radius: from one in balance whose mean radius is
+    too large by `RADIUS_ERROR`, which e_f and e_c cannot distinguish from the right one.
     """
 
     run: BalancedRun
     found: Trace
-    astray: Trace
+    wrong_radius: Trace
     valley: Valley
-    circle: float  # the radius (m) that a circle would have, where the search begins
+    circle: float  # radius (m) of a circle with the first readings, from which the search starts
 
 
 def paper_simulation() -> PaperSimulation:
-    """Some two seconds of work."""
+    """Simulate the paper's run and estimate it; takes some two seconds."""
     t = np.linspace(0.0, 1.0, READINGS)
-    path = eased_path(t, CORNERS)
+    path = minimum_jerk_path(t, CORNERS)
     run = balanced_run(OUTLINE, FIRST_PSI, t, path[:, 0], path[:, 1])
-    first = run.felt[0]
+    first = run.readings[0]
     circle = float((first.s1 + first.s2) / 2 * math.tan(float(first.phi2) / 2))
     spread = Spread(circle, _MEAN_WIDTH * circle, 0.0, _BALANCE_WIDTH_M)
     for _ in range(ROUNDS):
-        beginnings, states = _integrated(run, spread, circle)
-        weights = beginnings.weights()
+        starts, states = _integrated(run, spread, circle)
+        weights = starts.weights()
         best = int(np.argmax(weights))
-        spread = _narrower(beginnings, weights)
+        spread = _narrower(starts, weights)
     true = float(run.contacts.r1[0] + run.contacts.r2[0]) / 2
-    astray, valley = _valley(run, true, circle)
-    return PaperSimulation(run, _trace(run, states[:, :, best]), astray, valley, circle)
+    wrong_radius, valley = _valley(run, true, circle)
+    return PaperSimulation(run, _trace(run, states[:, :, best]), wrong_radius, valley, circle)
 
 
 def _integrated(run: BalancedRun, spread: Spread, circle: float) -> tuple[MultiStart, FloatArray]:
-    """A set of beginnings carried through the run and judged, and their states (n, 5, beginnings)."""
+    """A set of initial conditions integrated through the run and judged, and their states (n, 5, starts)."""
     step_s = float(run.t[1] - run.t[0])
-    beginnings = MultiStart(spread, run.felt[0], float(run.psi[0]), circle, step_s, softening=0.0)
-    states = [beginnings.state.copy()]
-    for here, there in pairwise(run.felt):
-        beginnings.step(here, there)
-        states.append(beginnings.state.copy())
+    starts = MultiStart(spread, run.readings[0], float(run.psi[0]), circle, step_s, softening=0.0)
+    states = [starts.state.copy()]
+    for here, there in pairwise(run.readings):
+        starts.step(here, there)
+        states.append(starts.state.copy())
     for _ in range(BLOCKS):
-        beginnings.judge()
-    return beginnings, np.array(states)
+        starts.judge()
+    return starts, np.array(states)
 
 
-def _narrower(beginnings: MultiStart, weights: FloatArray) -> Spread:
+def _narrower(starts: MultiStart, weights: FloatArray) -> Spread:
     centres_widths = []
-    for values in (beginnings.mean, beginnings.balance):
+    for values in (starts.mean, starts.balance):
         centre = float(weights @ values)
         width = _NARROWED * math.sqrt(float(weights @ (values - centre) ** 2))
         centres_widths += [centre, max(width, _LEAST_WIDTH_M)]
@@ -106,32 +106,32 @@ def _narrower(beginnings: MultiStart, weights: FloatArray) -> Spread:
 
 
 def _trace(run: BalancedRun, states: FloatArray) -> Trace:
-    """Of one beginning: `states` (n, 5)."""
-    each = list(zip(run.felt, states, strict=True))
+    """The trace of one initial condition with `states` (n, 5)."""
+    each = list(zip(run.readings, states, strict=True))
     return Trace(
         t=run.t,
         r1=states[:, 0],
         r2=states[:, 1],
         psi=states[:, 2],
-        omega0=np.array([float(qs.turning_rate(felt, y[0], y[1])) for felt, y in each]),
-        e_f=np.array([float(qs.balance_error(felt, y[0], y[1])) for felt, y in each]),
-        e_c=np.array([float(np.hypot(*qs.closure_error(felt, y))) for felt, y in each]),
+        omega0=np.array([float(qs.turning_rate(readings, y[0], y[1])) for readings, y in each]),
+        e_f=np.array([float(qs.balance_error(readings, y[0], y[1])) for readings, y in each]),
+        e_c=np.array([float(np.hypot(*qs.closure_error(readings, y))) for readings, y in each]),
     )
 
 
 def _valley(run: BalancedRun, true: float, circle: float) -> tuple[Trace, Valley]:
-    """Beginnings in exact balance, about the true mean radius; and the trace of one of them, led astray."""
-    beginnings, states = _integrated(run, Spread(true, VALLEY * true, 0.0, 1e-9), circle)
-    balanced = np.flatnonzero(np.abs(beginnings.balance) < 1e-12)
+    """Errors of initial conditions in exact balance by mean radius, and the trace of one with a wrong radius."""
+    starts, states = _integrated(run, Spread(true, VALLEY * true, 0.0, 1e-9), circle)
+    balanced = np.flatnonzero(np.abs(starts.balance) < 1e-12)
     traces = [_trace(run, states[:, :, number]) for number in balanced]
     observable = np.array([math.sqrt(float(np.mean(trace.e_f**2 + trace.e_c**2))) for trace in traces])
-    mean = beginnings.mean[balanced]
-    astray = int(np.argmin(np.abs(mean - (1 + ASTRAY) * true)))
-    return traces[astray], Valley(mean, observable, beginnings.conflict[balanced])
+    mean = starts.mean[balanced]
+    wrong_radius = int(np.argmin(np.abs(mean - (1 + RADIUS_ERROR) * true)))
+    return traces[wrong_radius], Valley(mean, observable, starts.conflict[balanced])
 
 
 def relative_radius_error(run: BalancedRun, trace: Trace) -> float:
-    """RMS of r1 and r2's errors over their true RMS: as the paper's 6 % was read off its figure 3.10(b)."""
+    """RMS of the errors of r1 and r2 over their true RMS, as the 6 % from the paper's figure 3.10(b)."""
     errors = np.concatenate([trace.r1 - run.contacts.r1, trace.r2 - run.contacts.r2])
     return float(np.sqrt(np.mean(errors**2) / np.mean(np.concatenate([run.contacts.r1, run.contacts.r2]) ** 2)))
 
@@ -146,35 +146,35 @@ def psi_error(run: BalancedRun, trace: Trace) -> float:
 
 @dataclass(frozen=True, slots=True)
 class BalancedRun:
-    """Times t (s), palm angles and ψ (rad) along a run, both contacts, and what is felt, rates included: n instants."""
+    """Times t (s), palm angles and ψ (rad) along a run, both contacts, and exact readings with rates: n instants."""
 
     t: FloatArray
     phi1: FloatArray
     phi2: FloatArray
     psi: FloatArray
     contacts: TouchedPoint
-    felt: tuple[qs.QuasistaticReadings, ...]
+    readings: tuple[qs.QuasistaticReadings, ...]
     jumps: int
 
 
 def balanced_run(
     coefficients: FloatArray, psi: float, t: FloatArray, phi1: FloatArray, phi2: FloatArray
 ) -> BalancedRun:
-    """The object with this outline (m, about its centre of mass) put down near `psi` (rad), palms on a path (n).
+    """The run of an outline (m, about its centre of mass) put down near `psi` (rad), for a path of the palms (n).
 
-    Rates are those of cubic splines through the exact values. Raises ValueError as `model.stable_poses.follow` does.
+    Rates are those of cubic splines through the exact values. Raises ValueError as `paper_poses.follow` does.
     """
     followed = follow(coefficients, np.array([psi]), phi1, phi2)
     turned = followed.psi[:, 0]
     contacts = touch(coefficients, phi1, phi2, turned)
     values = np.stack([contacts.s1, contacts.s2, phi1, phi2])
     rates = CubicSpline(t, values, axis=1)(t, 1)
-    felt = tuple(qs.QuasistaticReadings(*column) for column in np.concatenate([values, rates]).T.tolist())
-    return BalancedRun(t, phi1, phi2, turned, contacts, felt, int(followed.jumped.sum()))
+    readings = tuple(qs.QuasistaticReadings(*column) for column in np.concatenate([values, rates]).T.tolist())
+    return BalancedRun(t, phi1, phi2, turned, contacts, readings, int(followed.jumped.sum()))
 
 
-def eased_path(t: FloatArray, corners: FloatArray) -> FloatArray:
-    """A path (n, k) through `corners` (m, k) in equal times, at rest in each: minimum jerk between them."""
+def minimum_jerk_path(t: FloatArray, corners: FloatArray) -> FloatArray:
+    """A minimum-jerk path (n, k) through `corners` (m, k) in equal times, at rest in each corner."""
     u = np.clip((t - t[0]) / (t[-1] - t[0]) * (len(corners) - 1), 0.0, len(corners) - 1)
     leg = np.minimum(u.astype(np.intp), len(corners) - 2)
     w = (u - leg)[:, None]

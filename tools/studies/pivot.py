@@ -1,9 +1,9 @@
 """The pivoting grasp reconstructed blind from simulated runs: outline about the pivot, friction, and their bands.
 
-Right is an outline within 0.1 mm (RMS) of the truth where it was touched, after the best rotation. Runs of the rigid
-gripper (tilt) and of the slide (float) are drawn by their seeds; `--trouble` spoils the readings. With `--live` the
-daemon's core explores emulated rigs in closed loop without wires, and what it accepts on the way is scored; a file that
-has live runs already is resumed.
+An outline is right if its RMS error over the touched normals is below 0.1 mm after the best rotation. Runs of the rigid
+gripper (tilt) and of the slide (float) are drawn by their seeds; `--trouble` corrupts the readings. With `--live` the
+daemon's core explores emulated rigs in a simulated closed loop, and what it accepts on the way is scored; a file with
+live runs is resumed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from palmd import pivot_messages as says
+from palmd import pivot_messages as codec
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
 from palmd.config.two_palms import Drawn
 from palmd.console.arguments import seconds, seconds_within
@@ -34,14 +34,21 @@ from palmd.rig.imperfections import perfect
 from palmd.score import WRONG_M, score_outline
 from palmd.system.pivot import PivotAnswer, Vertical
 from palmd.yamlfile import load_any_config, parse, read_document
+from tools.closed_loop import Instant, PivotLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, Value, among, count, most, quantiles, runs, shares
 from tools.studies.cells import rms as rms_cell
 from tools.studies.harness import Study, result
-from tools.studies.pivot_logs import AS_TOLD, LEAST_S, PIVOT_KINDS, PivotImperfections, PivotKind, simulate_pivot_log
+from tools.studies.pivot_logs import (
+    AS_DESCRIBED,
+    LEAST_S,
+    PIVOT_KINDS,
+    PivotImperfections,
+    PivotKind,
+    simulate_pivot_log,
+)
 from tools.studies.scoring import rms
 from tools.studies.simulated import written
-from tools.wireless import Instant, PivotWireless
 
 Mark = Callable[[Any], bool]
 
@@ -50,7 +57,7 @@ RIGHT_M = 1e-4
 
 @dataclass(frozen=True)
 class PivotTask:
-    """One run: what sort, its seed, how long (s), and what is wrong with its readings by name of `TROUBLES`."""
+    """One run: kind, seed, duration (s), and corruption of the readings by its name in `TROUBLES`."""
 
     kind: PivotKind
     seed: int
@@ -60,7 +67,7 @@ class PivotTask:
 
 @dataclass(frozen=True)
 class PivotRow(PivotTask):
-    """What came of a task: e (m, RMS over touched normals), its 1σ (m), and (estimate − truth)/1σ."""
+    """The results of a task: e_m (RMS over touched normals), its 1σ, and mu_z = (estimate − truth)/1σ."""
 
     error: str = ""
     converged: bool = False
@@ -75,7 +82,7 @@ class PivotRow(PivotTask):
 
 
 TROUBLES: dict[str, PivotImperfections] = {
-    "none": AS_TOLD,
+    "none": AS_DESCRIBED,
     "outliers": PivotImperfections(outliers=0.03),
     "gaps": PivotImperfections(gaps=5),
     "noise": PivotImperfections(noise=2.0, force_noise=1.5),
@@ -84,27 +91,28 @@ TROUBLES: dict[str, PivotImperfections] = {
 
 
 def run(task: PivotTask) -> PivotRow:
-    """Simulates, reconstructs and scores one run."""
+    """Simulate, reconstruct and score one run."""
     lines, truth = simulate_pivot_log(task.kind, task.seed, task.seconds, TROUBLES[task.trouble])
     with written(lines) as path:
         system, log = read_log_of_any(path)
-    told = system.reconstruct(log, 0).line
+    line = system.reconstruct(log, 0).line
     row = result(
-        PivotRow, task, converged=told["converged"], reason=told["reason"] or "", took_s=told["seconds"],
-        chi2=math.nan if told["chi2"] is None else told["chi2"],
+        PivotRow, task, converged=line["converged"], reason=line["reason"] or "", took_s=line["seconds"],
+        chi2=math.nan if line["chi2"] is None else line["chi2"],
     )  # fmt: skip
     if not row.converged:
         return row
-    theta, h, h_sd, marks = (np.array(told[name]) for name in ("theta_rad", "hP_m", "hP_sd_m", "touched"))
+    theta, h, h_sd, marks = (np.array(line[name]) for name in ("theta_rad", "hP_m", "hP_sd_m", "touched"))
     score = score_outline(theta, h, marks == 1, np.array(truth["hP_m"]))
-    off = told["mu"] - truth["mu"]
+    mu_error = line["mu"] - truth["mu"]
     return replace(
-        row, e_m=score.e_h, sd_m=rms(h_sd[marks == 1]), mu_error=off, mu_z=off / told["mu_sd"], touched=score.touched
-    )
+        row, e_m=score.e_h, sd_m=rms(h_sd[marks == 1]), mu_error=mu_error, mu_z=mu_error / line["mu_sd"],
+        touched=score.touched,
+    )  # fmt: skip
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[PivotTask]:
-    """So many runs of each kind, all kinds with the same seeds."""
+    """The requested number of runs of each kind, all kinds with the same seeds."""
     return [
         PivotTask(kind, seed, arguments.seconds, arguments.trouble)
         for kind in harness.kinds_of(arguments, PIVOT_KINDS)
@@ -113,14 +121,14 @@ def draw(arguments: argparse.Namespace) -> Sequence[PivotTask]:
 
 
 def outline_columns(e: Value, sd: Value, mu_error: Value, mu_z: Value, accepted: Mark) -> Sequence[tuple[str, Cell]]:
-    """How good and how honest outlines and frictions are of the runs that are accepted."""
+    """Columns with errors of outline and friction of the accepted runs, absolute and relative to 1σ."""
     cells: list[tuple[str, Cell]] = [
         ("h_P, µm", quantiles(e, 1e6)),
         ("90 %", quantiles(e, 1e6, (0.9,))),
         ("error/sd", rms_cell(lambda row: e(row) / sd(row))),
-        ("mu off", quantiles(lambda row: abs(mu_error(row)))),
+        ("mu error", quantiles(lambda row: abs(mu_error(row)))),
         ("within 0.01, %", shares(lambda row: abs(mu_error(row)) < 0.01)),
-        ("off/sd", rms_cell(mu_z)),
+        ("error/sd", rms_cell(mu_z)),
     ]
     return [(title, among(accepted, cell)) for title, cell in cells]
 
@@ -145,14 +153,14 @@ OFFLINE = Study(
 )  # fmt: skip
 
 
-LONGEST_S = 240.0  # of a run, whose exploration ends by itself before
-AFTER_S = 2.0  # that its end is waited for what the smoother still says
-BEYOND = 3.0  # one-sigmas, from which a claim is wrong
+LONGEST_S = 240.0  # limit of a run; explorations end earlier
+AFTER_S = 2.0  # from the end of an exploration to the end of its run, for the smoother's last results
+BEYOND = 3.0  # 1σ; an accepted estimate with a larger error is wrong
 
 
 @dataclass(frozen=True, slots=True)
 class LiveTask:
-    """One exploration: the seed of body, noise and rig, how far off the rig is, and the smoother's period (s).
+    """One exploration: seed of body, noise and rig, the rig's imperfections, and the smoother's period (s).
 
     vertical: whether the gripper is rigid in height or on a slide.
     """
@@ -164,20 +172,21 @@ class LiveTask:
 
     @property
     def name(self) -> str:
-        """The kind of rig, in words."""
+        """The kind of rig."""
         return self.rig if self.vertical == "rigid" else f"{self.rig}, slide"
 
 
 @dataclass(frozen=True, slots=True)
 class LiveRow(LiveTask):
-    """What came of a task; SI units, NaN for what there is not.
+    """The results of a task; SI units, NaN for missing values.
 
-    claimed, reason: at the end. t_claim: of the first claim, since the start. e, most, sd: of the last outline where
-    felt: RMS and largest error, RMS of its one-sigma. worst_e, worst_z: of all outlines that were claimed, the largest
-    RMS error, by itself and over its one-sigma. mu_error, mu_z: of the last, and over its one-sigma. valid: ticks; of
-    those wrong: by `WRONG_M` of the contact, or with an outline `BEYOND` its band; beyond: the contact's error is
-    `BEYOND` its one-sigma. left: how often the body left the pad unasked, as was noticed; losses: in all, raised off at
-    the end of a side too. error: what was raised, then nothing else is known.
+    claimed, reason: whether the outline is accepted at the end. t_claim: time of the first accepted outline since the
+    start; claims: number of accepted ones. e, most, sd: of the last accepted outline where touched: RMS and largest
+    error, RMS of its 1σ. worst_e, worst_z: of all accepted outlines, the largest RMS error, and in 1σ. mu_error, mu_z:
+    of the last one, and in 1σ. valid: valid ticks; wrong: of these, with a contact error above `WRONG_M` or with a
+    wrong outline; beyond: with a contact error above `BEYOND` 1σ. left: unintended losses of contact that were
+    detected; losses: all losses, including intended ones at the end of a side. error: the exception, without any other
+    result.
     """
 
     error: str = ""
@@ -208,12 +217,12 @@ class LiveRow(LiveTask):
 
     @property
     def right(self) -> bool:
-        """The outline claimed in the end is right."""
+        """Whether the outline is accepted at the end and right."""
         return self.claimed and self.e < RIGHT_M
 
     @property
-    def wrong_claim(self) -> bool:
-        """Some outline was claimed and `WRONG_M` off, or `BEYOND` its band."""
+    def accepted_wrong(self) -> bool:
+        """Whether some accepted outline was wrong by more than `WRONG_M` or `BEYOND` 1σ."""
         return self.claims > 0 and (self.worst_e > WRONG_M or self.worst_z > BEYOND)
 
 
@@ -224,16 +233,16 @@ def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
     return [LiveTask(seed, rig, arguments.period, vertical) for seed in harness.seeds_of(arguments)]
 
 
-def lived(task: LiveTask) -> LiveRow:
-    """Explore one body from start to end, and score all that is claimed on the way."""
-    begun = time.process_time()
+def run_live(task: LiveTask) -> LiveRow:
+    """Explore one body from start to end, and score all accepted estimates on the way."""
+    t_cpu = time.process_time()
     config, spec = shipped_rig(task.rig, task.vertical)
-    live = PivotWireless(config, spec, task.seed, period_s=task.period_s)
-    scored = Scored(live)
+    live = PivotLoop(config, spec, task.seed, period_s=task.period_s)
+    scorer = LiveScorer(live)
     live.start()
-    scored.t_start, end = live.t, math.inf
+    scorer.t_start, end = live.t, math.inf
     while live.t < min(LONGEST_S, end):
-        scored.take(live.tick())
+        scorer.take(live.tick())
         if live.core.setpoints.over:
             end = min(end, live.t + AFTER_S)
     world = live.world
@@ -241,95 +250,95 @@ def lived(task: LiveTask) -> LiveRow:
         LiveRow,
         task,
         ended=live.core.exploring.reason,
-        t_end=live.t - scored.t_start,
+        t_end=live.t - scorer.t_start,
         left=exploring.left_the_pad if isinstance(exploring := live.core.exploring, DragExploration) else 0,
         jams=world.jams,
         losses=world.contact_losses,
         most_force=world.most_force,
         force_limit=config.limits.force_n,
-        took_s=time.process_time() - begun,
-        **scored.told(),
+        took_s=time.process_time() - t_cpu,
+        **scorer.results(),
     )
 
 
 def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
-    """The shipped configuration of a rig that is so far off, and the plan that explores."""
+    """The shipped configuration with these imperfections, and its exploration plan."""
     path = shipped("pivot.yaml" if vertical == "rigid" else "slide.yaml")
     config = load_any_config(path)
     plan = config.plan
     if not isinstance(config, PivotConfig) or plan is None:
-        raise TypeError(f"{path} is no pivoting grasp with a plan")
+        raise TypeError(f"{path} does not describe a pivoting grasp with a plan")
     config = perfect(config) if rig == "none" else config
     return config, parse(read_document(path.parent / plan), PivotPlanSpec)
 
 
 @dataclass
-class Scored:
-    """Takes the ticks of a run and notes what is claimed beside what is true."""
+class LiveScorer:
+    """Scores the estimates of a run against the truth, tick by tick."""
 
-    live: PivotWireless
+    live: PivotLoop
     t_start: float = 0.0
-    _told: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "claims": 0})
+    _results: dict[str, Any] = field(default_factory=lambda: {"worst_e": 0.0, "worst_z": 0.0, "claims": 0})
     _ticks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("ticks", "valid", "wrong", "beyond"), 0))
     _outline_is_wrong: bool = False
 
     def take(self, tick: Instant) -> None:
-        """One tick."""
-        if (answered := tick.messages.get(PIVOT_ANSWER.name)) is not None:
-            self._answered(tick.t, says.answer_of(answered))
-        said, truth, ticks = tick.messages[PIVOT.name], tick.truth, self._ticks
-        self._told["reason"] = said["reason"]
+        """Take one tick."""
+        if (message := tick.messages.get(PIVOT_ANSWER.name)) is not None:
+            self._score_answer(tick.t, codec.answer_of(message))
+        estimate, truth, ticks = tick.messages[PIVOT.name], tick.truth, self._ticks
+        self._results["reason"] = estimate["reason"]
         ticks["ticks"] += 1
-        if not said["valid"]:
+        if not estimate["valid"]:
             return
         ticks["valid"] += 1
-        off = abs(said["e_m"] - truth["e_m"]) if truth["touch1"] else 0.0
-        ticks["wrong"] += off > WRONG_M or self._outline_is_wrong
-        ticks["beyond"] += off > BEYOND * said["sd"]["e_m"]
+        error = abs(estimate["e_m"] - truth["e_m"]) if truth["touch1"] else 0.0
+        ticks["wrong"] += error > WRONG_M or self._outline_is_wrong
+        ticks["beyond"] += error > BEYOND * estimate["sd"]["e_m"]
 
-    def _answered(self, t: float, answer: PivotAnswer) -> None:
-        told, truth = self._told, self.live.world.object_truth()
-        told["claimed"] = answer.accepted
+    def _score_answer(self, t: float, answer: PivotAnswer) -> None:
+        results, truth = self._results, self.live.world.object_truth()
+        results["claimed"] = answer.accepted
         if not answer.accepted:
             self._outline_is_wrong = False
             return
-        theta, felt = directions(), answer.touched > 0
-        score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], felt, np.array(truth["hP_m"]))
-        sd = float(np.sqrt(np.mean(answer.h_sd[felt] ** 2)))
-        told.setdefault("t_claim", t - self.t_start)
-        told["claims"] += 1
-        told |= {"e": score.e_h, "most": score.max_error, "sd": sd, "touched": score.touched}
-        told["worst_e"] = max(told["worst_e"], score.e_h)
-        told["worst_z"] = max(told["worst_z"], score.e_h / sd)
+        theta, touched = directions(), answer.touched > 0
+        score = score_outline(theta, shape.basis(theta, ORDER) @ answer.p[P.SHAPE :], touched, np.array(truth["hP_m"]))
+        sd = float(np.sqrt(np.mean(answer.h_sd[touched] ** 2)))
+        results.setdefault("t_claim", t - self.t_start)
+        results["claims"] += 1
+        results |= {"e": score.e_h, "most": score.max_error, "sd": sd, "touched": score.touched}
+        results["worst_e"] = max(results["worst_e"], score.e_h)
+        results["worst_z"] = max(results["worst_z"], score.e_h / sd)
         self._outline_is_wrong = score.e_h > WRONG_M or score.e_h > BEYOND * sd
         mu, mu_sd = friction_of(answer.p, answer.covariance)
-        told["mu_error"] = mu - truth["mu"]
-        told["mu_z"] = told["mu_error"] / mu_sd
+        results["mu_error"] = mu - truth["mu"]
+        results["mu_z"] = results["mu_error"] / mu_sd
 
-    def told(self) -> dict[str, Any]:
-        """For the row."""
-        return self._told | self._ticks
+    def results(self) -> dict[str, Any]:
+        """The measured fields of the row."""
+        return self._results | self._ticks
 
 
 def remarks(rows: Sequence[LiveRow]) -> list[str]:
-    """A line for each run that did not go as it should."""
-    return [remark(row) for row in rows if not row.right or row.wrong_claim]
+    """A line for each run that is not right or had a wrong accepted outline."""
+    return [remark(row) for row in rows if not row.right or row.accepted_wrong]
 
 
 def remark(row: LiveRow) -> str:
-    """What is to be said of one."""
+    """The line for one run."""
     name = f"{row.name} {row.seed}"
     if row.error or not row.claims:
         return f"{name}: {row.error or row.reason or 'nothing was accepted'}"
-    off, band = row.e * 1e6, row.sd * 1e6
-    worst = f"at worst {row.worst_e * 1e6:.0f} µm and {row.worst_z:.1f} bands off"
-    kept = "" if row.claimed else f", and withdrawn: {row.reason}"
-    return f"{name}: outline {off:.0f} µm off, band {band:.0f} µm, {worst}{kept}"
+    error, sd = row.e * 1e6, row.sd * 1e6
+    worst = f"worst errors {row.worst_e * 1e6:.0f} µm and {row.worst_z:.1f} sd"
+    kept = "" if row.claimed else f", withdrawn: {row.reason}"
+    return f"{name}: outline error {error:.0f} µm, sd {sd:.0f} µm, {worst}{kept}"
 
 
-def _part(such: str, of: str, form: str) -> Cell:
+def _part(part: str, of: str, form: str) -> Cell:
     def cell(rows: Sequence[LiveRow]) -> str:
-        some, whole = (sum(getattr(row, name) for row in rows) for name in (such, of))
+        some, whole = (sum(getattr(row, name) for row in rows) for name in (part, of))
         return format(some / max(whole, 1), form)
 
     return cell
@@ -338,7 +347,7 @@ def _part(such: str, of: str, form: str) -> Cell:
 LIVE = Study(
     "pivoting grasp, live",
     draw_live,
-    lived,
+    run_live,
     LiveRow,
     order=lambda row: (row.name, row.seed),
     by=lambda row: row.name,
@@ -346,7 +355,7 @@ LIVE = Study(
         ("runs", runs),
         ("right", count(lambda row: row.right)),
         ("not accepted", count(lambda row: not row.claimed)),
-        ("accepted, wrong", count(lambda row: row.wrong_claim)),
+        ("accepted, wrong", count(lambda row: row.accepted_wrong)),
         *outline_columns(
             lambda row: row.e, lambda row: row.sd, lambda row: row.mu_error, lambda row: row.mu_z,
             lambda row: row.claimed,
@@ -370,16 +379,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, runs=100, seconds_each=12.0, output=None, kinds=PIVOT_KINDS, length=seconds_within(LEAST_S, 120.0)
     )
     add = parser.add_argument
-    add("--trouble", choices=tuple(TROUBLES), default="none", help="with the readings (default: %(default)s)")
+    add("--trouble", choices=tuple(TROUBLES), default="none", help="corruption of readings (default: %(default)s)")
     add("--live", action="store_true", help="explore in closed loop and score what is accepted live")
     add("--slide", action="store_true", help="live: with a gripper on a slide")
-    add("--perfect", action="store_true", help="live: on rigs exactly as configured, which is known")
+    add("--perfect", action="store_true", help="live: on exactly known rigs")
     add("--period", type=seconds, default=5.0, metavar="S",
-        help="live: how often the smoother is begun (default: %(default)s)")  # fmt: skip
+        help="live: period of the smoother (default: %(default)s)")  # fmt: skip
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Offline or live; interrupted, it ends with what is finished until then; CliError when it cannot begin."""
+    """Run the offline or the live study; raises CliError as `Study.conduct` does."""
     study: Study[Any, Any] = LIVE if arguments.live else OFFLINE
     arguments.output = arguments.output or Path("pivot-live.jsonl" if arguments.live else "pivot.jsonl")
     return study.conduct(arguments)

@@ -1,7 +1,7 @@
-"""Event logs of the pivoting grasp with their truth, without wires: an object turning freely in a gripper over one pad.
+"""Simulated event logs of the pivoting grasp with their truth: an object turning freely in a gripper over one pad.
 
-tilt   the gripper is rigid; each side of the dead centre is touched once, the arm goes round in between
-float  the gripper slides up and down in a slide of its own weight, while the arm drags it to and fro
+tilt   the gripper is rigid; each side of the dead centre is touched once, with a detour of the arm in between
+float  the gripper moves vertically in a slide, loaded by its weight, while the arm drags it back and forth
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _PAD_M = 0.0555
 _MARGIN_M = 3.5e-3
 _BANDS_S, _WEIGHTS = (0.00625, 0.0125, 0.01875), (0.55, 0.30, 0.15)
 _LEAST_N, _MOST_N = 0.05, 2.5
-_ROUND_S = 1.0  # that the arm takes from one touch to the next
-LEAST_S = 2.0  # of a run: in less no drag can be followed
+_ROUND_S = 1.0  # duration of the arm's detour from one touch to the next
+LEAST_S = 2.0  # shortest run: shorter drags cannot be tracked
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "s1_m", "z_m", "e_m", "f1_n", "touch")
 
 
 @dataclass(frozen=True, slots=True)
 class PivotImperfections:
-    """By how much a run's readings differ from what line 1 says of them; the defaults are as it says.
+    """Differences of a run's readings from the rig described in line 1; none by default.
 
-    outliers: share of the pad's readings that are thrown anywhere on it. gaps: how many times the pad is silent for
-    `gap_s`. noise, force_noise: factors on the noise. coulomb: friction of a pad that stands still, by tanh(u/u_d).
-    zero: of the pad (m). lag: of the pad's time stamps (s).
+    outliers: share of readings at a random position on the pad. gaps: number of times the pad is silent for `gap_s`.
+    noise, force_noise: factors on the noise. coulomb: friction without vibration, by tanh(u/u_d). zero: error of the
+    pad's zero (m). lag: of the pad's time stamps (s).
     """
 
     outliers: float = 0.0
@@ -52,12 +52,12 @@ class PivotImperfections:
     lag: float = 0.0
 
 
-AS_TOLD = PivotImperfections()
+AS_DESCRIBED = PivotImperfections()
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedPivot:
-    """A grasp, the arm's plan along x and z (z: rigid only; None while the arm goes round) and what happened."""
+    """A grasp, the arm's plan along x and z (z: rigid only), and the true history."""
 
     kind: PivotKind
     grasp: Grasp
@@ -70,42 +70,44 @@ def simulate_pivot_log(
     kind: PivotKind,
     seed: int,
     duration_s: float = 12.0,
-    off: PivotImperfections = AS_TOLD,
+    flaws: PivotImperfections = AS_DESCRIBED,
     *,
     sides: int = 2,
     odd: bool = False,
 ) -> tuple[list[Line], Line]:
-    """A run as event-log lines (header first), and its truth; the same seed, the same run.
+    """A run as event-log lines (header first), and its truth; the same seed gives the same run.
 
-    sides: of the dead centre that a rigid gripper touches. Runs that wedge, lift off, press harder than `_MOST_N` or
-    leave the pad are drawn again. Raises ValueError for less than `LEAST_S`.
+    sides: number of sides of the dead centre that a rigid gripper touches. Runs that wedge, lift off, press harder than
+    `_MOST_N` or leave the pad are drawn again. Raises ValueError for less than `LEAST_S`.
     """
     if not LEAST_S <= duration_s < math.inf:
-        raise ValueError(f"a run lasts {LEAST_S:g} s at least, got {duration_s:g} s")
+        raise ValueError(f"a run must last at least {LEAST_S:g} s, not {duration_s:g} s")
     rng = np.random.default_rng([7, PIVOT_KINDS.index(kind), seed])
     while True:
-        run = _tilt(rng, duration_s, off, sides, odd) if kind == "tilt" else _float(rng, duration_s, off, odd)
+        run = _tilt(rng, duration_s, flaws, sides, odd) if kind == "tilt" else _float(rng, duration_s, flaws, odd)
         if run is not None:
-            return _log(run, off, rng), _truth(run)
+            return _log(run, flaws, rng), _truth(run)
 
 
-def _grasp(rng: np.random.Generator, off: PivotImperfections, least: float, most: float, mu: Axis, odd: bool) -> Grasp:
+def _grasp(
+    rng: np.random.Generator, flaws: PivotImperfections, least: float, most: float, mu: Axis, odd: bool
+) -> Grasp:
     body = random_body("odd" if odd else "friction", rng)
     body = replace(body, mass=float(rng.uniform(0.04, 0.12)))
     far, angle = float(rng.uniform(least, most)), float(rng.uniform(0.0, math.tau))
     pivot = (far * math.cos(angle), far * math.sin(angle))
     friction = float(rng.uniform(mu[0], mu[1]))
     dither, damping = float(rng.uniform(8e-3, 20e-3)), float(rng.uniform(1e-5, 4e-5))
-    return Grasp(body, pivot, friction, dither, damping, coulomb=off.coulomb)
+    return Grasp(body, pivot, friction, dither, damping, coulomb=flaws.coulomb)
 
 
 # ------------------------------------------------------------------------------------------------------ rigid
 
 
 def _tilt(
-    rng: np.random.Generator, duration: float, off: PivotImperfections, sides: int, odd: bool
+    rng: np.random.Generator, duration: float, flaws: PivotImperfections, sides: int, odd: bool
 ) -> SimulatedPivot | None:
-    grasp = _grasp(rng, off, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
+    grasp = _grasp(rng, flaws, 5e-3, 9e-3, (0.05, 0.2, 0.0), odd)
     angles = np.linspace(-math.pi, math.pi, 1441)
     heights = np.array([grasp.height(a) for a in angles])
     top, bottom = heights.max(), heights.min()
@@ -128,11 +130,11 @@ def _tilt(
             turned = psi
         elif rows:
             rows += [(begin - _ROUND_S + k * 1e-2, rows[-1][1], 0, math.nan, high, 0, 0, 0) for k in range(1, 100)]
-        begun = (begin, psi, order[side])
-        # most draws fail somewhere: a coarse look first
-        if _touched(grasp, drags[side], z, each, begun, _COARSE_S) is None:
+        start = (begin, psi, order[side])
+        # most draws fail somewhere: check with coarse steps first
+        if _touched(grasp, drags[side], z, each, start, _COARSE_S) is None:
             return None
-        touched = _touched(grasp, drags[side], z, each, begun, _ROW_S)
+        touched = _touched(grasp, drags[side], z, each, start, _ROW_S)
         if touched is None:
             return None
         rows += touched
@@ -159,23 +161,23 @@ def _touched(
     grasp: Grasp,
     x: Callable[[float], Axis],
     z: Callable[[float], Axis],
-    lasts: float,
-    begun: tuple[float, float, float],
+    duration: float,
+    start: tuple[float, float, float],
     step: float,
 ) -> list[tuple[float, ...]] | None:
-    """Rows of `_COLUMNS` of one touch, from its time, orientation and side of the dead centre; None if it fails."""
-    begin, psi, side = begun
+    """Rows of `_COLUMNS` of one touch; `start`: its time, orientation and side of the dead centre; None if it fails."""
+    begin, psi, side = start
     rows: list[tuple[float, ...]] = []
-    for k in range(round(lasts / step) + 1):
+    for k in range(round(duration / step) + 1):
         t = k * step
         at_x, at_z = x(t), z(t)
         for _ in range(20):
             e = grasp.offset(psi)
             if e * side < 1e-3:
                 return None
-            off = at_z[0] - grasp.height(psi)
-            psi -= off / e  # dz/dψ = −e
-            if abs(off) < 1e-13:
+            error = at_z[0] - grasp.height(psi)
+            psi -= error / e  # dz/dψ = −e
+            if abs(error) < 1e-13:
                 break
         e = grasp.offset(psi)
         omega = -at_z[1] / e
@@ -190,7 +192,7 @@ def _touched(
 
 
 def _lowered(high: float, low: float, each: float) -> Callable[[float], Axis]:
-    """From `high` to `low` and back, at rest at both ends and in the middle."""
+    """A motion from `high` to `low` and back, at rest at both ends and in the middle."""
     half = each / 2
 
     def at(t: float) -> Axis:
@@ -203,7 +205,7 @@ def _lowered(high: float, low: float, each: float) -> Callable[[float], Axis]:
 
 
 def _dragged(rng: np.random.Generator, each: float) -> Callable[[float], Axis]:
-    """To a point and on or back, each leg at its own speed."""
+    """A motion in two legs, to a random point and from there to another."""
     half = each / 2
     start = float(rng.uniform(0.008, 0.047))
     ways = [float(rng.uniform(-0.032, 0.032)) for _ in range(2)]
@@ -226,8 +228,8 @@ def _eased(u: float) -> Axis:
 # ------------------------------------------------------------------------------------------------------ sliding
 
 
-def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, odd: bool) -> SimulatedPivot | None:
-    grasp = _grasp(rng, off, 0.5e-3, 3e-3, (0.25, 0.4, 0.0), odd)
+def _float(rng: np.random.Generator, duration: float, flaws: PivotImperfections, odd: bool) -> SimulatedPivot | None:
+    grasp = _grasp(rng, flaws, 0.5e-3, 3e-3, (0.25, 0.4, 0.0), odd)
     carriage = grasp.body.mass * float(rng.uniform(0.8, 2.0))
     grasp = replace(grasp, carriage=carriage, carriage_damping=carriage * float(rng.uniform(1.0, 2.0)))
     f1, f2 = float(rng.uniform(0.12, 0.3)), float(rng.uniform(0.25, 0.45))
@@ -278,7 +280,7 @@ def _float(rng: np.random.Generator, duration: float, off: PivotImperfections, o
 # ------------------------------------------------------------------------------------------------------ the log
 
 
-def _log(run: SimulatedPivot, off: PivotImperfections, rng: np.random.Generator) -> list[Line]:
+def _log(run: SimulatedPivot, flaws: PivotImperfections, rng: np.random.Generator) -> list[Line]:
     grasp, history = run.grasp, run.history
     end = float(history[-1, 0])
     gripper: Line = {"vertical": "rigid" if run.z else "float", "z_measured": True}
@@ -306,16 +308,16 @@ def _log(run: SimulatedPivot, off: PivotImperfections, rng: np.random.Generator)
     steps = np.maximum(rng.choice(_BANDS_S, count, p=_WEIGHTS) + rng.normal(0.0, 2e-3, count), 1e-4)
     times = float(rng.uniform(0.0, 0.01)) + np.cumsum(steps) - steps[0]
     times = times[times < end - 0.02]
-    for begin in rng.uniform(0.0, end, off.gaps):
-        times = times[(times < begin) | (times > begin + off.gap_s)]
+    for begin in rng.uniform(0.0, end, flaws.gaps):
+        times = times[(times < begin) | (times > begin + flaws.gap_s)]
     touch = np.interp(times, history[:, 0], history[:, 7])
     times = times[touch > 0.999]
-    s, force = (np.interp(times - lag, history[:, 0], history[:, i]) for i, lag in ((3, off.lag), (6, 0.0)))
-    s = s + off.zero + rng.normal(0.0, 1e-4 * off.noise, len(s))
-    thrown = rng.random(len(s)) < off.outliers
+    s, force = (np.interp(times - lag, history[:, 0], history[:, i]) for i, lag in ((3, flaws.lag), (6, 0.0)))
+    s = s + flaws.zero + rng.normal(0.0, 1e-4 * flaws.noise, len(s))
+    thrown = rng.random(len(s)) < flaws.outliers
     s[thrown] = rng.uniform(0.0, _PAD_M, int(thrown.sum()))
     s = np.round(s / 1.27e-4) * 1.27e-4
-    force = np.maximum(np.round(force * (1 + rng.normal(0, 0.05 * off.force_noise, len(s))) / 0.02) * 0.02, 0.0)
+    force = np.maximum(np.round(force * (1 + rng.normal(0, 0.05 * flaws.force_noise, len(s))) / 0.02) * 0.02, 0.0)
     for t, s_m, force_n in zip(times.tolist(), s.tolist(), force.tolist(), strict=True):
         events.append({"t": round(t, 6), "pad": 1, "s_m": round(s_m, 6), "force_n": round(force_n, 2)})
     return [{"palmd_log": 1, "rig": rig}, *sorted(events, key=_time_of)]

@@ -1,7 +1,7 @@
-"""Many independent runs: on this machine's processors, or on a Dask cluster that is already there.
+"""Executors for many independent runs: processes of this machine, or an existing Dask cluster.
 
-Both are executors, so that the same function does the same work on either. Imports no array library, since a
-worker must be told how many threads to use before it loads one.
+The same function does the same work on either. Imports no array library, since a worker must set its number of threads
+before it loads one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def local(jobs: int) -> Iterator[Executor]:
-    """So many processes of this machine; left by an exception, they end at once and leave their runs undone."""
+    """An executor with `jobs` processes; on an exception they end at once, without finishing their runs."""
     context = multiprocessing.get_context("spawn")  # a forked child would inherit threads' locks and open files
     executor = ProcessPoolExecutor(jobs, context, _begin_worker)
     try:
@@ -41,10 +41,10 @@ def local(jobs: int) -> Iterator[Executor]:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """The cluster whose Dask scheduler is at `address`; what is undone when it is left is taken back.
+    """An executor on the cluster with its Dask scheduler at `address`; unfinished runs are cancelled on exit.
 
-    Raises OSError when nobody answers there, ValueError for what is no address, ModuleNotFoundError without the
-    extra `studies`. Its workers need this version of palmd.
+    Raises OSError if there is no scheduler, ValueError for an invalid address, ModuleNotFoundError without the extra
+    `studies`. The workers need this version of palmd.
     """
     from distributed import Client
 
@@ -55,7 +55,7 @@ def cluster(address: str) -> Iterator[Executor]:
 def with_failures(
     failed: Callable[[Task, BaseException], Result],
 ) -> Callable[[Callable[[Task], Result]], Callable[[Task], Result]]:
-    """For what does a task: where it raises, `failed` speaks for it, in whichever process that is."""
+    """A decorator for functions of a task: an exception is converted to a result by `failed`, in the same process."""
 
     def around(work: Callable[[Task], Result]) -> Callable[[Task], Result]:
         @functools.wraps(work)
@@ -76,7 +76,7 @@ def finished(
     failed: Callable[[Task, BaseException], Result],
     tasks: Iterable[Task],
 ) -> Iterator[Result]:
-    """What `work` gives for each task, in the order in which they finish; `failed` speaks for what could not run."""
+    """Results of `work` for each task, in the order in which they finish; `failed` gives those of tasks not run."""
     futures = {executor.submit(work, task): task for task in tasks}
     for future in as_completed(futures):
         error = future.exception()
@@ -84,9 +84,9 @@ def finished(
 
 
 def _begin_worker() -> None:
-    """A worker's first act: one thread for its linear algebra, and no life of its own."""
+    """Initialise a worker: one thread for linear algebra, end with the parent process."""
     blas.one_thread_from_here()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is the parent's to deal with
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles a terminal's Ctrl-C
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
 

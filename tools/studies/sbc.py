@@ -1,15 +1,15 @@
-"""Simulation-based calibration: whether blind reconstructions have standard deviations that hold.
+"""Simulation-based calibration: test whether the standard deviations of blind reconstructions are right.
 
-A rig's constants, ρ and friction are drawn from the very priors that `reconstruct` goes by, outline, mass and motion as
-the simulator's kinds have them, and a record is simulated and reconstructed. Were all priors the same and the posterior
-right, the truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here
-the posterior is Gaussian and the rank Φ(z), z = (truth − mean)/sd. Whether a run is claimed depends on its readings
-alone, so ranks of claimed runs should be uniform as well. The outlines are narrower than those believed: where readings
-hardly tell them ranks crowd about the middle without the band being wrong. The vibration's constants are not asked for:
-the palms vibrate as described, on mounts that are drawn from no prior.
+The rig's constants, ρ and friction are drawn from the priors that `reconstruct` uses, outline, mass and motion from the
+simulator's kinds, and a record is simulated and reconstructed. If all priors were the same and the posterior right, the
+truth's rank in the posterior would be uniform over many draws (Talts et al. 2018, arXiv:1804.06788); here the posterior
+is Gaussian and the rank is Φ(z), z = (truth − mean)/sd. Acceptance of a run depends on its readings alone, so the ranks
+of accepted runs should be uniform as well. The outlines vary less than their prior: where the readings hardly determine
+them, ranks concentrate about the middle although the band is right. The vibration's constants are not tested: the palms
+vibrate as described, on mounts that are not drawn from a prior.
 
-A file that has runs already is resumed: the same command with more runs does those that are not there yet, and reports
-all. Files of several machines are put together with `cat`.
+A file with runs is resumed: the same command with more runs does the missing ones and reports all. Files of several
+machines can be joined with `cat`.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ from tools.studies.uniformity import CONFIDENCE, Uniformity, at_most, table
 
 DRAWN = np.flatnonzero(CALIBRATION_SD)
 CONSTANTS = tuple(RIG_NAMES[i] for i in DRAWN)
-"""Of the rig, those that are drawn."""
-NORMALS = 8  # of the outline that are asked, of those touched and of the others
+"""The rig's constants that are drawn."""
+NORMALS = 8  # tested normals of the outline, touched ones and as many untouched ones
 _FLAT_M2 = 1e-30  # Σ h′² of a circle, which no rotation changes
-_LEAST_MU = 0.01  # the belief is a Gaussian, friction is not negative
-_STREAM = 31  # of a seed's random numbers: the body's, not the motion's
-MOST_SIGMAS = 6.0  # beyond which an accepted run is wrong, whatever its error
+_LEAST_MU = 0.01  # the prior is Gaussian, but friction is not negative
+_STREAM = 31  # random stream of the body, distinct from the motion's
+MOST_SIGMAS = 6.0  # error in 1σ above which an accepted run is wrong, whatever its size
 TOGETHER = "rig, together"
 _ALL_ROUND: FloatArray = np.arange(360, dtype=np.float64) * (math.tau / 360)
 
 
 @dataclass(frozen=True, slots=True)
 class SbcTask:
-    """One run to do: as `simulated` takes it, lasting so many seconds."""
+    """One run: arguments of `simulated`."""
 
     kind: Kind
     seed: int
@@ -65,7 +65,7 @@ class SbcTask:
 
 @dataclass(frozen=True, slots=True)
 class MarginalPosterior:
-    """A quantity's true value, and the mean and one-sigma of its Gaussian posterior; SI units."""
+    """A quantity's true value, and mean and standard deviation of its Gaussian posterior; SI units."""
 
     true: float
     mean: float
@@ -73,20 +73,19 @@ class MarginalPosterior:
 
     @property
     def z(self) -> float:
-        """(truth − mean)/sd, standard normal where the posterior is right."""
+        """(truth − mean)/sd; standard normal if the posterior is right."""
         return (self.true - self.mean) / self.sd
 
 
 @dataclass(frozen=True, slots=True)
 class SbcRow(SbcTask):
-    """A run in numbers; NaN for what there is not.
+    """The results of one run; NaN for missing values.
 
-    error: what was raised, then nothing else is known. converged, reason, chi2: as `reconstruct` says. e_h, h_sd: RMS
-    over the touched normals of the outline's error, as `gauge_free_error` has it, and of its one-sigma; best_e_h: of
-    the error after the best rotation of all, as `palmd.score` has it. beyond: the most by which a touched normal's
-    error exceeds its one-sigma; worst_z: the most in one-sigmas. rig_distance2: squared Mahalanobis distance of all
-    true `CONSTANTS`, χ² of as many. beliefs: of each quantity. contradicted: the constants so named, in sigmas, though
-    the rig is as it is described.
+    error: the exception, without any other result. converged, reason, chi2: from `reconstruct`. e_h_m, h_sd_m: RMS over
+    the touched normals of the outline's error by `gauge_free_error`, and of its 1σ; best_e_h_m: of the error after the
+    best rotation, by `palmd.score`. beyond_m: the largest excess of a touched normal's error over its 1σ; worst_z: the
+    largest error in 1σ. rig_distance2: squared Mahalanobis distance of all true `CONSTANTS`, χ² distributed. beliefs:
+    posterior of each quantity. contradicted: constants named as contradicted, in 1σ, although the rig is as described.
     """
 
     error: str = ""
@@ -106,13 +105,13 @@ class SbcRow(SbcTask):
 
 def run(task: SbcTask) -> SbcRow:
     """Simulate, reconstruct and compare."""
-    body, surface = believed(task.kind, task.seed)
-    log, told = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
-    return row_of(task, told, reconstruct(log.events, log.rig))
+    body, surface = drawn_from_prior(task.kind, task.seed)
+    log, truth = simulated(task.kind, task.seed, task.seconds, body, "calibrated", surface)
+    return row_of(task, truth, reconstruct(log.events, log.rig))
 
 
-def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
-    """A body of the kind, ρ and friction from what `reconstruct` believes of any; None where there is no friction."""
+def drawn_from_prior(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
+    """A body of the kind, with ρ and friction from `reconstruct`'s priors; None for a kind without friction."""
     rng = np.random.default_rng([KINDS.index(kind), seed, _STREAM])
     body = random_body(kind, rng)
     ratio = prior.GYRATION * math.exp(LN_GYRATION_SD * rng.standard_normal())
@@ -126,18 +125,18 @@ def believed(kind: Kind, seed: int) -> tuple[Body, FrictionSurface | None]:
     return body, FrictionSurface(mu=mu, dither=dither)
 
 
-def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
-    """What an answer believes beside what the simulator `told` of the truth."""
+def row_of(task: SbcTask, truth_line: Line, answer: Reconstruction) -> SbcRow:
+    """The row of a reconstruction, compared with the simulator's truth."""
     row = result(SbcRow, task, reason=answer.reason, chi2=float(answer.chi2))
-    truth = truth_of(told)
+    truth = truth_of(truth_line)
     scored = outline_errors(answer, truth)
     if scored is None or answer.h is None:
         return row
     first, last = CubicHermiteSpline(truth.t, truth.psi, truth.omega0)(answer.t[[0, -1]]).tolist()
     error = gauge_free_error(answer.theta, answer.h, truth.h, float(answer.psi[0]) - first, scored.touched)
     at = scored.touched
-    true_rig = np.array([told["rig"][name] for name in CONSTANTS])
-    off = true_rig - answer.rig[DRAWN]
+    true_rig = np.array([truth_line["rig"][name] for name in CONSTANTS])
+    rig_error = true_rig - answer.rig[DRAWN]
     normals = np.column_stack([answer.h - error, answer.h, scored.h_sd])
     return replace(
         row,
@@ -148,7 +147,7 @@ def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
         h_sd_m=rms(scored.h_sd[at]),
         beyond_m=float(np.max(np.abs(error[at]) - scored.h_sd[at])),
         worst_z=float(np.max(np.abs(error[at]) / scored.h_sd[at])),
-        rig_distance2=float(off @ np.linalg.solve(answer.rig_covariance[np.ix_(DRAWN, DRAWN)], off)),
+        rig_distance2=float(rig_error @ np.linalg.solve(answer.rig_covariance[np.ix_(DRAWN, DRAWN)], rig_error)),
         beliefs=_of_scalars(answer, truth, last - first)
         | _beliefs(CONSTANTS, np.column_stack([true_rig, answer.rig[DRAWN], answer.rig_sd[DRAWN]]))
         | _of_normals("touched", normals[at])
@@ -160,19 +159,19 @@ def row_of(task: SbcTask, told: Line, answer: Reconstruction) -> SbcRow:
 def gauge_free_error(
     theta: FloatArray, h: FloatArray, true_h: FloatArray, rotation: float, touched: Bools
 ) -> FloatArray:
-    """ĥ(θ) − h(θ + rotation) − ĥ′(θ) ε (m), ε the small rotation by least squares over the touched normals.
+    """ĥ(θ) − h(θ + rotation) − ĥ′(θ) ε (m), with ε the small rotation by least squares over the touched normals.
 
-    That is what `h_sd` is the one-sigma of, to first order: see `observer.outline.gauge_free_sd`. The `rotation`
-    between the frames is that of ψ (rad). theta, h: on evenly spaced normals from 0.
+    To first order `h_sd` is the 1σ of this error, see `observer.outline.gauge_free_sd`. `rotation`: between the frames
+    of ψ (rad). theta, h: on evenly spaced normals from 0.
     """
     error = h - support_at(true_h, theta + rotation)
     slope = np.fft.irfft(1j * np.arange(len(h) // 2 + 1) * np.fft.rfft(h), len(h))
-    across = slope[touched]
-    return np.asarray(error - slope * float(across @ error[touched]) / max(float(across @ across), _FLAT_M2))
+    slopes = slope[touched]
+    return np.asarray(error - slope * float(slopes @ error[touched]) / max(float(slopes @ slopes), _FLAT_M2))
 
 
 def _of_scalars(answer: Reconstruction, truth: Truth, turned_rad: float) -> dict[str, MarginalPosterior]:
-    """ρ and mass as logarithms, in which the smoother's posterior is Gaussian; μ where there is friction."""
+    """Posteriors of ln ρ and ln mass, in which the smoother is Gaussian, of the turn, and of μ if there is friction."""
     found = {
         "ln_rho": _logarithm(truth.rho, answer.rho, answer.rho_sd),
         "ln_mass": _logarithm(truth.mass, answer.mass, answer.mass_sd),
@@ -186,7 +185,7 @@ def _logarithm(true: float, mean: float, sd: float) -> MarginalPosterior:
 
 
 def _of_normals(name: str, normals: FloatArray) -> dict[str, MarginalPosterior]:
-    """Of `NORMALS` spread evenly over those from which to choose, rows of (true h, h, its one-sigma)."""
+    """Posteriors of h at `NORMALS` evenly chosen rows of (true h, h, its 1σ)."""
     chosen = np.floor((np.arange(NORMALS) + 0.5) * len(normals) / NORMALS).astype(np.intp)
     names = [f"h_{name}_{number}_m" for number in range(1, NORMALS + 1)]
     return _beliefs(names, normals[chosen]) if len(normals) >= NORMALS else {}
@@ -206,7 +205,7 @@ def as_line(row: SbcRow) -> Line:
 
 
 def row_from(line: Line) -> SbcRow:
-    """What `as_line` made; raises AttributeError, KeyError, TypeError or ValueError for what it did not make."""
+    """The inverse of `as_line`; raises AttributeError, KeyError, TypeError or ValueError for anything else."""
     beliefs = {
         name: MarginalPosterior(*(math.nan if x is None else float(x) for x in each))
         for name, each in line["beliefs"].items()
@@ -218,30 +217,30 @@ def row_from(line: Line) -> SbcRow:
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[SbcTask]:
-    """So many runs of each kind, all kinds with the same seeds."""
+    """The requested number of runs of each kind, all kinds with the same seeds."""
     kinds = harness.kinds_of(arguments, KINDS)
     return [SbcTask(kind, seed, arguments.seconds) for seed in harness.seeds_of(arguments) for kind in kinds]
 
 
-def claims(rows: Iterable[SbcRow]) -> list[SbcRow]:
-    """The runs that are accepted."""
+def accepted_of(rows: Iterable[SbcRow]) -> list[SbcRow]:
+    """The accepted runs."""
     return [row for row in rows if row.converged]
 
 
 def wrong(row: SbcRow) -> bool:
-    """Whether a touched normal is off by more than `WRONG_M` beyond its band."""
+    """Whether a touched normal's error exceeds its band by more than `WRONG_M`."""
     return row.beyond_m > WRONG_M
 
 
 def far(row: SbcRow, sigmas: float = MOST_SIGMAS) -> list[str]:
-    """What is off by more than so many 1σ."""
+    """Quantities with errors above `sigmas` 1σ."""
     found = [name for name, belief in row.beliefs.items() if abs(belief.z) > sigmas]
     return [*found, "a touched normal"] if row.worst_z > sigmas else found
 
 
 def uniformities(rows: Sequence[SbcRow]) -> dict[str, Uniformity]:
-    """Of each quantity that an accepted run estimates, the rig's constants together last."""
-    accepted = claims(rows)
+    """Uniformity of each quantity estimated by accepted runs; the rig's constants together come last."""
+    accepted = accepted_of(rows)
     names = dict.fromkeys(name for row in accepted for name in row.beliefs)
     all_z = {name: [row.beliefs[name].z for row in accepted if name in row.beliefs] for name in names}
     distances = np.array([row.rig_distance2 for row in accepted])
@@ -258,39 +257,39 @@ def report(rows: Sequence[SbcRow]) -> str:
 
 
 def remarks(rows: Iterable[SbcRow]) -> list[str]:
-    """A line for each run that ended in an error, is accepted and wrong, or contradicts a rig that is as described."""
+    """A line for each run that ended in an error, is accepted and wrong, or contradicts the correct rig description."""
     return [f"{row.kind} {row.seed}: {remark}" for row in rows for remark in _remarks(row)]
 
 
 def _remarks(row: SbcRow) -> list[str]:
     found = [row.error] if row.error else []
     if row.converged and wrong(row):
-        found.append(f"accepted, and {row.beyond_m * 1e3:.2f} mm off beyond its band")
+        found.append(f"accepted, error {row.beyond_m * 1e3:.2f} mm beyond its band")
     if row.converged and far(row):
-        found.append(f"accepted, and more than {MOST_SIGMAS:g} sd off: {', '.join(far(row))}")
+        found.append(f"accepted, errors above {MOST_SIGMAS:g} sd: {', '.join(far(row))}")
     if row.contradicted:
         found.append("contradicted: " + ", ".join(f"{name} ({z:+.1f} sd)" for name, z in row.contradicted.items()))
     return found
 
 
 def _of_kind(kind: str, rows: Sequence[SbcRow]) -> str:
-    accepted = claims(rows)
+    accepted = accepted_of(rows)
     marks: list[tuple[str, Callable[[SbcRow], bool], Sequence[SbcRow]]] = [
-        (f"accepted, a touched normal more than {WRONG_M * 1e3:g} mm off beyond its band", wrong, accepted),
-        (f"accepted, anything more than {MOST_SIGMAS:g} sd off", lambda row: bool(far(row)), accepted),
-        ("accepted, a touched normal more than 3 sd off", lambda row: row.worst_z > 3.0, accepted),
+        (f"accepted, error of a touched normal more than {WRONG_M * 1e3:g} mm beyond its band", wrong, accepted),
+        (f"accepted, any error above {MOST_SIGMAS:g} sd", lambda row: bool(far(row)), accepted),
+        ("accepted, error of a touched normal above 3 sd", lambda row: row.worst_z > 3.0, accepted),
         ("a constant named contradicted", lambda row: bool(row.contradicted), rows),
     ]
     lines = [f"{kind}: seeds {harness.numbers(row.seed for row in rows)}"]
     lines.append(f"  accepted: {len(accepted)} of {len(rows)}")
-    refusals = Counter(row.error or row.reason for row in rows if not row.converged)
-    lines += [f"  not accepted: {count}: {why}" for why, count in refusals.most_common()]
-    lines += [f"  {what}: {_share(sum(map(such, of)), len(of))}" for what, such, of in marks if of]
+    rejections = Counter(row.error or row.reason for row in rows if not row.converged)
+    lines += [f"  not accepted: {count}: {why}" for why, count in rejections.most_common()]
+    lines += [f"  {what}: {_share(sum(map(mark, of)), len(of))}" for what, mark, of in marks if of]
     return "\n".join(lines) + ("\n" + table(uniformities(rows)) if accepted else "")
 
 
-def _share(such: int, of: int) -> str:
-    return f"{such} of {of} (at most {100.0 * at_most(such, of):.2g} %, with {100.0 * CONFIDENCE:g} % confidence)"
+def _share(part: int, of: int) -> str:
+    return f"{part} of {of} (at most {100.0 * at_most(part, of):.2g} %, with {100.0 * CONFIDENCE:g} % confidence)"
 
 
 STUDY = Study(
@@ -301,8 +300,8 @@ STUDY = Study(
     order=lambda row: (KINDS.index(row.kind), row.seed),
     report=report,
     remarks=remarks,
-    goals=[Goal("no accepted touched normal is off by more than 0.3 mm beyond its band",
-                lambda rows: not any(map(wrong, claims(rows))))],
+    goals=[Goal("no accepted touched normal has an error more than 0.3 mm beyond its band",
+                lambda rows: not any(map(wrong, accepted_of(rows))))],
     resumes=True,
     line=as_line,
     row_of=row_from,

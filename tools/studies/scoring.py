@@ -1,4 +1,4 @@
-"""An estimator's answers against the truth: outlines, and the live observer tick by tick. Pure."""
+"""Errors of estimates: reconstructed outlines, and the live observer tick by tick. Pure."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from palmd.score import LAST_S, WRONG_M, OutlineScore, score_outline, support_at
 from tools.studies.bound import Truth
 
 RIGHT_M = 1e-4
-FAR = 3.0  # one-sigmas, by RMS over the touched normals: more, and what is claimed is wrong on any rig
-CAUSAL_OUTLINE_M, CAUSAL_R_M = 2e-4, 3e-4
+FAR = 3.0  # RMS error over the touched normals in 1σ, above which an accepted estimate is wrong on any rig
+CAUSAL_OUTLINE_M, CAUSAL_R_M = 2e-4, 3e-4  # limits for convergence of the live observer
 
 Line = dict[str, Any]
 Bools = npt.NDArray[np.bool_]
@@ -24,12 +24,12 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Causal:
-    """The daemon's `shape` observer on the same run; NaN for what there is not.
+    """Results of the daemon's `shape` observer on the same run; NaN for missing values.
 
-    converged_after: from the first event to the tick from which on to the end every tick is valid with r1 and r2
-    within `CAUSAL_R_M` and the latest outline has e_h below `CAUSAL_OUTLINE_M` (s). first_valid: to the first
-    valid tick (s). r_rms (m) and nees_r (1 when the error bars are honest): of r1 and r2 together, over the valid
-    ticks of the last `LAST_S`.
+    converged_after_s: time from the first event to the tick from which on all ticks are valid, with errors of r1 and r2
+    below `CAUSAL_R_M` and e_h of the latest outline below `CAUSAL_OUTLINE_M`. first_valid_s: to the first valid tick.
+    r_rms_m, nees_r (1 if the standard deviations are right): of r1 and r2 together, over the valid ticks of the last
+    `LAST_S`.
     """
 
     converged_after_s: float
@@ -38,16 +38,16 @@ class Causal:
     nees_r: float
 
 
-def truth_of(told: Line) -> Truth:
-    """What a simulator told of the truth, as the bound wants it."""
+def truth_of(line: Line) -> Truth:
+    """The `Truth` from a simulator's truth as a JSON object."""
     columns = ("theta_rad", "h_m", "t", "psi_rad", "omega0_rad_s")
-    theta, h, t, psi, omega0 = (np.array(told[name], dtype=np.float64) for name in columns)
+    theta, h, t, psi, omega0 = (np.array(line[name], dtype=np.float64) for name in columns)
     return Truth(
-        rho=told["rho_m"],
-        mu=told["mu"],
-        mass=told["mass_kg"],
-        dither=told["dither_m_s"],
-        damping=told["damping_m2_s"],
+        rho=line["rho_m"],
+        mu=line["mu"],
+        mass=line["mass_kg"],
+        dither=line["dither_m_s"],
+        damping=line["damping_m2_s"],
         theta=theta,
         h=h,
         t=t,
@@ -61,9 +61,9 @@ def truth_of(told: Line) -> Truth:
 
 @dataclass(frozen=True, slots=True)
 class OutlineErrors:
-    """A reconstructed outline against the true one, on the estimate's normals.
+    """Errors of a reconstructed outline, on the estimate's normals.
 
-    true_theta: the same normals as the truth names them (rad). error, h_sd: in m.
+    true_theta: the same normals in the truth's gauge (rad). error, h_sd: in m.
     """
 
     score: OutlineScore
@@ -74,7 +74,7 @@ class OutlineErrors:
 
 
 def outline_errors(answer: Reconstruction, truth: Truth) -> OutlineErrors | None:
-    """The outline after the best rotation, None when there is none or nothing of it was touched."""
+    """Errors after the best rotation; None without an outline or without touched normals."""
     if answer.h is None or answer.h_sd is None or answer.touched is None:
         return None
     score = score_where_known(answer.theta, answer.h, answer.touched, truth.h)
@@ -85,14 +85,14 @@ def outline_errors(answer: Reconstruction, truth: Truth) -> OutlineErrors | None
 
 
 def score_where_known(theta: FloatArray, h: FloatArray, touched: Bools, true_h: FloatArray) -> OutlineScore | None:
-    """As `score_outline`, None when nothing was touched or what was is not known."""
+    """As `score_outline`; None if no normal was touched or h is not finite on the touched ones."""
     if not touched.any() or not np.isfinite(h[touched]).all():
         return None
     return score_outline(theta, h, touched, true_h)
 
 
 def rms(values: FloatArray) -> float:
-    """Root of the mean square."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -101,9 +101,9 @@ def rms(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ObserverAnswers:
-    """A causal observer's answers, one a tick: t (s) from the first event, r_error and r_sd (n, 2) in m.
+    """A live observer's estimates, one per tick: t (s) from the first event, r_error and r_sd (n, 2) in m.
 
-    e_h (m): of the latest outline, NaN while there is none of which anything was touched.
+    e_h (m): of the latest outline, NaN while there is none with touched normals.
     """
 
     t: FloatArray
@@ -114,12 +114,12 @@ class ObserverAnswers:
 
     @property
     def wrong(self) -> Bools:
-        """Where they are valid, and a radius is off by more than 0.3 mm."""
+        """Ticks that are valid with an error of a radius above 0.3 mm."""
         return self.valid & (np.abs(self.r_error) > WRONG_M).any(axis=1)
 
 
 def causal_of(answers: ObserverAnswers) -> Causal:
-    """What came of a causal replay."""
+    """The results of a causal replay."""
     close = (np.abs(answers.r_error) < CAUSAL_R_M).all(axis=1)
     good = answers.valid & close & (answers.e_h < CAUSAL_OUTLINE_M)
     late = answers.valid & (answers.t > answers.t[-1] - LAST_S)
@@ -133,7 +133,7 @@ def causal_of(answers: ObserverAnswers) -> Causal:
 
 
 def _lasting_from(t: FloatArray, good: Bools) -> float:
-    """The first time from which on all is good to the end, NaN when the end is not."""
+    """The first time from which on all ticks are good, NaN if the last one is not."""
     if not good[-1]:
         return math.nan
     bad = np.flatnonzero(~good)

@@ -1,8 +1,8 @@
 """Convex bodies with corners and flat sides for the emulated rig: exact arcs, or a smooth outline with a chord. Pure.
 
-A corner is an arc of small radius. A flat side is an arc so wide that the body rolls over it within `flat_rad`: what
-lies on a plane has a contact that moves from one end of the side to the other with hardly a turn. A dent cannot be
-felt by a flat palm; its hull has a chord there, which is a flat side of an otherwise smooth outline.
+A corner is an arc of small radius. A flat side is an arc of so large a radius that the body rolls over it within
+`flat_rad`: the contact moves from one end of the side to the other with hardly any rotation. A flat palm cannot touch a
+dent; the hull has a chord there, i.e. a flat side of an otherwise smooth outline.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.rig.shapes import Body, Support
 
-FLAT_RAD = 2e-3
-SHARE = 0.1  # of a flat side, at most, that a step of a simulation should pass
-_BOUNDARY = 20_000  # points on the outline from which area and moments are taken
+FLAT_RAD = 2e-3  # rotation over a flat side
+SHARE = 0.1  # largest share of a flat side that one simulation step should pass
+_BOUNDARY = 20_000  # points on the outline for area and moments
 Point = tuple[float, float]
 Disc = tuple[Point, float]
 
 
 @dataclass(frozen=True, slots=True)
 class ArcSupport:
-    """Arcs one after the other: from normal `starts[j]` on, in [0, 2π), radius `radii[j]` about `centres[j]` (m)."""
+    """Consecutive arcs: from normal `starts[j]` on, in [0, 2π), radius `radii[j]` about `centres[j]` (m)."""
 
     starts: tuple[float, ...]
     radii: tuple[float, ...]
@@ -42,7 +42,7 @@ class ArcSupport:
         return along + v, y * c - x * s, -along
 
     def room(self, theta: float) -> float:
-        """To the nearer end of its arc, or a share of the narrowest arc."""
+        """Largest step (rad) at theta: half the way to the nearer end of its arc, or a share of the arc."""
         theta %= math.tau
         j = bisect_right(self.starts, theta) - 1
         start = self.starts[j] if j else self.starts[-1] - math.tau
@@ -50,7 +50,7 @@ class ArcSupport:
         return max(min(0.5 * (theta - start), 0.5 * (end - theta), SHARE * (end - start)), SHARE * FLAT_RAD)
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
-        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+        """The derivative of the given order, up to the second, at many normals (m per rad^order)."""
         return np.array([self.at(float(each))[order] for each in theta])
 
     def turned(self, angle: float) -> ArcSupport:
@@ -83,12 +83,12 @@ class ChordSupport:
         return h + g, h1 + g1, h2 + v - g
 
     def room(self, theta: float) -> float:
-        """To the nearer end of the side, or a share of it."""
+        """Largest step (rad) at theta: half the way to the nearer end of the side, or a share of it."""
         away = abs(math.remainder(theta - self.normal, math.tau)) - 0.5 * self.width
         return max(0.5 * away, SHARE * self.width)
 
     def _chord(self, y: float) -> tuple[float, float, float]:
-        """What it adds to h, h′ and h + h″."""
+        """The side's contribution to h, h′ and h + h″."""
         c, s, half = math.cos(y), math.sin(y), 0.5 * self.width
         if abs(y) < half:
             edge = math.cos(half) / self.width
@@ -103,7 +103,7 @@ class ChordSupport:
         )
 
     def sample(self, theta: FloatArray, order: int = 0) -> FloatArray:
-        """The derivative of the given order, up to the second, at many normals at once (m per rad^order)."""
+        """The derivative of the given order, up to the second, at many normals (m per rad^order)."""
         return np.array([self.at(float(each))[order] for each in theta])
 
     def turned(self, angle: float) -> ChordSupport:
@@ -121,9 +121,9 @@ def rounded_polygon(corners: Sequence[Point], radius: float, flat_rad: float = F
 
 
 def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSupport:
-    """The hull of discs, each (centre, radius) in m, counter-clockwise in the order in which the outline passes them.
+    """The hull of discs, each (centre, radius) in m, counter-clockwise in their order along the outline.
 
-    Two that touch from inside have no flat side between them.
+    There is no flat side between two discs that touch internally.
     """
     starts, radii, centres = [], [], []
     for (here, r1), (there, r2) in zip(discs, [*discs[1:], discs[0]], strict=True):
@@ -133,10 +133,10 @@ def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSuppo
         else:
             # an arc of radius `wide` about c = here + (r1 - wide) u(first) = there + (r2 - wide) u(first + flat_rad)
             turn = cmath.exp(1j * flat_rad)
-            across, apart = turn - 1.0, r1 - r2 * turn
-            half = (across.conjugate() * apart).real / abs(across) ** 2
-            wide = math.sqrt(half**2 + (abs(edge) ** 2 - abs(apart) ** 2) / abs(across) ** 2) - half
-            first = cmath.phase(edge / (wide * across + apart))
+            rotation_step, difference = turn - 1.0, r1 - r2 * turn
+            half = (rotation_step.conjugate() * difference).real / abs(rotation_step) ** 2
+            wide = math.sqrt(half**2 + (abs(edge) ** 2 - abs(difference) ** 2) / abs(rotation_step) ** 2) - half
+            first = cmath.phase(edge / (wide * rotation_step + difference))
             centre = complex(*here) + (r1 - wide) * cmath.exp(1j * first)
             starts += [first, first + flat_rad]
             radii.append(wide)
@@ -147,7 +147,7 @@ def hull_of_discs(discs: Sequence[Disc], flat_rad: float = FLAT_RAD) -> ArcSuppo
 
 
 def uniform_body(name: str, outline: ArcSupport | ChordSupport, mass: float, com: Point = (0.0, 0.0)) -> Body:
-    """A body of even density, its COM moved by `com` (m) from the area's centroid by a weight that does not show."""
+    """A body of uniform density, its centre of mass moved by `com` (m) from the centroid by a hidden weight."""
     theta = np.linspace(0.0, math.tau, _BOUNDARY, endpoint=False) + 1e-5
     h, h1 = (np.array(each) for each in zip(*((outline.at(float(a))[:2]) for a in theta), strict=True))
     x, y = h * np.cos(theta) - h1 * np.sin(theta), h * np.sin(theta) + h1 * np.cos(theta)
@@ -161,7 +161,7 @@ def uniform_body(name: str, outline: ArcSupport | ChordSupport, mass: float, com
 
 
 def _in_order(starts: Sequence[float], radii: Sequence[float], centres: Sequence[Point]) -> ArcSupport:
-    """The arcs from the first whose normal is in [0, 2π) on, the last one also before it."""
+    """The arcs sorted by normals in [0, 2π); the last arc also starts at 0."""
     order = sorted(range(len(starts)), key=lambda j: starts[j] % math.tau)
     last = order[-1]
     return ArcSupport(

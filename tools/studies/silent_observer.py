@@ -8,22 +8,22 @@ from typing import Any, Literal
 
 from palmd.events import Estimate, Event, Improvement, ObjectEstimate, PlanningBelief, ShapeEstimate
 from palmd.observer import Observer
-from palmd.observer.answer import no_answer
+from palmd.observer.estimates import empty_estimate
 
 
 class SilentObserver:
-    """An `Observer` that says nothing; what another knows, it overrides."""
+    """An `Observer` without estimates; subclasses override what they know."""
 
     name, backend = "silent", "none"
     object_count = late_dropped = improvements = 0
-    foresees = cornered = False
+    has_planning_belief = cornered = False
     invalid_because = ""
 
     def warm_up(self) -> None:
         """Nothing to warm."""
 
     def forget_object(self) -> bool:
-        """It knows none."""
+        """False: there is no object to forget."""
         return False
 
     def feed(self, event: Event) -> None:
@@ -34,15 +34,15 @@ class SilentObserver:
         return None
 
     def estimate(self, t: float) -> Estimate:
-        """Nothing is known."""
-        return no_answer(t, self.name, self.object_count, None)
+        """An estimate with no value."""
+        return empty_estimate(t, self.name, self.object_count, None)
 
     def shape(self, _t: float) -> ShapeEstimate | None:
-        """It knows none."""
+        """None: there is no outline."""
         return None
 
     def planning_belief(self, _t: float) -> PlanningBelief | None:
-        """It foresees nothing."""
+        """None: there is no planning belief."""
         return None
 
     def identify(self, _t: float) -> ObjectEstimate | None:
@@ -55,7 +55,7 @@ class ModelError(Exception):
 
 
 class Breakable:
-    """An observer that does its work until it is broken: `how` may be set at any time."""
+    """An observer that works until it is broken; `how` may be set at any time."""
 
     def __init__(self, sound: Observer) -> None:
         self._sound = sound
@@ -65,7 +65,7 @@ class Breakable:
         return getattr(self._sound, name)
 
     def estimate(self, t: float) -> Estimate:
-        """As the sound one's; or an error, NaN that is called valid, or nothing."""
+        """The sound observer's estimate; or an exception, NaN marked valid, or an invalid estimate, by `how`."""
         if self.how == "raises":
             raise ModelError("the model is broken")
         estimate = self._sound.estimate(t)

@@ -1,9 +1,9 @@
-"""Daemon and rig in one process on virtual time: everything that may go wrong at once, and what must hold all the same.
+"""Daemon and rig in one process in virtual time: random faults, and invariants that must hold nevertheless.
 
 One seed draws plan, faults, commands of several clients, damaged bytes, stalls, slow helpers, clock steps and restarts;
-invariants are checked at every tick. A run that breaks one is shrunk to the happenings that matter and told as one
-command, which repeats it bit for bit. Most runs have a light rig and an observer that costs nothing. Exit status 1 when
-an invariant was broken.
+invariants are checked at every tick. A run that breaks one is reduced to the events that matter and printed as one
+command that repeats it bit for bit. Most runs have a light rig and a trivial observer. Exit status 1 if an invariant
+was broken.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     add = parser.add_argument
     which = parser.add_mutually_exclusive_group().add_argument
-    which("--seeds", type=_seeds, metavar="A..B", help="from A up to B, both included")
+    which("--seeds", type=_seeds, metavar="A..B", help="seeds from A to B, both included")
     which("--fresh", type=seconds, default=60.0, metavar="S",
-        help="seeds nobody has tried, for so many processor seconds; default: %(default)g")  # fmt: skip
-    add("--coarse", action="store_true", help="for more hours: longer steps, adapters that deliver each 4 ms")
-    add("--rate", type=float, default=RATE_HZ, metavar="HZ", help="of the daemon's loop; default: %(default)g")
-    add("--jobs", type=count, default=1, metavar="J", help="of --seeds: so many processes; default: %(default)s")
-    add("--keep", type=_numbers, metavar="N,N…", help="of one seed's happenings only these")
-    add("--list", action="store_true", help="print a single seed's happenings")
+        help="new random seeds for so many seconds of processor time; default: %(default)g")  # fmt: skip
+    add("--coarse", action="store_true", help="longer steps and adapters that deliver each 4 ms, for more hours")
+    add("--rate", type=float, default=RATE_HZ, metavar="HZ", help="rate of the daemon's loop; default: %(default)g")
+    add("--jobs", type=count, default=1, metavar="J", help="with --seeds: number of processes; default: %(default)s")
+    add("--keep", type=_numbers, metavar="N,N…", help="only these events of a single seed")
+    add("--list", action="store_true", help="print the events of a single seed")
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Status 1 when an invariant was broken; usage error for happenings of more than one seed."""
+    """Run the study; status 1 if an invariant was broken; usage error for --keep or --list with several seeds."""
     given: range | None = arguments.seeds
     single = given is not None and len(given) == 1
     if (arguments.keep is not None or arguments.list) and not single:
@@ -63,7 +63,7 @@ def conduct(arguments: argparse.Namespace) -> int:
                 if outcome.breach is not None:
                     failed += 1
                     how = "--coarse " * arguments.coarse + f"--rate {arguments.rate:g} " * (arguments.rate != RATE_HZ)
-                    _tell(outcome, f"{how}--seeds", shrink=arguments.keep is None)
+                    _report_breach(outcome, f"{how}--seeds", shrink=arguments.keep is None)
                 elif single:
                     print(f"seed {outcome.scenario.seed}: every invariant held; digest {outcome.digest}")
                 if given is not None:
@@ -80,7 +80,7 @@ def conduct(arguments: argparse.Namespace) -> int:
 
 
 def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[tuple[Outcome, float]]:
-    """What comes of each seed, and the processor time (s) it took, as they are finished; in this process or others."""
+    """The outcome of each seed with its processor time (s), in the order of completion; in this process or others."""
     run = partial(_outcome, keep=arguments.keep, coarse=arguments.coarse, rate_hz=arguments.rate)
     if arguments.jobs == 1 or not isinstance(seeds, range):
         yield from map(run, seeds)
@@ -90,20 +90,20 @@ def _outcomes(seeds: Iterable[int], arguments: argparse.Namespace) -> Iterator[t
 
 
 def _outcome(seed: int, *, keep: Sequence[int] | None, coarse: bool, rate_hz: float) -> tuple[Outcome, float]:
-    """Of the happenings to keep only, if asked so."""
-    begun = time.process_time()
+    """The outcome of a seed, with the events to `keep` only if given, and the processor time (s)."""
+    t_cpu = time.process_time()
     scenario = replace(drawn(seed), rate_hz=rate_hz)
     scenario = coarsened(scenario) if coarse else scenario
     outcome = simulate(scenario if keep is None else scenario.keeping(keep))
-    return outcome, time.process_time() - begun
+    return outcome, time.process_time() - t_cpu
 
 
 def _ended(seed: int, error: BaseException) -> NoReturn:
-    """A run that raised is a bug of the simulation's own."""
+    """Raise RuntimeError for a run that raised: a bug of the simulation itself."""
     raise RuntimeError(f"seed {seed}: {error!r}") from error
 
 
-def _tell(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
+def _report_breach(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
     scenario, breach = outcome.scenario, outcome.breach
     assert breach is not None
     print(f"seed {scenario.seed}: {breach}")
@@ -116,7 +116,7 @@ def _tell(outcome: Outcome, seeds: str, *, shrink: bool) -> None:
         return again is not None and again.name == breach.name
 
     least = scenario.keeping(shrunk([n for n in scenario.kept if scenario.happenings[n].t <= breach.t], breaks))
-    print(f"  {len(least.kept)} of {len(scenario.kept)} happenings are enough:")
+    print(f"  {len(least.kept)} of {len(scenario.kept)} events suffice:")
     _list(least)
     kept = ",".join(map(str, least.kept)) or "none"
     print(f"  python -m tools.studies simulate {seeds} {scenario.seed}..{scenario.seed} --keep {kept}", flush=True)
@@ -128,12 +128,12 @@ def _list(scenario: Scenario) -> None:
 
 
 def _fresh(for_s: float) -> Iterable[int]:
-    """Seeds from the system's randomness, each told, for so many seconds of processor time."""
-    begun = time.process_time()
+    """Consecutive seeds from a random first one, which is printed, for so many seconds of processor time."""
+    t_cpu = time.process_time()
     first = secrets.randbelow(SEEDS_MOST - (1 << 32))
     print(f"fresh seeds from {first} on", flush=True)
     seed = first
-    while time.process_time() - begun < for_s:
+    while time.process_time() - t_cpu < for_s:
         yield seed
         seed += 1
 
@@ -145,7 +145,7 @@ def _seeds(text: str) -> range:
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be A..B, such as 0..99, got {text}") from None
     if not found or found[0] < 0:
-        raise argparse.ArgumentTypeError(f"must be A..B with A no larger than B and none negative, got {text}")
+        raise argparse.ArgumentTypeError(f"must be A..B with 0 ≤ A ≤ B, got {text}")
     return found
 
 
@@ -153,16 +153,16 @@ def _numbers(text: str) -> tuple[int, ...]:
     try:
         return () if text == "none" else tuple(map(int, text.split(",")))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"must be numbers with commas between, or none, got {text}") from None
+        raise argparse.ArgumentTypeError(f"must be numbers separated by commas, or none, got {text}") from None
 
 
 MOST_TRIES = 200
 
 
 def shrunk(kept: Sequence[int], breaks: Callable[[Sequence[int]], bool], tries: int = MOST_TRIES) -> list[int]:
-    """A smallest part of `kept` that still `breaks`, none of which can be left out: Zeller's ddmin.
+    """A minimal part of `kept` that still `breaks`, by Zeller's ddmin.
 
-    At most so many tries are made; what is left by then is given back.
+    Makes at most `tries` tries and returns the part reached by then.
     """
     kept, parts, made = list(kept), 2, 0
     while len(kept) > 1 and made < tries:

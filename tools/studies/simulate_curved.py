@@ -1,11 +1,11 @@
-"""Event logs of curved palms with their truth, without wires, in the form of `rig.simulate`:
+"""Simulated event logs of curved palms with their truth, in the form of `rig.simulate`:
 
     cradle     both palms concave, R = 60–90 mm, no friction, released away from rest
     dome       both convex, R = 60–150 mm, as cradle
     cfriction  concave, friction with dither, started at rest, irregular samples
 
-The palms' angles are chosen by the tangents at the contacts, which open as flat palms do: 100° on average. A cradle
-turns the contacts' normals more at the same motion, so that it moves by 0.7 of what flat palms do.
+The palms' angles are chosen so that the tangents at the contacts open as flat palms do: 100° on average. In a cradle
+the same motion turns the contacts' normals more, so that it moves by 0.7 of the amplitude of flat palms.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from palmd.system.vibration import INDEPENDENT, Vibration
 CurvedKind = Literal["cradle", "dome", "cfriction"]
 CURVED_KINDS: tuple[CurvedKind, ...] = get_args(CurvedKind)
 
-AMPLITUDE = 0.7  # of what flat palms move by
+AMPLITUDE = 0.7  # relative to flat palms
 _RADII_M: Mapping[CurvedKind, Span] = {"cradle": (0.06, 0.09), "dome": (-0.15, -0.06), "cfriction": (0.06, 0.09)}
-_STREAM = 0x63757276  # of seeds, so that no draw is shared with `rig.simulate`
+_STREAM = 0x63757276  # random stream, distinct from that of `rig.simulate`
 
 
 def simulate_curved_log(
@@ -55,16 +55,15 @@ def simulate_curved_log(
     calibration_sd: Mapping[str, float] = PERFECTLY_KNOWN,
     vibration: Vibration = INDEPENDENT,
 ) -> tuple[list[Line], Line]:
-    """A run as event-log lines (header first), and its truth; the same seed, the same run.
+    """A run as event-log lines (header first), and its truth; the same seed gives the same run.
 
-    `curvatures` of the palms (1/m) are drawn by default, and so is the `body`. Scenes in which a contact would be lost,
-    or come near a pad's end, are drawn again, and so are palms that are too concave for the body. `vibration`: as of
-    `simulate_log`.
+    `curvatures` of the palms (1/m) and `body` are drawn by default. Scenes in which a contact is lost or comes near a
+    pad's end, or with palms that are too concave for the body, are drawn again. `vibration`: as in `simulate_log`.
     """
     rng = np.random.default_rng([_STREAM, CURVED_KINDS.index(kind), seed])
-    off = drawn(RigDescription().known_to(calibration_sd), _STREAM, seed)
+    imperfections = drawn(RigDescription().known_to(calibration_sd), _STREAM, seed)
     while True:
-        scene = draw(kind, rng, curvatures, amplitude, off, body)
+        scene = draw(kind, rng, curvatures, amplitude, imperfections, body)
         if scene is None:
             continue
         scene = with_vibration(scene, vibration, _STREAM, seed)
@@ -81,7 +80,7 @@ def draw(
     imperfections: Imperfections,
     body: Body | None = None,
 ) -> SimulatedRun | None:
-    """A scene, its body turned so that ψ starts at 0; None if the palms are too concave for the body."""
+    """Draw a scene with the body turned so that ψ starts at 0; None if the palms are too concave for the body."""
     flat_kind: Kind = "friction" if kind == "cfriction" else "nominal"
     body = body or random_body(flat_kind, rng)
     kappa = curvatures or (1.0 / float(rng.uniform(*_RADII_M[kind])), 1.0 / float(rng.uniform(*_RADII_M[kind])))

@@ -1,4 +1,4 @@
-"""A run of the emulated plant as an event log, read exactly as one from disk would be."""
+"""Runs of the emulated plant as event logs, read as from disk."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def simulated(
     imperfections: Drawn = "none",
     surface: FrictionSurface | None = None,
 ) -> tuple[EventLog, dict[str, Any]]:
-    """The log, and the truth in the fields of a `*.truth.json`; the same arguments, the same run."""
-    lines, told = simulate_log(
+    """The log, and the truth in the fields of a `*.truth.json`; the same arguments give the same run."""
+    lines, truth = simulate_log(
         kind, seed, seconds, body=body, surface=surface, calibration_sd=CALIBRATION[imperfections]
     )
     with written(lines) as path:
-        return read_log(path), told
+        return read_log(path), truth
 
 
 @contextmanager
 def written(lines: Iterable[Mapping[str, Any]]) -> Iterator[Path]:
-    """These lines as a log in a file, as every estimator gets them, for as long as it is read."""
+    """A temporary log file with these lines, deleted on exit."""
     with TemporaryDirectory(prefix="palmd-") as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")

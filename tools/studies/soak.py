@@ -1,8 +1,8 @@
-"""The demo for hours, with random mischief: does anything leak, come later and later, or get lost?
+"""Soak test: the demo for hours with random fault injection; leaks, drift of lateness, lost messages.
 
-Rig, daemon, recorder and live page run as processes; mischief, operator's commands and visitors are drawn from the
-seed. Exit status 1 when a goal is missed. Memory and drift are judged from half an hour on, punctuality from a minute
-on and where the daemon has real-time priority.
+Rig, daemon, recorder and live page run as processes; injected faults, operator commands and visitors are drawn from the
+seed. Exit status 1 if a goal is missed. Memory and drift are judged for half an hour or more, punctuality for a minute
+or more if the daemon has real-time priority.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from palmd.record.run import RunError, read_run
 from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
 from tools.studies.harness import terminable, writable, write
-from tools.studies.soak_fault_injection import Doing, draw
+from tools.studies.soak_fault_injection import ScheduledAct, draw
 from tools.studies.soak_findings import (
     SoakFinding,
     all_met,
@@ -41,27 +41,27 @@ from tools.studies.soak_findings import (
     recorded,
     replayed,
     table,
-    told,
+    without_goal,
 )
 from tools.studies.soak_stand import PLANS, SoakStand
 
 FILE = "soak.jsonl"
-JUDGED_FROM_S = 60.0  # for punctuality
-REPLAYED_S = 60.0
+JUDGED_FROM_S = 60.0  # shortest soak in which punctuality is judged
+REPLAYED_S = 60.0  # part of the recording that is replayed
 MINUTE_S = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The bench's arguments."""
+    """The study's arguments."""
     add = parser.add_argument
-    add("--seconds", type=seconds, default=3600.0, metavar="N", help="how long (default: %(default)g)")
-    add("--seed", type=seed, help="which object, noise and mischief; default: a random one, printed")
+    add("--seconds", type=seconds, default=3600.0, metavar="N", help="duration (default: %(default)g)")
+    add("--seed", type=seed, help="seed of object, noise and injected faults; default: a random one, printed")
     add("-o", "--output", type=Path, default=Path("soak"), metavar="FOLDER",
-        help=f"for {FILE}, which is overwritten, and the recording (default: %(default)s)")  # fmt: skip
+        help=f"folder for {FILE}, which is overwritten, and the recording (default: %(default)s)")  # fmt: skip
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Raises CliError when a process does not start, ends, or the palms cannot be brought to move."""
+    """Run the soak; raises CliError if a process does not start or ends, or the palms do not start to move."""
     number = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
     print(f"seed {number}", flush=True)
     config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped(PLANS[0])})
@@ -80,46 +80,50 @@ def conduct(arguments: argparse.Namespace) -> int:
     return 0 if all_met(findings) else BAD_INPUT
 
 
-def _soak(stand: SoakStand, doings: list[Doing], stream: TextIO, arguments: argparse.Namespace) -> list[SoakFinding]:
+def _soak(
+    stand: SoakStand, schedule: list[ScheduledAct], stream: TextIO, arguments: argparse.Namespace
+) -> list[SoakFinding]:
     stand.bring_to_motion()
     t_begin = time.monotonic()
     watch = stand.watch
     watch.seconds.clear()
-    _go_through(stand, doings, t_begin, arguments.seconds, stream)
-    real_time = "no-realtime" not in watch.told["faults"]
+    _perform(stand, schedule, t_begin, arguments.seconds, stream)
+    real_time = "no-realtime" not in watch.last_state["faults"]
     late = punctuality(watch.seconds, goal=real_time and arguments.seconds >= JUDGED_FROM_S)
     slopes = leaks(watch.processes, t_begin, arguments.seconds)
     end, daemon = stand.come_to_rest()
     write(stream, [{"row": "counts", "daemon": or_none(daemon)}])
     return [
         *slopes,
-        told("lateness", "real-time priority", float(real_time)),
+        without_goal("lateness", "real-time priority", float(real_time)),
         *late,
-        between("behaviour", "malformed commands sent and not counted", stand.nonsense - daemon["bus_malformed"], 0, 0),
+        between(
+            "behaviour", "malformed commands sent and not counted", stand.malformed - daemon["bus_malformed"], 0, 0
+        ),
         between("behaviour", "visitors not served", len(stand.unserved), 0, 0, why=", ".join(stand.unserved[:4])),
         between("behaviour", "ended ready or held", float(end in ("ready", "hold")), 1, 1, why=f"it ended {end}"),
         *_recording(stand, daemon["bus_published"]),
     ]
 
 
-def _go_through(stand: SoakStand, doings: list[Doing], t_begin: float, lasts_s: float, stream: TextIO) -> None:
-    """Live through all doings and to the end, and tell each minute how it goes."""
+def _perform(stand: SoakStand, schedule: list[ScheduledAct], t_begin: float, duration_s: float, stream: TextIO) -> None:
+    """Perform the schedule and run to the end, with a row in the file each minute."""
     t_minute = t_begin
-    left = list(doings)
-    with Progress("soak", round(lasts_s), "s") as progress:
-        while (t := time.monotonic()) < t_begin + lasts_s:
+    left = list(schedule)
+    with Progress("soak", round(duration_s), "s") as progress:
+        while (t := time.monotonic()) < t_begin + duration_s:
             if left and t >= t_begin + left[0].t_s:
-                doing = left.pop(0)
-                kind = doing.act.what
+                scheduled = left.pop(0)
+                kind = scheduled.act.what
                 write(
                     stream,
-                    [{"row": "doing", "t_s": round(t - t_begin, 3), "what": kind} | dataclasses.asdict(doing.act)],
+                    [{"row": "doing", "t_s": round(t - t_begin, 3), "what": kind} | dataclasses.asdict(scheduled.act)],
                 )
-                stand.do(doing.act)
+                stand.do(scheduled.act)
             if t >= t_minute + MINUTE_S:
                 t_minute += MINUTE_S
                 write(stream, [_minute(stand, t - t_begin)])
-            stand.live(min(t + 0.1, t_begin + lasts_s))
+            stand.live(min(t + 0.1, t_begin + duration_s))
             progress.at(round(t - t_begin))
 
 
@@ -132,7 +136,7 @@ def _minute(stand: SoakStand, t: float) -> dict[str, Any]:
 
 
 def _recording(stand: SoakStand, published: int) -> list[SoakFinding]:
-    """Of the files, once daemon and recorder have ended."""
+    """Findings about the recording, after daemon and recorder have ended."""
     paths = stand.finish()
     try:
         found = [read_run(path) for path in paths]

@@ -1,4 +1,4 @@
-"""What is done to rig, bus and page during a soak: drawn at random from a seed. Pure."""
+"""The random schedule of a soak: injected faults, operator commands, visitors. Pure."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from palmd.rig.fault_injection import INJECTABLE_FAULTS, PortName
 
 GAP_S = (4.0, 16.0)
-"""Between one doing and the next: half of them mischief, which needs time to be got over."""
+"""Range of time (s) between acts; more than half of them are faults, which need time for recovery."""
 
-UNHURRIED_S = 120.0
-QUIET_S = 3.0  # at the beginning, and as much at the end
+UNHURRIED_S = 120.0  # shorter soaks have proportionally shorter gaps
+QUIET_S = 3.0  # without acts at the beginning and at the end
 
 
 @dataclass(frozen=True, slots=True)
-class SoakFault:
-    """A mischief of the emulated rig."""
+class InjectedFault:
+    """A fault injected into the emulated rig."""
 
     what: ClassVar = "trick"
     name: str
@@ -28,10 +28,10 @@ class SoakFault:
 
 
 @dataclass(frozen=True, slots=True)
-class Say:
-    """Somebody else's command; the operator takes up the work again after so long.
+class OperatorCommand:
+    """A command by another operator; the simulated operator resumes after `for_s` (s).
 
-    `plan` stops the palms and loads the other of two plans: one is lively for ever, one explores.
+    `plan` stops the palms and loads the other of two plans: a lively one without end, and an exploration.
     """
 
     what: ClassVar = "say"
@@ -40,41 +40,44 @@ class Say:
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
-    """Somebody comes for so long: a `listener`, one who listens and never takes anything (`deaf`), a `page`, or an
-    `asker` who asks for the status and sends what is no command."""
+class Visitor:
+    """A client that connects for `for_s` (s).
+
+    `listener`: a subscriber; `deaf`: a subscriber that never reads; `page`: a live page; `asker`: a client that
+    requests the status and sends malformed commands.
+    """
 
     what: ClassVar = "visit"
     who: str
     for_s: float
 
 
-Act = SoakFault | Say | Visit
+Act = InjectedFault | OperatorCommand | Visitor
 
 
 @dataclass(frozen=True, slots=True)
-class Doing:
-    """What is done, and when (s from the beginning)."""
+class ScheduledAct:
+    """An act and its time (s from the beginning)."""
 
     t_s: float
     act: Act
 
 
-_LASTS_S = (0.3, 3.0)
-_SAYINGS = (("hold", (0.5, 4.0)), ("stop", (0.5, 4.0)), ("reset", (0.5, 1.0)), ("plan", (0.1, 1.0)))
+_FAULT_S = (0.3, 3.0)
+_COMMANDS = (("hold", (0.5, 4.0)), ("stop", (0.5, 4.0)), ("reset", (0.5, 1.0)), ("plan", (0.1, 1.0)))
 _VISITS = (("listener", (0.2, 10.0)), ("deaf", (1.0, 25.0)), ("page", (1.0, 10.0)), ("asker", (0.1, 2.0)))
 
 
-def draw(rng: np.random.Generator, seconds: float) -> list[Doing]:
-    """Doings for so many seconds, in their order, closer in a short soak; all are over `QUIET_S` before the end."""
-    haste = min(1.0, seconds / UNHURRIED_S)
-    found: list[Doing] = []
+def draw(rng: np.random.Generator, seconds: float) -> list[ScheduledAct]:
+    """Acts for so many seconds in order of time, denser in a short soak; all end `QUIET_S` before the end."""
+    gap_scale = min(1.0, seconds / UNHURRIED_S)
+    found: list[ScheduledAct] = []
     t = QUIET_S
     while t < seconds - QUIET_S:
         act = _act(rng)
         if t + act.for_s <= seconds - QUIET_S:
-            found.append(Doing(t, act))
-        t += haste * float(rng.uniform(*GAP_S))
+            found.append(ScheduledAct(t, act))
+        t += gap_scale * float(rng.uniform(*GAP_S))
     return found
 
 
@@ -83,14 +86,14 @@ def _act(rng: np.random.Generator) -> Act:
     if kind < 0.6:
         fault = list(INJECTABLE_FAULTS.values())[int(rng.integers(len(INJECTABLE_FAULTS)))]
         port = fault.ports[int(rng.integers(len(fault.ports)))] if fault.ports else None
-        return SoakFault(
-            fault.name, port, round(fault.strength * float(rng.uniform(0.3, 2.0)), 4), _uniform(rng, _LASTS_S)
+        return InjectedFault(
+            fault.name, port, round(fault.strength * float(rng.uniform(0.3, 2.0)), 4), _uniform(rng, _FAULT_S)
         )
     if kind < 0.75:
-        command, lasts = _SAYINGS[int(rng.integers(len(_SAYINGS)))]
-        return Say(command, _uniform(rng, lasts))
-    who, lasts = _VISITS[int(rng.integers(len(_VISITS)))]
-    return Visit(who, _uniform(rng, lasts))
+        command, duration_s = _COMMANDS[int(rng.integers(len(_COMMANDS)))]
+        return OperatorCommand(command, _uniform(rng, duration_s))
+    who, duration_s = _VISITS[int(rng.integers(len(_VISITS)))]
+    return Visitor(who, _uniform(rng, duration_s))
 
 
 def _uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:

@@ -1,7 +1,7 @@
-"""What a soak has found, as a table: leaks, lateness, and what is missing in the recording. Pure.
+"""Findings of a soak as a table: leaks, lateness, and gaps in the recording. Pure.
 
-Memory, descriptors and threads by robust slopes; missed ticks, drift and storms minute by minute; whether all that was
-published is recorded once and in order, and replays to the same.
+Memory, descriptors and threads by robust slopes; missed ticks, drift and storms minute by minute; whether everything
+published is recorded once and in order, and whether its replay is identical.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from palmd.record.recheck import Checked
 from palmd.record.run import Survey
 
 JUDGED_FROM_S = 1800.0
-"""A shorter soak cannot tell a leak or a drift from the noise; its slopes are told and not judged."""
+"""Slopes are judged from this duration on (s); in a shorter soak leaks and drift do not stand out from the noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class SoakFinding:
-    """One thing looked at: the figure, what it must be, and whether it is; None where that is not judged.
+    """One quantity with its goal; `met`: whether it is met, None if it is not judged.
 
     `group` is one of `leak`, `lateness`, `counters`, `recording`, `behaviour`.
     """
@@ -40,25 +40,25 @@ class SoakFinding:
 
 
 def at_most(group: str, name: str, value: float, most: float, unit: str = "", why: str = "") -> SoakFinding:
-    """A figure that must not exceed `most`; one that is not there has not met its goal."""
+    """A quantity that must not exceed `most`; NaN misses the goal."""
     return SoakFinding(group, name, value, unit, f"≤ {most:g}", value <= most, why)
 
 
 def between(
     group: str, name: str, value: float, least: float, most: float, unit: str = "", why: str = ""
 ) -> SoakFinding:
-    """A figure that must lie between two, both included."""
+    """A quantity that must lie between two limits, both included."""
     goal = f"= {least:g}" if least == most else f"{least:g} to {most:g}"
     return SoakFinding(group, name, value, unit, goal, least <= value <= most, why)
 
 
-def told(group: str, name: str, value: float, unit: str = "") -> SoakFinding:
-    """A figure without a goal."""
+def without_goal(group: str, name: str, value: float, unit: str = "") -> SoakFinding:
+    """A quantity without a goal."""
     return SoakFinding(group, name, value, unit, "", None)
 
 
 def all_met(findings: Sequence[SoakFinding]) -> bool:
-    """Whether there is anything, and nothing has missed its goal."""
+    """Whether there are findings and none has missed its goal."""
     return bool(findings) and all(finding.met is not False for finding in findings)
 
 
@@ -76,7 +76,7 @@ def as_line(finding: SoakFinding) -> dict[str, Any]:
 
 
 def table(findings: Sequence[SoakFinding]) -> str:
-    """One line a finding."""
+    """One line for each finding."""
     verdict = {True: "met", False: "MISSED", None: "-"}
     head = ("finding", ("value", "unit", "goal", "verdict"))
     rows = [
@@ -91,7 +91,7 @@ def table(findings: Sequence[SoakFinding]) -> str:
 
 
 MEMORY_MB_H = 1.0
-POINTS_MOST = 600  # of a series for its slope: there is a slope for every pair
+POINTS_MOST = 600  # of a series for its slope, which uses all pairs
 WARM_UP_PART, WARM_UP_MOST_S = 0.25, 600.0
 HOUR_S = 3600.0
 
@@ -107,25 +107,25 @@ class ProcessSeries:
 
 
 def slope(t: Sequence[float], values: Sequence[float]) -> float:
-    """Theil and Sen's slope: the median over all pairs of points of Δvalue/Δt; NaN for fewer than two points."""
+    """Theil–Sen slope: the median of Δvalue/Δt over all pairs of points; NaN for fewer than two points."""
     x, y = np.asarray(t, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if x.size > POINTS_MOST:
         keep = np.linspace(0, x.size - 1, POINTS_MOST).round().astype(int)
         x, y = x[keep], y[keep]
     i, j = np.triu_indices(x.size, 1)
-    apart = x[j] != x[i]
-    if not apart.any():
+    distinct = x[j] != x[i]
+    if not distinct.any():
         return float("nan")
-    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart]))
+    return float(np.median((y[j] - y[i])[distinct] / (x[j] - x[i])[distinct]))
 
 
 def warm_up_s(seconds: float) -> float:
-    """How much of a soak of so many seconds belongs to no slope."""
+    """Warm-up time (s) of a soak of so many seconds, which slopes do not include."""
     return min(WARM_UP_PART * seconds, WARM_UP_MOST_S)
 
 
 def leaks(processes: Mapping[str, ProcessSeries], t_begin: float, seconds: float) -> list[SoakFinding]:
-    """Of each process after the warm-up: MB an hour, and by how many the descriptors and threads have become more."""
+    """Memory slope (MB/h) and growth of descriptors and threads of each process after the warm-up."""
     judged = seconds >= JUDGED_FROM_S
     found = []
     for name, series in processes.items():
@@ -141,9 +141,9 @@ def leaks(processes: Mapping[str, ProcessSeries], t_begin: float, seconds: float
 
 
 def growth(counts: Sequence[float]) -> float:
-    """By how much the lower quartile of the last third is above that of the first third; NaN without any.
+    """Increase of the lower quartile from the first to the last third; NaN without values.
 
-    The lower quartile, because what comes and goes opens things for a while.
+    The lower quartile ignores descriptors that are open temporarily.
     """
     third = max(1, len(counts) // 3)
     if not counts:
@@ -159,12 +159,12 @@ MISSED_MOST_PERCENT = 0.01
 DRIFT_MOST_MS_H = 0.1
 STORM_SECONDS_MOST = 2
 STORM_MINUTE_MOST = 30
-"""A storm: ticks missed in more than so many seconds on end, or more than so many of a minute's 6000."""
+"""Limits for a storm of missed ticks: consecutive seconds with misses, and misses among a minute's 6000 ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Second:
-    """One `palm/loop`: when (s), ticks and skipped ticks since the start, how late each of its ticks began (ms)."""
+    """One `palm/loop`: time (s), ticks and skipped ticks since the start, lateness of each of its ticks (ms)."""
 
     t: float
     ticks: int
@@ -174,7 +174,7 @@ class Second:
 
 @dataclass(frozen=True, slots=True)
 class Minute:
-    """A minute's median, 99th percentile and largest lateness (ms), and how many ticks were missed in it."""
+    """Median, 99th percentile and largest lateness of a minute (ms), and number of missed ticks."""
 
     t: float
     p50_ms: float
@@ -184,7 +184,7 @@ class Minute:
 
 
 def minutes(seconds: Sequence[Second]) -> list[Minute]:
-    """Whole minutes of the seconds, in their order."""
+    """Statistics of whole minutes, in order of time."""
     found: list[Minute] = []
     for begin in range(0, len(seconds) - 60, 60):
         part = seconds[begin : begin + 61]
@@ -196,7 +196,7 @@ def minutes(seconds: Sequence[Second]) -> list[Minute]:
 
 
 def longest_run(missed: Sequence[int]) -> int:
-    """Over how many seconds on end ticks were missed."""
+    """Largest number of consecutive seconds with missed ticks."""
     longest = run = 0
     for count in missed:
         run = run + 1 if count > 0 else 0
@@ -205,20 +205,20 @@ def longest_run(missed: Sequence[int]) -> int:
 
 
 def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[SoakFinding]:
-    """All that is to be said; without `goal` (no real-time priority, a short test) nothing is judged."""
+    """Findings about lateness; without `goal` (no real-time priority, a short test) nothing is judged."""
     if len(seconds) < 2:
-        return [at_most("lateness", "missed ticks", math.nan, MISSED_MOST_PERCENT, "%", "no palm/loop was heard")]
+        return [at_most("lateness", "missed ticks", math.nan, MISSED_MOST_PERCENT, "%", "no palm/loop was received")]
     ticks, missed = seconds[-1].ticks - seconds[0].ticks, seconds[-1].overruns - seconds[0].overruns
     each = [b.overruns - a.overruns for a, b in pairwise(seconds)]
     late = np.concatenate([np.asarray(second.lateness_ms) for second in seconds])
     percent = 100.0 * missed / max(1, ticks + missed)
     found = [
-        told("lateness", "ticks", ticks),
-        told("lateness", "missed ticks, number", missed),
+        without_goal("lateness", "ticks", ticks),
+        without_goal("lateness", "missed ticks, number", missed),
         at_most("lateness", "missed ticks", percent, MISSED_MOST_PERCENT, "%"),
         at_most("lateness", "longest run of seconds with misses", longest_run(each), STORM_SECONDS_MOST, "s"),
         *(
-            told("lateness", name, float(value), "ms")
+            without_goal("lateness", name, float(value), "ms")
             for name, value in zip(
                 ("p50", "p99", "p99.9", "max"), (*np.percentile(late, (50.0, 99.0, 99.9)), late.max()), strict=True
             )
@@ -234,8 +234,10 @@ def punctuality(seconds: Sequence[Second], goal: bool = True) -> list[SoakFindin
         drift = slope(t, [one.p50_ms for one in each_minute]) * HOUR_S
         met = abs(drift) <= DRIFT_MOST_MS_H if judged else None
         found.append(SoakFinding("lateness", "drift of the median", drift, "ms/h", f"within ±{DRIFT_MOST_MS_H:g}", met))
-        found.append(told("lateness", "drift of p99", slope(t, [one.p99_ms for one in each_minute]) * HOUR_S, "ms/h"))
-        found.append(told("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
+        found.append(
+            without_goal("lateness", "drift of p99", slope(t, [one.p99_ms for one in each_minute]) * HOUR_S, "ms/h")
+        )
+        found.append(without_goal("lateness", "worst minute's p99", max(one.p99_ms for one in each_minute), "ms"))
     if goal:
         return found
     return [_unjudged(one) for one in found]
@@ -250,7 +252,7 @@ def _unjudged(finding: SoakFinding) -> SoakFinding:
 
 @dataclass(slots=True)
 class Numbers:
-    """The numbers that the messages of one topic had: the first, the last, how many were missing between."""
+    """Sequence numbers of one topic's messages: first, last, and number missing in between."""
 
     first: int
     last: int
@@ -258,12 +260,12 @@ class Numbers:
 
 
 def recorded(
-    surveys: Sequence[Mapping[str, Survey]], heard: Mapping[str, Numbers], published: int
+    surveys: Sequence[Mapping[str, Survey]], received: Mapping[str, Numbers], published: int
 ) -> list[SoakFinding]:
-    """Of one run's files in their order, beside what we heard on the bus and what the daemon says it published."""
+    """Findings about a run's files in their order, compared with the bus and the daemon's count of messages."""
     missing: list[str] = []
     count = 0
-    for topic in sorted({topic for survey in surveys for topic in survey} | set(heard)):
+    for topic in sorted({topic for survey in surveys for topic in survey} | set(received)):
         parts = [survey[topic] for survey in surveys if topic in survey]
         ours = topic.startswith("palm/")
         count += sum(part.count for part in parts) if ours else 0
@@ -277,21 +279,21 @@ def recorded(
             after = part.first + part.count + part.missing
         if ours:
             lost += parts[0].first
-        if topic in heard:
-            lost += max(0, heard[topic].last + 1 - after)
+        if topic in received:
+            lost += max(0, received[topic].last + 1 - after)
         if lost:
             missing.append(f"{lost} of {topic}")
     return [
-        told("recording", "files", len(surveys)),
-        told("recording", "messages", count),
+        without_goal("recording", "files", len(surveys)),
+        without_goal("recording", "messages", count),
         between("recording", "topics with gaps", len(missing), 0, 0, why=", ".join(missing[:8])),
         between("recording", "messages published and not recorded", max(0, published - count), 0, 0),
-        between("recording", "messages that this bench missed", sum(each.missing for each in heard.values()), 0, 0),
+        between("recording", "messages that this study missed", sum(each.missing for each in received.values()), 0, 0),
     ]
 
 
 def replayed(ticks: Iterable[Checked]) -> list[SoakFinding]:
-    """Of the first ticks, given to the observer again."""
+    """Findings about a replay of the first ticks."""
     count = differ = 0
     for tick in ticks:
         count += 1

@@ -1,4 +1,4 @@
-"""Rig, daemon, recorder and page as a demo has them, for hours: what is done to them, and what they say meanwhile."""
+"""Test stand of a soak: rig, daemon, recorder and page as in a demo, acts on them, and their messages."""
 
 from __future__ import annotations
 
@@ -25,45 +25,45 @@ from palmd.console.shipped import shipped
 from palmd.harness.operator import Operator
 from palmd.harness.stack import ANSWER_S, START_S, Stack
 from palmd.view.http_guard import SOCKET
-from tools.studies.soak_fault_injection import Act, Say, SoakFault, Visit
+from tools.studies.soak_fault_injection import Act, InjectedFault, OperatorCommand, Visitor
 from tools.studies.soak_watch import Process, SoakWatch
 
-PATIENCE_S = 40.0
-STOPPED_S = 2.0
-RECORDED_S = 1800.0  # to pack the recording of an hour
-LOOK_S = 0.02
-SAMPLE_S = 5.0
-FALLEN_S = 5.0  # an object that has fallen off is exchanged after so long
-QUIET_S = 2.5  # two palm/loop of lines at rest
+PATIENCE_S = 40.0  # longest time to a requested state
+STOPPED_S = 2.0  # longest time to a stop
+RECORDED_S = 1800.0  # longest time to pack the recording of an hour
+LOOK_S = 0.02  # polling period
+SAMPLE_S = 5.0  # period of sampling the processes
+FALLEN_S = 5.0  # from a fall of the object to its exchange
+QUIET_S = 2.5  # idle time at the end, two periods of palm/loop
 PLANS = ("plans/lively.yaml", "plans/explore.yaml")
-"""The one that is run first, and the one that takes turns with it."""
+"""The first plan, and the one that alternates with it."""
 
-BESIDE = {"palmd.daemon.smoothing": "smoother", "palmd.daemon.explorer_process": "planner"}
-NONSENSE = b"\xc1 no command"
-ASKED_EVERY_S = 0.05
+HELPERS = {"palmd.daemon.smoothing": "smoother", "palmd.daemon.explorer_process": "planner"}
+MALFORMED = b"\xc1 no command"
+ASKED_EVERY_S = 0.05  # longest wait for more answers
 
 
 class SoakStand:
-    """See the module; enter it to have the processes, `finish` to have their recordings, leave it and they are gone."""
+    """See the module; a context manager that starts and ends the processes. `finish` returns the recordings."""
 
     def __init__(self, folder: Path, runs: Path, config: Config, seed: int) -> None:
-        """`folder` takes configurations and what the processes say, `runs` the recordings."""
+        """`folder`: for configurations and the processes' output; `runs`: for recordings."""
         self._folder, self._seed = folder, seed
         self.watch = SoakWatch()
-        self.nonsense = 0
-        self.unserved: list[str] = []
+        self.malformed = 0  # malformed commands sent
+        self.unserved: list[str] = []  # visitors that were not served
         self._resources = ExitStack()
         self._stack = self._resources.enter_context(Stack(folder, config, runs))
         self._plans = [shipped(plan) for plan in PLANS]
         self._operator = Operator()
-        self._t_hands_on = 0.0
+        self._t_resume = 0.0  # until when the operator leaves another one's command alone; 0: not
         self._t_sampled = self._t_fallen = 0.0
         self._visitors: list[threading.Thread] = []
         self._lock = threading.Lock()
         self._over = threading.Event()
 
     def __enter__(self) -> Self:
-        """Raises CliError when a process does not start."""
+        """Start the processes; raises CliError if one does not start."""
         try:
             self._start()
         except BaseException:
@@ -82,22 +82,22 @@ class SoakStand:
     def _start(self) -> None:
         self._stack.start_rig("--seed", str(self._seed))
         self._stack.start(record=True)
-        self._wait(lambda: bool(self.watch.told), START_S, "palmd run did not start")
+        self._wait(lambda: bool(self.watch.last_state), START_S, "palmd run did not start")
         self._stack.start_page()
 
-    # ---- living on ---------------------------------------------------------------------------------------
+    # ---- operation ---------------------------------------------------------------------------------------
 
     def live(self, t_end: float) -> None:
-        """Listen, and do what an operator does, until t_end (s); raises CliError when a process ends."""
+        """Listen and operate the rig until t_end (s); raises CliError if a process ends."""
         while (t := time.monotonic()) < t_end:
             self._listen(min(t + LOOK_S, t_end))
             self._operate(t)
 
     def bring_to_motion(self) -> None:
-        """Arm, start, go on or reset as it needs until the plan is being run; raises CliError."""
-        self._t_hands_on = 0.0
+        """Arm, start, resume or reset as needed until the plan runs; raises CliError after `PATIENCE_S`."""
+        self._t_resume = 0.0
         self._operator.resume()
-        self._wait(self._moves, PATIENCE_S, "the palms were not brought to move", operate=True)
+        self._wait(self._moves, PATIENCE_S, "the palms did not start to move", operate=True)
 
     def _moves(self) -> bool:
         return self._operator.moves
@@ -124,7 +124,7 @@ class SoakStand:
         self._stack.check_alive()
 
     def _look(self, loop: Message) -> None:
-        """Each second: what the rig counts, and now and then what the processes take."""
+        """Update the rig's status each second, and sample the processes each `SAMPLE_S`."""
         t = time.monotonic()
         self.watch.on_palms = self._stack.rig_status()["on_palms"]
         if t - self._t_sampled >= SAMPLE_S:
@@ -136,7 +136,7 @@ class SoakStand:
                     self.watch.sample(name, t, Process(rss_mb, sample.descriptors, sample.threads))
 
     def _processes(self) -> dict[str, int]:
-        """Ours, and the daemon's own, by name."""
+        """Process ids of the children and of the daemon's helpers, by name."""
         found: dict[str, int] = {name: child.number for name, child in self._stack.children.items()}
         daemon = found["daemon"]
         with suppress(OSError):
@@ -144,15 +144,15 @@ class SoakStand:
                 words = Path(f"/proc/{text}/cmdline").read_bytes().decode(errors="replace").split("\0")
                 if "palmd.daemon.worker_main" in words:
                     module = words[words.index("palmd.daemon.worker_main") + 1]
-                    found[BESIDE.get(module, module)] = int(text)
+                    found[HELPERS.get(module, module)] = int(text)
         return found
 
     def _operate(self, t: float) -> None:
-        """What a person at the panel does next, unless somebody has just held or stopped the palms."""
-        if t < self._t_hands_on:
+        """Act as the operator, except for a while after another operator's command."""
+        if t < self._t_resume:
             return
-        if self._t_hands_on:
-            self._t_hands_on = 0.0
+        if self._t_resume:
+            self._t_resume = 0.0
             self._operator.resume()
         if self.watch.on_palms:
             self._t_fallen = t
@@ -166,35 +166,35 @@ class SoakStand:
     def _command(self, name: str) -> bool:
         return bool(self._stack.client.ask(name)["ok"])
 
-    # ---- doings ------------------------------------------------------------------------------------------
+    # ---- acts --------------------------------------------------------------------------------------------
 
     def do(self, act: Act) -> None:
-        """Do it, or have it done while we go on; raises CliError when the rig refuses."""
+        """Perform an act, visits in a thread; raises CliError if the rig refuses."""
         match act:
-            case SoakFault():
+            case InjectedFault():
                 how = {"name": act.name, "port": act.port, "strength": act.strength, "for_s": act.for_s}
                 self._stack.ask_rig("mischief", **how)
-            case Say(command="plan"):
+            case OperatorCommand(command="plan"):
                 self._change_plan()
-                self._t_hands_on = time.monotonic() + act.for_s
-            case Say():
+                self._t_resume = time.monotonic() + act.for_s
+            case OperatorCommand():
                 self._command(act.command)
-                self._t_hands_on = time.monotonic() + act.for_s
-            case Visit():
+                self._t_resume = time.monotonic() + act.for_s
+            case Visitor():
                 visitor = threading.Thread(target=self._visit, args=(act,), name=act.who)
                 visitor.start()
                 self._visitors = [one for one in self._visitors if one.is_alive()] + [visitor]
 
     def _change_plan(self) -> None:
-        """Stop, and load the other plan; with a fault in between it stays the same."""
+        """Stop and load the other plan; if a fault interferes the plan stays the same."""
         self._command("stop")
         with suppress(CliError):
-            self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms were not stopped")
+            self._wait(lambda: self.watch.state == "ready", STOPPED_S, "the palms did not stop")
             if self._stack.client.ask("plan", {"path": str(self._plans[1]), "text": self._plans[1].read_text()})["ok"]:
                 self._plans.reverse()
 
-    def _visit(self, visit: Visit) -> None:
-        """One who comes and goes, and must be served."""
+    def _visit(self, visit: Visitor) -> None:
+        """Run one visitor, who must be served."""
         t_end = time.monotonic() + visit.for_s
         visits = {"listener": self._listen_in, "deaf": self._be_deaf, "page": self._open_page, "asker": self._ask_much}
         try:
@@ -232,9 +232,9 @@ class SoakStand:
             socket.connect(self._stack.bus.command)
             while time.monotonic() < t_end and not self._over.is_set():
                 socket.send(msgpack.packb({"id": 1, "cmd": "status"}))
-                socket.send(NONSENSE)
+                socket.send(MALFORMED)
                 with self._lock:
-                    self.nonsense += 1
+                    self.malformed += 1
                 if not socket.poll(round(ANSWER_S * 1e3)):
                     raise CliError(RIG_FAILED, "no answer to status")
                 while socket.poll(round(ASKED_EVERY_S * 1e3)):
@@ -243,33 +243,33 @@ class SoakStand:
     # ---- the end -----------------------------------------------------------------------------------------
 
     def come_to_rest(self) -> tuple[str, dict[str, Any]]:
-        """Stop as an operator does; the state then, and what the daemon has counted when the lines are at rest."""
+        """Stop as an operator does; returns the final state, and the daemon's counters after `QUIET_S`."""
         for visitor in self._visitors:
             visitor.join()
-        with suppress(CliError):  # what it comes to is judged
+        with suppress(CliError):  # the final state is judged
             self.bring_to_motion()
         self._command("stop")
         with suppress(CliError):
-            self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms were not stopped")
+            self._wait(lambda: self.watch.state == "ready", PATIENCE_S, "the palms did not stop")
         end, t_quiet = self.watch.state, time.monotonic() + QUIET_S
-        self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "palm/loop does not come")
+        self._wait(lambda: self.watch.t_loop > t_quiet, PATIENCE_S, "no palm/loop was received")
         return end, self.watch.loop
 
     def finish(self) -> list[Path]:
-        """End the daemon, then the recorder; the recording's files, in their order."""
+        """End the daemon, then the recorder; returns the recording's files in their order."""
         self._stack.children["daemon"].stop()
         for message in self._stack.subscriber.until(time.monotonic() + 1.0):
             self.watch.take(message)
         return self._stack.recorded(RECORDED_S)
 
     def keep(self, folder: Path) -> None:
-        """Keep what the processes have said there."""
+        """Copy the processes' error output to `folder`."""
         for path in self._folder.glob("*/*.err"):
             shutil.copy(path, folder)
 
 
 def _sampled(number: int) -> Process | None:
-    """What a process takes; None when it has gone."""
+    """Resources of a process; None if it has ended."""
     try:
         lines = Path(f"/proc/{number}/status").read_text(encoding="utf-8").splitlines()
         descriptors = len(list(Path(f"/proc/{number}/fd").iterdir()))

@@ -1,7 +1,7 @@
 """Unknown bodies between three palms in space reconstructed blind from simulated runs, scored against their truth.
 
-Right is a surface within 0.15 mm (RMS) of the truth within 4 degrees of where it was touched, after the best rotation.
-With --live, and with --exploring, the emulated rig lives without wires and what is published is scored tick by tick.
+A surface is right if its RMS error within 4 degrees of the contacts is below 0.15 mm after the best rotation. With
+--live and --exploring the emulated rig runs in simulation, and the published estimates are scored tick by tick.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from palmd.record.systems.three_palms import SYSTEM, laid_out
 from palmd.system.three_palms import JOINTS, PALMS, palms_at
 from palmd.three_palms_quantities import PALM3, PALM3_SHAPE, WORLD_AXES
 from palmd.yamlfile import load_any_config, parse, read_document
+from tools.closed_loop import ThreePalmsLoop
 from tools.studies import harness
 from tools.studies.cells import among, count, mean, quantiles, runs
 from tools.studies.harness import Study, result
 from tools.studies.space_logs import KINDS, simulate
-from tools.wireless import ThreePalmsWireless
 
-HALVINGS = 3  # of the directions that are counted: 642
-GOAL = 0.8
-MARKS_S = (20.0, 40.0, 60.0)
+HALVINGS = 3  # subdivisions of the icosphere: 642 directions
+GOAL = 0.8  # coverage
+MARKS_S = (20.0, 40.0, 60.0)  # times at which coverage is reported
 RIGHT_M = 1.5e-4
 COMPARED = (
     *(f"omega_{axis}_rad_s" for axis in WORLD_AXES),
@@ -51,7 +51,7 @@ COMPARED = (
 
 @dataclass(frozen=True, slots=True)
 class SpaceLiveTask:
-    """One body: its seed, how long (s), and by which shipped plan."""
+    """One body: seed, duration (s), shipped plan."""
 
     seed: int
     seconds: float
@@ -60,13 +60,13 @@ class SpaceLiveTask:
 
 @dataclass(frozen=True, slots=True)
 class SpaceLiveRow(SpaceLiveTask):
-    """One body, live: when it was first valid, and converged (s from the first motion; NaN: never).
+    """The live results of one body. settled, for_good: first valid and converged (s from the first motion; NaN: never).
 
-    valid: share of the ticks since then. surface_error: RMS of the last accepted surface where touched (m), NaN without
-    one; wrong: how many accepted surfaces were not within `RIGHT_M`. ratio: mean (error/sd)² of spin, centre and
-    contacts in valid ticks. coverage: the share of all directions within 10 degrees of a contact curve after each of
-    `MARKS_S`; told: what was said of it in the end. losses: how often the body fell off the palms, recovered: after how
-    many of them it was valid again, for `back_s` in the mean without.
+    valid: share of valid ticks since the first one. surface_error: RMS of the last accepted surface where touched (m),
+    NaN without one; wrong: number of accepted surfaces with errors above `RIGHT_M`. ratio: mean (error/sd)² of spin,
+    centre and contacts in valid ticks. coverage: true share of all directions within 10 degrees of a contact curve at
+    each of `MARKS_S`; told: published coverage at the end. losses: number of falls off the palms; recovered: number of
+    falls after which the estimate was valid again; back_s: mean time until then (s).
     """
 
     error: str = ""
@@ -85,15 +85,15 @@ class SpaceLiveRow(SpaceLiveTask):
 
 
 class TrueCoverage:
-    """What of the body has been touched in truth."""
+    """The true coverage of a body."""
 
     def __init__(self) -> None:
         self._directions = icosphere(HALVINGS)[0]
         self._touched = np.zeros(len(self._directions), np.bool_)
         self._at_marks: list[float] = []
 
-    def see(self, since: float, truth: dict[str, Any]) -> None:
-        """At so many seconds since the first motion."""
+    def take(self, since: float, truth: dict[str, Any]) -> None:
+        """Take one tick, `since` seconds after the first motion."""
         if len(self._at_marks) < len(MARKS_S) and since >= MARKS_S[len(self._at_marks)]:
             self._at_marks.append(self.share)
         if truth["touch1"]:
@@ -104,51 +104,51 @@ class TrueCoverage:
 
     @property
     def share(self) -> float:
-        """Of all directions."""
+        """The touched share of all directions."""
         return float(self._touched.mean())
 
     @property
     def at_marks(self) -> tuple[float, ...]:
-        """After each of them; the last share where it did not last so long."""
+        """The share at each of `MARKS_S`; the last share for marks after the end."""
         return (*self._at_marks, *[self.share] * (len(MARKS_S) - len(self._at_marks)))
 
 
 @one_thread()
-def lived(task: SpaceLiveTask) -> SpaceLiveRow:
-    """The shipped configuration and plan, with the body and the noise of this seed; answers come after fixed times."""
+def run_live(task: SpaceLiveTask) -> SpaceLiveRow:
+    """Run the shipped configuration and plan with this seed's body and noise; the smoother has fixed latencies."""
     config = load_any_config(shipped("three_palms.yaml"))
     if not isinstance(config, ThreePalmsConfig):
-        raise TypeError("the shipped configuration is not of three palms in space")
+        raise TypeError("three_palms.yaml does not describe three palms in space")
     spec = parse(read_document(shipped("plans") / "three_palms" / f"{task.plan}.yaml"), TiltPlanSpec)
-    rig = ThreePalmsWireless(config, spec, task.seed)
+    rig = ThreePalmsLoop(config, spec, task.seed)
     rig.start()
-    begun, settled = rig.t, math.nan
+    t_start, settled = rig.t, math.nan
     ticks, valid, squares = 0, 0, []
     surfaces: list[tuple[float, float]] = []
     estimate: dict[str, Any] = {}
-    coverage, told = TrueCoverage(), math.nan
+    coverage, published = TrueCoverage(), math.nan
     lost, back, losses = math.nan, list[float](), 0
     for now in rig.run(task.seconds):
         estimate, truth = now.messages[PALM3.name], now.truth
-        coverage.see(rig.t - begun, truth)
-        told = now.messages.get(STATE.name, {}).get("coverage", told)
+        coverage.take(rig.t - t_start, truth)
+        published = now.messages.get(STATE.name, {}).get("coverage", published)
         if rig.world.contact_losses > losses:
             losses, lost = rig.world.contact_losses, rig.t
         if estimate["valid"]:
             if math.isfinite(lost):
                 back.append(rig.t - lost)
                 lost = math.nan
-            settled = rig.t - begun if math.isnan(settled) else settled
+            settled = rig.t - t_start if math.isnan(settled) else settled
             valid += 1
             if math.isfinite(truth["a1_m"]):
-                off = [(estimate[name] - truth[name]) / estimate["sd"][name] for name in COMPARED]
-                squares.append(float(np.mean(np.square(off))))
+                errors_in_sd = [(estimate[name] - truth[name]) / estimate["sd"][name] for name in COMPARED]
+                squares.append(float(np.mean(np.square(errors_in_sd))))
         ticks += math.isfinite(settled)
         shape = now.messages.get(PALM3_SHAPE.name)
         if shape is not None and shape["valid"]:
             turn = matrix(truth["quat_xyzw"]).T @ matrix(estimate["quat_xyzw"])
             true = np.array(rig.world.object_truth()["h_m"])
-            surfaces.append((rig.t - begun, surface_error(shape, true, turn)[0]))
+            surfaces.append((rig.t - t_start, surface_error(shape, true, turn)[0]))
     wrong = [t for t, error in surfaces if not error < RIGHT_M]
     right = [t for t, _ in surfaces if t > max(wrong, default=-math.inf)]
     return result(
@@ -161,7 +161,7 @@ def lived(task: SpaceLiveTask) -> SpaceLiveRow:
         wrong=len(wrong),
         ratio=float(np.mean(squares)) if squares else math.nan,
         coverage=coverage.at_marks,
-        told=told,
+        told=published,
         losses=losses,
         recovered=len(back),
         back_s=float(np.mean(back)) if back else math.nan,
@@ -176,7 +176,7 @@ def draw_live(arguments: argparse.Namespace) -> Sequence[SpaceLiveTask]:
 
 
 def remarks(rows: Sequence[SpaceLiveRow]) -> Iterator[str]:
-    """A line for each."""
+    """One or two lines for each run."""
     for row in rows:
         if row.error:
             yield f"{row.seed:8}: {row.error}"
@@ -200,7 +200,7 @@ def _touched(row: SpaceLiveRow) -> float:
 LIVE = Study(
     "three palms, live",
     draw_live,
-    lived,
+    run_live,
     SpaceLiveRow,
     order=lambda row: row.seed,
     by=lambda row: row.plan,
@@ -223,7 +223,7 @@ NEAR_DEG = 4.0
 
 @dataclass(frozen=True, slots=True)
 class SpaceTask:
-    """One body of so many that are drawn together by one seed, what sort of run, and how long (s)."""
+    """One of `bodies` that are drawn together by one seed, kind of run, duration (s)."""
 
     kind: str
     seed: int
@@ -234,10 +234,11 @@ class SpaceTask:
 
 @dataclass(frozen=True, slots=True)
 class SpaceRow(SpaceTask):
-    """One run: whether it converged and was right, its errors (m), how they compare with the bands, and the time taken.
+    """The results of one run.
 
-    h_error: RMS of h within `NEAR_DEG` of the contact curves after the best rotation; ratio: mean of (error/sd)² there.
-    spin: the most that the body turned at (rad/s). took_s: of processor time.
+    held: how long all palms kept contact (s). spin: largest angular rate of the body (rad/s). h_error: RMS error of h
+    (m) within `NEAR_DEG` of the contact curves after the best rotation; ratio: mean of (error/sd)² there. took_s:
+    processor time.
     """
 
     error: str = ""
@@ -251,25 +252,25 @@ class SpaceRow(SpaceTask):
 
     @property
     def right(self) -> bool:
-        """Whether it is within `RIGHT_M`."""
+        """Whether its error is below `RIGHT_M`."""
         return self.h_error < RIGHT_M
 
 
 simulated = functools.cache(simulate)
 
 
-def reconstructed(task: SpaceTask) -> SpaceRow:
-    """The body's log reconstructed without its truth, and scored by it."""
+def run_offline(task: SpaceTask) -> SpaceRow:
+    """Reconstruct the body's log blind and score it."""
     run = simulated(task.kind, task.bodies, task.seconds, task.seed)[task.body]
     head, *lines = run.lines
     rig = SYSTEM.rig(head["rig"])
     events = tuple(event for line in lines for event in SYSTEM.events(line["t"], line, rig) if event is not None)
     path, readings = laid_out(SYSTEM.log(rig, events, ()))
     if path is None:
-        raise ValueError("a simulated run has joints that report")
-    begun = time.process_time()
+        raise ValueError("the simulated log has no reports of the joints")
+    t_cpu = time.process_time()
     answer = reconstruct(path, readings, rig)
-    took_s = time.process_time() - begun
+    took_s = time.process_time() - t_cpu
     error, ratio = errors(answer, run.truth)
     spin = float(np.linalg.norm(run.truth["omega_rad_s"], axis=1).max())
     return result(
@@ -284,35 +285,35 @@ def errors(answer: BodyReconstruction, truth: dict[str, Any]) -> tuple[float, fl
         return math.nan, math.nan
     rows = evaluator(order_of(len(answer.coefficients)))
     directions, height = np.array(truth["directions"]), np.array(truth["h_m"])
-    lasted = np.array(truth["t"]) <= answer.t[-1]
-    felt = np.array(truth["normals_body"])[lasted].reshape(-1, 3)
-    near = _nearest(directions, felt) >= math.cos(math.radians(NEAR_DEG))
-    begun: FloatArray = np.array(truth["rotation"])[np.searchsorted(truth["t"], answer.t[0] - 1e-9)]
+    explained = np.array(truth["t"]) <= answer.t[-1]
+    touched = np.array(truth["normals_body"])[explained].reshape(-1, 3)
+    near = _nearest(directions, touched) >= math.cos(math.radians(NEAR_DEG))
+    first: FloatArray = np.array(truth["rotation"])[np.searchsorted(truth["t"], answer.t[0] - 1e-9)]
     coefficients, true = answer.coefficients, height[near]
 
     def normals(turn: FloatArray) -> FloatArray:
-        return np.asarray(directions[near] @ (rotation.exp(turn) @ begun).T, np.float64)
+        return np.asarray(directions[near] @ (rotation.exp(turn) @ first).T, np.float64)
 
-    def off_um(turn: FloatArray) -> FloatArray:
+    def error_um(turn: FloatArray) -> FloatArray:
         return np.asarray(1e6 * (rows(normals(turn))[0] @ coefficients - true), np.float64)
 
-    # steps that are not damped may lead away where little was touched
-    turn = least_squares(off_um, np.zeros(3), method="lm").x
-    u, off = normals(turn), 1e-6 * off_um(turn)
+    # undamped steps may diverge if little was touched
+    turn = least_squares(error_um, np.zeros(3), method="lm").x
+    u, error = normals(turn), 1e-6 * error_um(turn)
     sd = answer.h_sd[(u @ answer.directions.T).argmax(axis=1)]
-    return float(np.sqrt(np.mean(off**2))), float(np.mean((off / sd) ** 2))
+    return float(np.sqrt(np.mean(error**2))), float(np.mean((error / sd) ** 2))
 
 
-def _nearest(directions: FloatArray, felt: FloatArray) -> FloatArray:
+def _nearest(directions: FloatArray, touched: FloatArray) -> FloatArray:
     """(D,) cosine of the angle from each direction to the nearest contact normal."""
     best = np.full(len(directions), -1.0)
-    for part in np.array_split(felt, max(len(felt) // 500, 1)):
+    for part in np.array_split(touched, max(len(touched) // 500, 1)):
         best = np.maximum(best, (directions @ part.T).max(axis=1))
     return best
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[SpaceTask]:
-    """So many bodies of each kind."""
+    """The requested number of bodies of each kind."""
     return [
         SpaceTask(kind, arguments.seed, arguments.runs, body, arguments.seconds)
         for kind in harness.kinds_of(arguments, tuple(KINDS))
@@ -323,7 +324,7 @@ def draw(arguments: argparse.Namespace) -> Sequence[SpaceTask]:
 OFFLINE = Study(
     "three palms",
     draw,
-    reconstructed,
+    run_offline,
     SpaceRow,
     order=lambda row: (list(KINDS).index(row.kind), row.body),
     by=lambda row: row.kind,
@@ -344,10 +345,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
     harness.add_arguments(parser, runs=8, seconds_each=20.0, output="space.jsonl", kinds=tuple(KINDS))
     how = parser.add_mutually_exclusive_group().add_argument
-    how("--live", action="store_true", help="in the emulated rig, by the shipped plan that swings")
-    how("--exploring", action="store_true", help="in the emulated rig, by the shipped plan that explores")
+    how("--live", action="store_true", help="in the emulated rig, by the shipped swaying plan")
+    how("--exploring", action="store_true", help="in the emulated rig, by the shipped exploration plan")
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Offline or live."""
+    """Run the offline or the live study."""
     return LIVE.conduct(arguments) if arguments.live or arguments.exploring else OFFLINE.conduct(arguments)

@@ -1,4 +1,4 @@
-"""Runs of the emulated rig without wires: what pads and joints report while bodies move, and the truth."""
+"""Simulated logs of three palms in space: reports of pads and joints while bodies move, with the truth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from palmd.rig.three_palms.world import REST_POSE, SETTLING_DRAG, SETTLING_S
 from palmd.system.three_palms import MECHANISM, PALMS, SYSTEM, ThreePalmsRig, palms_at, readings_of
 
 STEP_S = 2e-3
-EASE_S = 1.0  # in which a motion grows in
+EASE_S = 1.0  # duration of a motion's smooth start
 SINES = 3
 REPORT_S = 0.016
 PAD_INTERVAL_S, PAD_JITTER_S, LEAST_INTERVAL_S = 0.01, 0.003, 0.004
@@ -28,8 +28,8 @@ TRUTH_EVERY = 10  # steps
 class Kind:
     """A kind of run: ranges of μ and drag (m²/s), the joints' amplitude (rad) and highest frequency (Hz).
 
-    spin: one-sigma of the first spin (rad/s), from where the body lies in no equilibrium; 0: it starts at rest.
-    vibration_hz: range of the palms' frequencies where their vibration is resolved, else it is averaged.
+    spin: 1σ of the initial spin (rad/s), of a body that is not in equilibrium; 0: it starts at rest. vibration_hz:
+    range of the palms' frequencies if their vibration is resolved; else it is averaged.
     """
 
     mu: tuple[float, float]
@@ -52,7 +52,7 @@ KINDS: Mapping[str, Kind] = {
 
 @dataclass(frozen=True, slots=True)
 class SimulatedBody:
-    """One body's run: the log's lines, the truth, and how long all palms kept hold of it (s)."""
+    """One body's run: the log's lines, the truth, and how long all palms kept contact (s)."""
 
     lines: list[dict[str, Any]]
     truth: dict[str, Any]
@@ -64,7 +64,7 @@ class SimulatedBody:
 
 
 class _Joints:
-    """Joint angles of B rigs: sines about the rest pose that grow in smoothly."""
+    """Joint angles of B rigs: sines about the rest pose with a smooth start."""
 
     def __init__(self, kind: Kind, count: int, random: np.random.Generator) -> None:
         shares = random.dirichlet(np.ones(SINES), (count, 3))
@@ -75,8 +75,8 @@ class _Joints:
     def along(self, t: FloatArray) -> list[FloatArray]:
         """Angles, rates, accelerations (T, B, 3) at times t (T,)."""
         x = np.clip(t / EASE_S, 0.0, 1.0)
-        ease = np.array([10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)])
-        e0, e1, e2 = (each[:, None, None] / EASE_S**k for k, each in enumerate(ease))
+        window = np.array([10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)])
+        e0, e1, e2 = (each[:, None, None] / EASE_S**k for k, each in enumerate(window))
         angle = self._speed * t[:, None, None, None] + self._phase
         waves = [
             (self._amplitude * wave).sum(-1)
@@ -90,21 +90,21 @@ class _Joints:
 
 
 def simulate(kind: str, count: int, seconds: float, seed: int, rig: ThreePalmsRig | None = None) -> list[SimulatedBody]:
-    """`count` runs of one kind, each another body and motion; deterministic for a seed."""
-    described, what = rig or ThreePalmsRig(), KINDS[kind]
+    """`count` runs of one kind, each with its own body and motion; deterministic for a seed."""
+    described, ranges = rig or ThreePalmsRig(), KINDS[kind]
     random = np.random.default_rng([seed, sum(map(ord, kind))])
     bodies = random_bodies(count, random)
-    joints = _Joints(what, count, random)
+    joints = _Joints(ranges, count, random)
     rubbing = FrictionParameters(
-        random.uniform(*what.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*what.drag, count)
+        random.uniform(*ranges.mu, count), random.uniform(8e-3, 1.2e-2, count), random.uniform(*ranges.drag, count)
     )
     steps = round(seconds / STEP_S)
     halves: FloatArray = np.asarray(0.5 * STEP_S * np.arange(2 * steps + 1), np.float64)
     motion = joints.along(halves)
     points, forces = np.empty((count, steps + 1, 3, 3)), np.empty((count, steps + 1, 3))
     states = np.empty((count, steps + 1, 18))
-    for b, start in enumerate(started(bodies, rubbing, what, random, described.gravity)):
-        frequencies = None if what.vibration_hz is None else tuple(random.uniform(*what.vibration_hz, len(PALMS)))
+    for b, start in enumerate(initial_states(bodies, rubbing, ranges, random, described.gravity)):
+        frequencies = None if ranges.vibration_hz is None else tuple(random.uniform(*ranges.vibration_hz, len(PALMS)))
         plant = _alone(bodies, rubbing, b, described.gravity, frequencies)
         palms = palm_rows(palms_at(*(each[:, b] for each in motion)))
         plant.state[:] = start
@@ -127,10 +127,10 @@ def _alone(
     return BodyOnPalms(bodies.select(one), rubs, gravity, frequencies=frequencies)
 
 
-def started(
+def initial_states(
     bodies: Bodies, rubbing: FrictionParameters, kind: Kind, random: np.random.Generator, gravity: float
 ) -> FloatArray:  # fmt: skip
-    """(B, 18) at rest in one of its stable poses, or off it with some spin; deep friction and drag make it settle."""
+    """Initial states (B, 18): at rest in a stable pose reached with strong drag, or out of equilibrium with a spin."""
     count = len(bodies.ball)
     R = random_rotation(random, count)
     still = np.zeros((1, 3))
@@ -160,9 +160,12 @@ def started(
 
 def _logs(
     rig: ThreePalmsRig, bodies: Bodies, rubbing: FrictionParameters, motion: list[FloatArray],
-    points: FloatArray, forces: FloatArray, kept: FloatArray, random: np.random.Generator, told: tuple[str, int],
+    points: FloatArray, forces: FloatArray, kept: FloatArray, random: np.random.Generator, drawn: tuple[str, int],
 ) -> list[SimulatedBody]:  # fmt: skip
-    """Readings and truth from what all bodies did at every step; motion: of the joints, each (T, B, 3)."""
+    """Readings and truth from all bodies' contacts, forces and states; motion of the joints: (T, B, 3) each.
+
+    drawn: kind and seed.
+    """
     count, steps = len(bodies.ball), points.shape[1] - 1
     t: FloatArray = np.asarray(STEP_S * np.arange(steps + 1), np.float64)
     truth_t = t[::TRUTH_EVERY]
@@ -182,7 +185,7 @@ def _logs(
         normals = palms.normal[::TRUTH_EVERY]
         directions = spread_directions(2000)
         truth = {
-            "kind": told[0], "seed": told[1], "body": b, "held_s": held,
+            "kind": drawn[0], "seed": drawn[1], "body": b, "held_s": held,
             "directions": directions.tolist(),
             "h_m": bodies.select(np.array([b])).support(directions[None])[0][0].tolist(),
             "inertia_m2": bodies.inertia[b].tolist(), "mass_kg": mass,
@@ -199,7 +202,7 @@ def _logs(
 
 
 def header(rig: ThreePalmsRig) -> dict[str, Any]:
-    """Line 1 of a log of this rig, whose constants are exactly as described."""
+    """Line 1 of a log of this exactly known rig."""
     names = ("zero_m", "scale", "angle_rad", "standoff_m", "lag_s", "gravity_rad", "sagitta_m")
     return {
         "palmd_log": 1,
@@ -237,8 +240,8 @@ def _pad_lines(
     resolution = rig.pad.resolution
     value = np.stack([np.interp(times, t, read[:, k]) for k in range(2)], axis=1)
     value = resolution * np.round((value + rig.pad.noise * random.normal(size=value.shape)) / resolution)
-    felt = np.interp(times, t, force) * (1.0 + rig.pad.force_scale_std * random.normal(size=times.shape))
+    measured = np.interp(times, t, force) * (1.0 + rig.pad.force_scale_std * random.normal(size=times.shape))
     return [
         {"t": float(at), "pad": pad + 1, "a_m": float(a), "b_m": float(b), "force_n": float(f)}
-        for at, (a, b), f in zip(times, value, felt, strict=True)
+        for at, (a, b), f in zip(times, value, measured, strict=True)
     ]

@@ -1,10 +1,10 @@
-"""Dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong.
+"""Test objects such as dice, nuts, coins and blocks on the emulated rig: how often a live estimate is valid and wrong.
 
-The daemon's core and its smoother against the plant, without wires, on moves drawn at random; blind, each run by its
-kind and seed. Corners, dents and dry lumps of `thing_logs` are these logs, replayed through the live observer. With
---offline: logs of polygons, of dented and of dry lumps, of dice and profiles, reconstructed blind: how many are right,
-wrong, rejected. With --explored: the same bodies, each explored in the emulated rig, and its recording reconstructed;
-with --plan: each moved by a plan in it.
+The daemon's core and its smoother run in a simulated closed loop on random moves, blind; each run is defined by kind
+and seed. Corners, dents and dry lumps are logs of `object_logs`, replayed through the live observer. With --offline:
+logs of polygons, dented lumps, dry lumps, dice and profiles, reconstructed blind: how many are right, wrong, rejected.
+With --explored: the same bodies, each explored in the emulated rig, and the recording reconstructed. With --plan: each
+moved by a plan instead.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from palmd.rig.simulate import CALIBRATION
 from palmd.rig.world import default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import RADII
-from tools.studies import harness, thing_logs
+from tools.closed_loop import TwoPalmsLoop
+from tools.studies import harness, object_logs
 from tools.studies.cells import Cell, mean, most, runs, total
 from tools.studies.exploring_plans import plan
 from tools.studies.harness import Study, kinds_of, result, seeds_of
 from tools.studies.montecarlo import answers
-from tools.studies.real_things import THINGS, thing
+from tools.studies.real_objects import REAL_OBJECTS, real_object
 from tools.studies.scoring import FAR
-from tools.wireless import Wireless
 
-LUMP = "lump"  # a smooth one, as other studies have
-LOGGED: tuple[str, ...] = tuple(kind for kind in thing_logs.KINDS if kind not in THINGS)
-KINDS: tuple[str, ...] = (*THINGS, LUMP, *LOGGED)
-OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3
-MUCH = 0.01  # of the ticks
-LIVE_S = 15.0  # how long each lasts
-_STREAM = 18  # keeps the bodies' random numbers apart from those of the motion
+LUMP = "lump"  # a smooth body as in other studies
+LOGGED: tuple[str, ...] = tuple(kind for kind in object_logs.KINDS if kind not in REAL_OBJECTS)
+KINDS: tuple[str, ...] = (*REAL_OBJECTS, LUMP, *LOGGED)
+OFF_CENTRE_EVERY, OFF_CENTRE_M = 3, 1e-3  # every third body has an eccentric centre of mass, by 1 mm
+MUCH = 0.01  # share of wrong ticks from which a run gets a remark
+LIVE_S = 15.0  # duration of a run
+_STREAM = 18  # random stream of the bodies, distinct from the motion's
 _MARGIN_S = 2.0  # by which the moves last longer than the run
 
 
 @dataclass(frozen=True, slots=True)
-class ThingTask:
-    """One run to do: what lies on the palms, the seed, and how long (s). Every third seed's mass is off-centre."""
+class ObjectTask:
+    """One run: kind of object, seed, duration (s). Every third seed's centre of mass is eccentric."""
 
     kind: str
     seed: int
@@ -58,12 +58,12 @@ class ThingTask:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingRow(ThingTask):
-    """A run in numbers; NaN for what there is not.
+class ObjectRow(ObjectTask):
+    """The results of one run; NaN for missing values.
 
-    valid, wrong, far: shares of all ticks from the first move on; wrong: valid, and a radius off by more than 0.3 mm;
-    far: by more than three of its one-sigmas. most: the largest such error (m). refusals: of the smoother. losses:
-    of a contact. Of a log the shares and the error alone.
+    valid, wrong, far: shares of all ticks from the first move on; wrong: valid with an error of a radius above 0.3 mm;
+    far: above 3σ. most_m: the largest such error. refusals: rejections by the smoother. losses: lost contacts. For a
+    log only shares and error.
     """
 
     error: str = ""
@@ -75,27 +75,27 @@ class ThingRow(ThingTask):
     far: float = math.nan
 
 
-def body_of(task: ThingTask) -> Body:
-    """What lies on the palms."""
+def body_of(task: ObjectTask) -> Body:
+    """The task's body."""
     random = np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed])
     if task.kind == LUMP:
         return random_body("rig", random)
-    off = OFF_CENTRE_M if task.seed % OFF_CENTRE_EVERY == OFF_CENTRE_EVERY - 1 else 0.0
-    return thing(task.kind, random, off).body
+    eccentricity = OFF_CENTRE_M if task.seed % OFF_CENTRE_EVERY == OFF_CENTRE_EVERY - 1 else 0.0
+    return real_object(task.kind, random, eccentricity).body
 
 
-def run(task: ThingTask) -> ThingRow:
-    """Move, estimate and compare."""
+def run(task: ObjectTask) -> ObjectRow:
+    """Run the closed loop, or replay a log, and score it."""
     if task.kind in LOGGED:
         return _replayed(task)
     config = default_config(task.imperfections)
     moves = plan("random", config, ExploreGoal(time_limit_s=task.seconds + _MARGIN_S), task.seed)
     smoothing = Simulated(rig_description(config))
-    wireless = Wireless(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
-    wireless.start()
-    scorer, ticks, valid, wrong, far, most, refusals = Scorer(wireless.t), 0, 0, 0, 0, 0.0, 0
-    before = wireless.world.status()["contact_losses"]
-    for instant in wireless.run(task.seconds):
+    loop = TwoPalmsLoop(config, moves, task.seed, smoothing=smoothing, body=body_of(task))
+    loop.start()
+    scorer, ticks, valid, wrong, far, most, refusals = Scorer(loop.t), 0, 0, 0, 0, 0.0, 0
+    before = loop.world.status()["contact_losses"]
+    for instant in loop.run(task.seconds):
         estimate = instant.messages[ESTIMATE.name]
         ticks += 1
         refusals += UNEXPLAINED.name in instant.messages
@@ -106,9 +106,9 @@ def run(task: ThingTask) -> ThingRow:
             far += any(miss > FAR * estimate["sd"][name] for name, miss in misses.items())
             wrong += error > WRONG_M
             most = max(most, error)
-    status = wireless.world.status()
+    status = loop.world.status()
     return result(
-        ThingRow,
+        ObjectRow,
         task,
         valid=valid / ticks,
         wrong=wrong / ticks,
@@ -119,14 +119,14 @@ def run(task: ThingTask) -> ThingRow:
     )
 
 
-def _replayed(task: ThingTask) -> ThingRow:
-    logged = thing_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
-    log, truth, _ = thing_logs.simulated(logged)
+def _replayed(task: ObjectTask) -> ObjectRow:
+    logged = object_logs.SharpTask(task.kind, task.seed, task.seconds, task.imperfections)
+    log, truth, _ = object_logs.simulated(logged)
     live = answers(log, truth, make("shape", log.rig, smoothing=Simulated(log.rig)))
     misses = np.abs(live.r_error)
     error = misses.max(axis=1)
     return result(
-        ThingRow,
+        ObjectRow,
         task,
         valid=float(live.valid.mean()),
         wrong=float(live.wrong.mean()),
@@ -135,22 +135,22 @@ def _replayed(task: ThingTask) -> ThingRow:
     )
 
 
-def draw(arguments: argparse.Namespace) -> Sequence[ThingTask]:
-    """So many of each kind, all with the same seeds."""
+def draw(arguments: argparse.Namespace) -> Sequence[ObjectTask]:
+    """The requested number of runs of each kind, all kinds with the same seeds."""
     rest = arguments.seconds or LIVE_S, arguments.imperfections
-    return [ThingTask(kind, seed, *rest) for seed in seeds_of(arguments) for kind in kinds_of(arguments, KINDS)]
+    return [ObjectTask(kind, seed, *rest) for seed in seeds_of(arguments) for kind in kinds_of(arguments, KINDS)]
 
 
-def remarks(rows: Sequence[ThingRow]) -> list[str]:
-    """What all but the smooth lump come to, then a line for each run that came to nothing, or was often wrong."""
+def remarks(rows: Sequence[ObjectRow]) -> list[str]:
+    """The totals without the smooth lump, then a line for each run that failed or was often wrong."""
     some = [row for row in rows if row.kind != LUMP and not row.error]
-    said = [f"all things: {', '.join(f'{title} {cell(some)}' for title, cell in COLUMNS)}"] if some else []
+    lines = [f"all objects: {', '.join(f'{title} {cell(some)}' for title, cell in COLUMNS)}"] if some else []
     for row in rows:
         if row.error:
-            said.append(f"{row.kind} {row.seed}: {row.error}")
+            lines.append(f"{row.kind} {row.seed}: {row.error}")
         elif row.wrong > MUCH:
-            said.append(f"{row.kind} {row.seed}: wrong for {row.wrong:.1%}, by up to {1e3 * row.most_m:.2f} mm")
-    return said
+            lines.append(f"{row.kind} {row.seed}: wrong for {row.wrong:.1%}, by up to {1e3 * row.most_m:.2f} mm")
+    return lines
 
 
 COLUMNS: list[tuple[str, Cell]] = [
@@ -160,7 +160,7 @@ COLUMNS: list[tuple[str, Cell]] = [
     ("worst run, %", most(lambda row: row.wrong, 100.0)),
     ("beyond 3 sd", mean(lambda row: row.far, ".1%")),
     ("largest error (mm)", most(lambda row: row.most_m, 1e3)),
-    ("refusals", total(lambda row: row.refusals)),
+    ("rejections", total(lambda row: row.refusals)),
     ("contacts lost", total(lambda row: row.losses)),
 ]
 
@@ -168,7 +168,7 @@ LIVE = Study(
     "things",
     draw,
     run,
-    ThingRow,
+    ObjectRow,
     order=lambda row: (KINDS.index(row.kind), row.seed),
     by=lambda row: row.kind,
     columns=COLUMNS,
@@ -178,21 +178,21 @@ LIVE = Study(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The study's arguments."""
-    kinds = tuple(dict.fromkeys((*KINDS, *thing_logs.KINDS)))
+    kinds = tuple(dict.fromkeys((*KINDS, *object_logs.KINDS)))
     harness.add_arguments(parser, runs=10, seconds_each=None, output=None, kinds=kinds)
     add = parser.add_mutually_exclusive_group().add_argument
     add("--offline", action="store_true", help="reconstruct logs of corners, dents and dry lumps")
-    add("--explored", action="store_true", help="the same of recordings: each is explored in the emulated rig")
-    add("--plan", type=Path, metavar="FILE", help="the same of recordings of a motion plan in the emulated rig")
+    add("--explored", action="store_true", help="reconstruct recordings of explorations in the emulated rig")
+    add("--plan", type=Path, metavar="FILE", help="reconstruct recordings of a motion plan in the emulated rig")
     parser.add_argument("--imperfections", choices=tuple(CALIBRATION), default="none",
-        help="what the rig is off by, drawn by the seed (default: %(default)s)")  # fmt: skip
+        help="imperfections of the rig, drawn by the seed (default: %(default)s)")  # fmt: skip
 
 
 def conduct(arguments: argparse.Namespace) -> int:
-    """Interrupted, it reports what is finished until then. CliError for a kind that there are no such runs of."""
+    """Run the live or the offline study; raises CliError for a kind that the study does not have."""
     offline = arguments.offline or arguments.explored or arguments.plan is not None
-    known: tuple[str, ...] = thing_logs.KINDS if offline else KINDS
+    known: tuple[str, ...] = object_logs.KINDS if offline else KINDS
     if arguments.kind not in (*known, harness.ALL):
-        wanted = "without --offline, --explored and --plan" if offline else "with --offline, --explored or --plan"
-        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is {wanted}; here there are: {', '.join(known)}")
-    return thing_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)
+        option = "without --offline, --explored and --plan" if offline else "with --offline, --explored or --plan"
+        raise CliError(BAD_INPUT, f"--kind {arguments.kind} is only possible {option}; here use {', '.join(known)}")
+    return object_logs.OFFLINE.conduct(arguments) if offline else LIVE.conduct(arguments)

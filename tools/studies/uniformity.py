@@ -1,8 +1,8 @@
-"""Whether ranks of the truth in posteriors are uniform: mean and sd of z, shares within 1σ, and a test. Pure.
+"""Test whether ranks of the truth in posteriors are uniform: mean and sd of z, shares within 1σ, and a test. Pure.
 
-Where a posterior is right its z are standard normal and the ranks Φ(z) uniform. A sd of z above 1 is a band too narrow,
-one below 1 a band too wide, a mean that is not 0 a bias. Ranks are compared with uniform ones by Kolmogorov and
-Smirnov's test, each quantity by itself over the runs, which are independent.
+If a posterior is right its z are standard normal and the ranks Φ(z) uniform. A sd of z above 1 means that the band is
+too narrow, one below 1 that it is too wide; a nonzero mean is a bias. Ranks are compared with the uniform distribution
+by the Kolmogorov–Smirnov test, for each quantity over the independent runs.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from scipy import stats
 from palmd.console.columns import aligned
 from palmd.events import FloatArray
 
-SIGNIFICANCE = 0.01  # of all the ranks of a table together, by Bonferroni
+SIGNIFICANCE = 0.01  # for all quantities of a table together, by Bonferroni
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class Uniformity:
-    """Of the z of one quantity: how many, their mean and sd, shares within 1, 2 and 3, and the test of their ranks.
+    """Statistics of the z of one quantity: number, mean, sd, shares within 1, 2 and 3, and the test of their ranks.
 
-    distance: the largest by which the ranks' distribution is not the uniform one; p: the chance of as large a distance.
+    distance: largest distance of the ranks' distribution from the uniform one; p: probability of a larger distance.
     """
 
     runs: int
@@ -35,7 +35,7 @@ class Uniformity:
 
     @classmethod
     def of(cls, z: FloatArray) -> Uniformity:
-        """Of at least one z."""
+        """The statistics of at least one z."""
         test = stats.kstest(stats.norm.cdf(z), "uniform")
         one, two, three = (float(np.mean(np.abs(z) <= limit)) for limit in (1.0, 2.0, 3.0))
         return cls(
@@ -43,18 +43,18 @@ class Uniformity:
         )
 
 
-def at_most(such: int, of: int) -> float:
-    """Upper limit of the share that there may be, with `CONFIDENCE` (Clopper and Pearson)."""
-    return 1.0 if such == of else float(stats.beta.ppf(CONFIDENCE, such + 1, of - such))
+def at_most(part: int, of: int) -> float:
+    """Upper confidence limit of the share, at level `CONFIDENCE` (Clopper and Pearson)."""
+    return 1.0 if part == of else float(stats.beta.ppf(CONFIDENCE, part + 1, of - part))
 
 
 def crooked(found: dict[str, Uniformity]) -> list[str]:
-    """The quantities whose ranks are not uniform, at `SIGNIFICANCE` for all of them together."""
+    """Quantities whose ranks are not uniform, at level `SIGNIFICANCE` for all together."""
     return [name for name, each in found.items() if each.p < SIGNIFICANCE / len(found)]
 
 
 def table(found: dict[str, Uniformity]) -> str:
-    """A line for each quantity, marked where its ranks are not uniform."""
+    """A line for each quantity, marked if its ranks are not uniform."""
     marked = crooked(found)
     head = ("", ["runs", "mean z", "sd z", "≤ 1 sd %", "≤ 2 sd %", "≤ 3 sd %", "KS", "p", ""])
     right = stats.norm.cdf([1.0, 2.0, 3.0]) * 2.0 - 1.0

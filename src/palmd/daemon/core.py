@@ -51,7 +51,7 @@ from palmd.system.rig_constants import describe_rig_errors
 log = logging.getLogger(__name__)
 
 SLOW_TOPIC_S = 1.0 / STATE.rate_hz
-_EARLY_S = 1e-3  # ticks jitter; what is due within this time is due now
+_EARLY_S = 1e-3  # ticks jitter; what is due within so much is due now
 
 _MISWIRED = frozenset({"pads-swapped", "pads-mirrored"})
 """Faults of the pads that make every estimate invalid."""
@@ -125,12 +125,12 @@ class Core:
         self._rig, self._rig_sds = np.zeros_like(self._rig_prior_sds), self._rig_prior_sds
         self._contradicted, self._any_contradicted = np.zeros_like(self._rig_prior_sds), False
         self._notes = frozenset(notes)
-        self._transient: set[str] = set()  # conditions that occurred since the last `decide`
+        self._transient: set[str] = set()  # conditions seen since the last decision
         self._pad_watches = {name: PadDiagnostics(name) for name in self.pads}
         self._arm_watch = ArmDiagnostics()
         self._loop_watch = LoopDiagnostics()
         self._nis_watch = NisDiagnostics()
-        self._system_conditions: frozenset[str] = frozenset()  # conditions that only the system can judge
+        self._system_conditions: frozenset[str] = frozenset()  # conditions that only it knows
         self._ports: dict[EndName, DevicePort] = {}
         self._failure = ""
         self._fault_notes, self._object_notes = FaultNotes(self.journal), ObjectNotes(self.journal)
@@ -156,7 +156,7 @@ class Core:
         """The estimate of the last tick."""
         return self._estimate
 
-    # ---- ports -------------------------------------------------------------------------------------------
+    # ---- the lines ---------------------------------------------------------------------------------------
 
     def ports(self) -> dict[EndName, DevicePort]:
         """The closed ports of all devices."""
@@ -258,7 +258,7 @@ class Core:
                 self._shape = self._observer.shape(t)
                 self._object = self._observer.identify(t)
                 self._t_shape = t
-        except Exception as error:  # whatever fails in a model, the arm must be stopped in a controlled way
+        except Exception as error:  # whatever is wrong with a model, the arm must be stopped in good order
             if not self._observer_failed:
                 log.exception("the observer failed; further failures are not logged")
             self._observer_failed = True
@@ -287,7 +287,7 @@ class Core:
         self.journal.t = t
         present = self._conditions(t, under_way)
         lifted = {f"{name}-lifted" for name in self.pads}
-        certain = lifted if lifted <= present else frozenset[str]()  # both pads report it
+        certain = lifted if lifted <= present else frozenset[str]()  # both pads say so
         self.faults.update(present, t, armed=self.supervisor.armed, certain=certain, evidence=self._guard_evidence)
         if self.arm.guards.following.shows_no_motion and self.arm.actual is not None:
             self.setpoints.retreat(self.arm.actual, t)
@@ -404,7 +404,7 @@ class Core:
         self.decide(t)
         return self.report(t)
 
-    # ---- outside of ticks --------------------------------------------------------------------------------
+    # ---- beside the ticks --------------------------------------------------------------------------------
 
     def overran(self, t: float, late_s: float, why: str = "") -> None:
         """The tick that ended at `t` (s) was `late_s` after its deadline, so later ticks were skipped."""
@@ -446,7 +446,7 @@ class Core:
         return ExplorationInputs(
             tracking=self.state is State.TRACKING,
             touching=all(self._contacts),
-            known=self._observer.foresees,
+            known=self._observer.has_planning_belief,
             object_count=self._observer.object_count,
             get_belief=lambda: self._observer.planning_belief(t),
             sticking=self._system.sticking,

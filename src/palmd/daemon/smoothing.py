@@ -23,11 +23,11 @@ from palmd.events import Event, Improvement, PadLift, PadSample, PalmSample, Une
 from palmd.observer.smoothing import Session, period
 from palmd.system.description import RigDescription
 
-BATCH_S = 0.05  # of events sent in one message
-HIGH_WATER = 100  # messages in transit: five seconds
-KEPT_EVENTS = 1000  # while the process takes none: some four seconds; packing them takes 1 ms
-SHARE = 0.8  # of one core, at most (study 2026-11-30: at 0.5, difficult motions leave 5 s between two answers)
-NICENESS = 3  # lower priority than the loop, but high enough for timely answers
+BATCH_S = 0.05  # of events that go out in one message
+HIGH_WATER = 100  # messages on their way: five seconds
+KEPT_EVENTS = 1000  # for a process that does not take them: some four seconds; packing them takes 1 ms
+SHARE = 0.8  # of one core, at most (study 2026-11-30: at 0.5 hard motions leave 5 s between two answers)
+NICENESS = 3  # after the loop, but not so far behind others that its answers come too late
 
 Answer = TypeVar("Answer")
 Rig = TypeVar("Rig")
@@ -79,7 +79,7 @@ class BatchingProcess(Generic[Answer]):
 
     def collect(self, t: float) -> Answer | None:
         """The newest answer that has arrived."""
-        del t  # an answer can be used as soon as it arrives
+        del t  # it is ready when it is here
         newest: Answer | None = None
         for message in self._process.received():
             newest = self._answer_of(*msgpack.unpackb(message))
@@ -131,23 +131,23 @@ def work(
                 continue
             started, spent = time.monotonic(), time.process_time()
             result = answer()
-            spent = time.process_time() - spent  # processor time only: waiting on a busy machine does not count
+            spent = time.process_time() - spent  # what it waited for on a busy machine, others have had
             t_next = started + max(period_s(), spent / SHARE)
             if result is not None:
                 socket.send(msgpack.packb(result))
-                release_memory()  # not during a computation, which it would stop for a third of the time
+                release_memory()  # not beside a thought: the collector stops it, for a third of its time
 
 
 def rig_from_json(rig: str, kind: type[Rig]) -> Rig:
     """The rig description from its fields as JSON, nested dataclasses included."""
-    from pydantic import TypeAdapter  # only in the process
+    from pydantic import TypeAdapter  # in the process alone
 
     return TypeAdapter(kind).validate_json(rig)
 
 
 def serve(address: str, rig: str) -> None:
     """Main function of the process, endless; `rig` holds the description's fields as JSON."""
-    # only in this process: the loop's does not need them
+    # in this process alone: the loop's has no use for them
     from palmd.model import shape_map, smoothing
     from palmd.observer.incremental import IncrementalSmoother
 
@@ -160,7 +160,7 @@ def serve(address: str, rig: str) -> None:
         smoother.add(Session(object_count, begun, None if hint is None else np.frombuffer(hint)), events)
 
     def answer() -> list[Any] | None:
-        result = smoother.said()
+        result = smoother.result()
         if result is None:
             return None
         if isinstance(result, Unexplained):

@@ -1,8 +1,8 @@
-"""A bank of Kalman filters run side by side in generated C, each weighed by how well it predicted the readings.
+"""A bank of Kalman filters run side by side in generated C, each scored by the likelihood of the readings.
 
-One filter started blind is lost in a third of the starts whatever its tuning; of many started from samples of the
-prior some land in the right basin, and the readings tell which. The bank knows nothing of the model: it holds
-arrays, calls the kernels, keeps the scores, and prunes what is unlikely.
+A single filter started blind diverges in a third of the starts, whatever its tuning; of many filters started from
+samples of the prior some converge, and their scores show which. The bank does not know the model: it holds arrays,
+calls the kernels, keeps the scores, and prunes unlikely filters.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from palmd.observer.cutoff import cut_off
 if TYPE_CHECKING:
     from palmd.observer.compiled_fusion import CompiledBank
 
-GATE = 16.0  # innovation² beyond which a reading is an outlier: 4 sigma
-SCORE_MEMORY_S = 2.0  # longer, and what was likely early leads after it has gone wrong
-NIS_READINGS = 50.0  # readings over which each filter's mean NIS is taken
+GATE = 16.0  # normalised innovation squared above which a reading is an outlier: 4σ
+SCORE_MEMORY_S = 2.0  # s; with a longer memory a filter that was likely early still leads after it has diverged
+NIS_READINGS = 50.0  # readings over which each filter's mean NIS is averaged
 LOST_SCORE = -math.inf
 _ONLY = np.zeros(1, dtype=np.intp)
 _ONLY.setflags(write=False)
@@ -33,7 +33,7 @@ _ONLY.setflags(write=False)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything a bank needs to go back to one instant."""
+    """The state of a bank at one instant, for `Bank.restore`."""
 
     x: FloatArray
     P: FloatArray
@@ -43,7 +43,7 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Independent Gaussian beliefs about the states in `which`: means (size, n), one-sigma (n), or (size, n)."""
+    """Independent Gaussian beliefs about the states in `which`: means (size, n), 1σ (n) or (size, n)."""
 
     which: slice
     mean: FloatArray
@@ -53,9 +53,9 @@ class Belief:
 class Bank:
     """Filters with `n` states each: mean `x` (size, n), covariance `P` (size, n, n), log-score, mean NIS.
 
-    `size` is a multiple of the kernels' block; it shrinks when `prune` drops unlikely filters and is back at its
-    full value after `refill`. All methods are safe inside the loop: nothing grows, nothing blocks, and a filter that
-    has become non-finite is inactive and never read.
+    `size` is a multiple of the kernels' block; `prune` reduces it and `refill` restores its full value. All methods
+    are safe inside the loop: they allocate no growing memory and do not block. A filter that becomes non-finite is
+    deactivated.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Bank:
     ):
         """Bind the kernels `predict`, `values` and those in `updates` (name → length of their last input).
 
-        `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores fade
-        with the time constant `memory_s`. A bank of one filter has kernels of its own.
+        `inputs` are the lengths of the last inputs of `predict` and `values`, and the number of values. Scores decay
+        with the time constant `memory_s`. A bank of one filter uses the kernels for a single filter.
         """
-        self.compiled: CompiledBank | None = None  # what does in C what is done here in NumPy, where there is any
+        self.compiled: CompiledBank | None = None  # the C implementation of methods that are written in NumPy here
         self.block = 1 if size == 1 else LANES
         suffix = "" if size == 1 else "_block"
         blocks = math.ceil(size / self.block)
@@ -80,7 +80,7 @@ class Bank:
         self.n = n
         self.backend = library.backend
         self.memory_s = memory_s
-        self._now = (ctypes.c_long * 2)(0, blocks)  # which side is current, how many blocks are active: C changes it
+        self._now = (ctypes.c_long * 2)(0, blocks)  # current side and number of active blocks; C changes both
         self._x = [np.zeros((self.full_size, n)) for _ in range(2)]
         self._P = [np.zeros((self.full_size, n, n)) for _ in range(2)]
         self._score, self._nis = np.zeros(self.full_size), np.ones(self.full_size)
@@ -113,11 +113,11 @@ class Bank:
 
     @property
     def _side(self) -> int:
-        """Kernels write into the other side's arrays, which then become the current ones."""
+        """Index of the current arrays; kernels write into the other side's, which then become current."""
         return self._now[0]
 
     def memory(self) -> tuple[list[FloatArray], list[FloatArray], FloatArray, FloatArray, FloatArray, FloatArray, Any]:
-        """All that C needs to go on with: both sides' x and P, scores, mean NIS, outcomes, values; side and blocks."""
+        """The arrays that C works on: both sides' x and P, scores, mean NIS, outcomes, values; side and blocks."""
         return self._x, self._P, self._score, self._nis, self._outcome, self._y, self._now
 
     def members(self, block: int) -> slice:
@@ -136,7 +136,7 @@ class Bank:
 
     @property
     def score(self) -> FloatArray:
-        """Log-likelihood of the readings so far, slowly forgetting, (size)."""
+        """Log-likelihood of the readings so far, with exponential forgetting, (size)."""
         return self._score[: self.size]
 
     @property
@@ -145,32 +145,32 @@ class Bank:
         return self._nis[: self.size]
 
     def nis_of(self, member: int) -> float:
-        """That of one filter."""
+        """Mean NIS of one filter."""
         return float(self._nis[member])
 
     def refill(self) -> None:
-        """All filters active again, with equal scores; their states are the caller's to set."""
+        """Activate all filters with equal scores; the caller sets their states."""
         self._now[1] = self.full_size // self.block
         self._score[:] = 0.0
         self._nis[:] = 1.0
 
     def predict(self, dt: float, *inputs: FloatArray) -> None:
-        """Move every filter on by `dt` seconds under the same inputs."""
+        """Propagate every filter by `dt` seconds with the same inputs."""
         self._u[0] = dt
         self._u[1:] = np.concatenate(inputs)
         self._call(self._predict)
         self._now[0] = 1 - self._now[0]
 
     def age_scores(self, seconds: float) -> None:
-        """Let what the readings so far have scored weigh less."""
+        """Reduce the weight of past readings in the scores."""
         self.score[:] *= math.exp(-seconds / self.memory_s)
 
     def update(
         self, name: str, value: float, variance: float, *inputs: float, repeated: float = 1.0, scored: bool = True
     ) -> None:
-        """Fuse one scalar reading into every filter, one of `repeated` that share one error.
+        """Fuse one scalar reading into every filter; `repeated` readings share one error.
 
-        `scored` says whether it counts in the score.
+        `scored`: whether it counts in the scores and the mean NIS.
         """
         self._z[name][:] = (value, variance, GATE, repeated, *inputs)
         self._call(self._updates[name])
@@ -179,25 +179,25 @@ class Bank:
         # a sum is finite only if all its terms are (or they cancel as infinities, which gives NaN)
         with np.errstate(over="ignore", invalid="ignore"):
             if not math.isfinite(self.x.sum() + outcome.sum()):
-                self._park(np.isfinite(self.x.sum(axis=1) + outcome.sum(axis=1)))
+                self._deactivate(np.isfinite(self.x.sum(axis=1) + outcome.sum(axis=1)))
         if scored:
             self.score[:] += outcome[:, 0]
-            # capped, so that a rare outlier does not pass for a wrong model
+            # capped, so that a rare outlier is not taken for a wrong model
             self.nis[:] += (np.minimum(outcome[:, 1], GATE) - self.nis) / NIS_READINGS
 
     def values(self, *inputs: FloatArray) -> FloatArray:
-        """The kernel `values` of every filter, (size, number of values); overwritten by the next call."""
+        """Evaluate the kernel `values` for every filter, (size, number of values); overwritten by the next call."""
         self._v[:] = np.concatenate(inputs)
         self._call(self._values)
         return self._y[: self.size]
 
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
-        """Forget `fraction` of what the readings have taught the filters of one block, but not the prior.
+        """Discount the readings fused into one block's filters by `fraction`, but not the prior.
 
-        Readings fused about a poor first guess have bent the filters by more than their covariances admit;
-        forgetting some of the past all along lets later, better linearised readings mend it. The covariance
-        grows by 1 + fraction, and the constants are told their prior again with just the weight that this took
-        from it. Takes a tenth of a millisecond: for now and then, not for every event.
+        Readings linearised about a poor first guess bias the filters by more than their covariances show; forgetting
+        lets later, better linearised readings correct that. The covariance grows by 1 + fraction, and the prior of
+        the constants is fused again with the information that this removed from it. Takes a tenth of a millisecond:
+        call it now and then, not for every event.
         """
         if self.compiled is not None:
             self.compiled.fade(block, fraction, prior)
@@ -206,7 +206,7 @@ class Bank:
         x, P, mean = self.x[members], self.P[members], prior.mean[members]
         variance = np.broadcast_to(prior.sd, prior.mean.shape)[members] ** 2
         P *= 1.0 + fraction
-        with np.errstate(over="ignore", invalid="ignore"):  # a filter gone wild is parked at the next reading
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverged filter is deactivated at the next reading
             for state in range(*prior.which.indices(self.n)):
                 spread = P[:, state, state] + variance[:, state] / fraction
                 gain = P[:, :, state] / spread[:, None]
@@ -214,20 +214,20 @@ class Bank:
                 # P − k k' S: symmetric by construction, and S > P[state, state] keeps it positive
                 P -= gain[:, :, None] * (gain * spread[:, None])[:, None, :]
 
-    def lift(self, block: int, rows: FloatArray) -> bool:
-        """Tell the filters of one block that rows·x ≥ 0, where the mean of the lowest is below.
+    def impose_nonnegative(self, block: int, rows: FloatArray) -> bool:
+        """Impose rows·x ≥ 0 on the filters of one block, for the row whose mean is lowest, if that is negative.
 
-        Mean and variance become those of the normal distribution cut off at 0, exactly. Returns whether every filter
-        was found above. A few microseconds when it was, some 20 µs a filter when not.
+        Mean and variance become exactly those of the normal distribution truncated at 0. Returns whether all filters
+        satisfied the constraint already. A few microseconds if so, else some 20 µs for each filter.
         """
         if self.compiled is not None:
-            return self.compiled.lift(block, rows)
+            return self.compiled.impose_nonnegative(block, rows)
         members = self.members(block)
         x, P = self.x[members], self.P[members]
         values = x @ rows.T
         below = np.flatnonzero(values.min(axis=1) < 0.0)
         for member in below:
-            # one gone wild cannot be told, and is parked at the next reading
+            # a diverged filter cannot be truncated; it is deactivated at the next reading
             cut_off(x[member], P[member], rows[int(values[member].argmin())])
         return not len(below)
 
@@ -238,10 +238,10 @@ class Bank:
         return bool((rows @ self.x[member]).min() < 0.0)
 
     def prune(self, margin: float) -> npt.NDArray[np.intp] | None:
-        """Drop filters whose score is more than `margin` (nats) behind the best, block by block.
+        """Drop filters whose score is more than `margin` (nats) below the best, block by block.
 
-        Returns the former index of each filter that stays, None if none went: earlier indices and snapshots are
-        void then.
+        Returns the former index of each remaining filter, None if none was dropped. Pruning invalidates earlier
+        indices and snapshots.
         """
         hopeful = int(np.count_nonzero(self.score > self.score.max() - margin))
         blocks = max(1, math.ceil(hopeful / self.block))
@@ -254,7 +254,7 @@ class Bank:
         return order[: self.size]
 
     def drop(self, members: npt.NDArray[np.bool_]) -> None:
-        """Make some filters inactive for good."""
+        """Deactivate some filters until the next `refill`."""
         self.score[members] = LOST_SCORE
 
     def best(self) -> int:
@@ -262,11 +262,11 @@ class Bank:
         return int(self._score[: self.size].argmax()) if self.full_size > 1 else 0
 
     def lost(self) -> bool:
-        """Whether not one filter is finite any more."""
+        """Whether no filter is finite any more."""
         return self.is_lost(self.best())
 
     def is_lost(self, member: int) -> bool:
-        """Whether one filter is not."""
+        """Whether one filter has been deactivated."""
         return bool(self._score[member] == LOST_SCORE)
 
     def plausible(self, margin: float) -> npt.NDArray[np.intp]:
@@ -278,25 +278,25 @@ class Bank:
         return members
 
     def blank(self) -> Snapshot:
-        """Memory for one snapshot, to be written over by `remember`."""
+        """Allocate one snapshot, to be written by `remember`."""
         full = self.full_size
         return Snapshot(np.ones((full, self.n)), np.ones((full, self.n, self.n)), np.ones(full), np.ones(full))
 
     def remember(self, into: Snapshot) -> None:
-        """Copy the present into `into`, for `restore`."""
+        """Copy the present state into `into`, for `restore`."""
         n = self.size
         into.x[:n], into.P[:n], into.score[:n], into.nis[:n] = self.x, self.P, self.score, self.nis
 
     def restore(self, past: Snapshot) -> None:
-        """Go back to `past`, remembered since the last `prune` or `refill`."""
+        """Go back to `past`, which was saved after the last `prune` and `refill`."""
         n = self.size
         self.x[:], self.P[:], self.score[:], self.nis[:] = past.x[:n], past.P[:n], past.score[:n], past.nis[:n]
 
     def _call(self, kernel: list[BoundCall]) -> None:
         kernel[self._side](self.size)
 
-    def _park(self, sound: npt.NDArray[np.bool_]) -> None:
-        """Take filters that have become inactive, with a finite state so that no NaN spreads."""
+    def _deactivate(self, sound: npt.NDArray[np.bool_]) -> None:
+        """Deactivate filters that are not `sound` and give them a finite state, so that no NaN spreads."""
         if sound.any():
             successor = int(np.argmax(np.where(sound, self.score, -np.inf)))
             self.x[~sound], self.P[~sound] = self.x[successor], self.P[successor]

@@ -1,8 +1,8 @@
-"""The observer that the daemon runs: a bank of filters, from the first touch to a settled estimate and beyond.
+"""The observer that the daemon runs: a bank of filters, from the first contact to a valid estimate and beyond.
 
-It begins blind from a circle when both palms feel the object (`session`), or from what was known before it was felt
-(`hypotheses`), fuses every event at its own time (`fusion`), lets a smoother outside the loop improve it
-(`smoother_link`), and says `valid` only when one rule allows it (`validity`).
+When both palms are touched it starts blind from a circle (`session`) or from a known object (`hypotheses`), fuses every
+event at the event's own time (`fusion`), takes improvements from a smoother outside the loop (`smoother_link`), and
+declares an estimate valid by one rule (`validity`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from palmd.events import (
     Unexplained,
 )
 from palmd.model.outputs import NAMED, rig_inputs
-from palmd.observer.answer import answer, no_answer, outline_answer, planning_belief
 from palmd.observer.contacts import GONE_S, Contacts, finite
+from palmd.observer.estimates import empty_estimate, make_estimate, outline_estimate, planning_belief
 from palmd.observer.filters.base import LONGEST_STEP_S, Filters
 from palmd.observer.fusion import Fusion
 from palmd.observer.history import EVENTS
@@ -39,18 +39,27 @@ from palmd.observer.smoother_link import SmootherLink
 from palmd.observer.smoothing import Session
 from palmd.observer.sticking import StickingWatch
 from palmd.observer.track import Track
-from palmd.observer.validity import VAGUE_M, Evidence, Thresholds, consistent, predictable, reasons, settled, unmet
+from palmd.observer.validity import (
+    CONTRADICTED_M,
+    Evidence,
+    Thresholds,
+    consistent,
+    predictable,
+    reasons,
+    settled,
+    unmet,
+)
 from palmd.system.arcs import MOST_LYING
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import BENDS, FORCES, PALMS, RADII
 from palmd.system.rig_constants import declared_exact
 
 SETTLED = Thresholds(age_s=0.4, radius_sd_m=3e-4, disagreement_m=3e-4)
-DISTRUSTED_S = 3.5  # after an object was lost where it lay: what the model does not explain is lost again before long
-RIG_KNOWN_M = 1e-5  # of a radius: what the rig's constants may leave open that no smoother has told of yet
+DISTRUSTED_S = 3.5  # no valid estimate for so long after a loss without lift-off: an unexplained object is lost again
+RIG_KNOWN_M = 1e-5  # 1σ of a radius due to the rig's constants, below which no smoother has to estimate them first
 _FORCES, _BENDS = ([NAMED.index(name) for name in names] for names in (FORCES, BENDS))
 _AGREED = [0.0] * len(NAMED)
-_RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # one beside the other
+_RADII = slice(NAMED.index(RADII[0]), NAMED.index(RADII[-1]) + 1)  # adjacent in NAMED
 
 
 def _no_contact() -> str:
@@ -58,7 +67,7 @@ def _no_contact() -> str:
 
 
 def _why_invalid(evidence: Evidence, nis: float, radius_sd_m: float, safe: bool) -> str:
-    """`radius_sd_m` includes what the innovation test added; `safe`: all but the object's identity is decided."""
+    """The reasons in words. `radius_sd_m` includes the innovation test's inflation; `safe`: only identity is open."""
     failed = unmet(evidence, SETTLED, nis)
     if not failed and safe:
         failed = ["which stored object it is, is not decided"]
@@ -69,12 +78,12 @@ def _why_invalid(evidence: Evidence, nis: float, radius_sd_m: float, safe: bool)
 
 
 def _largest(values: list[float]) -> float:
-    """NaN where one is."""
+    """The maximum, NaN if any value is NaN."""
     return math.nan if any(map(math.isnan, values)) else max(values)
 
 
 STICKS = ("sticks",)
-"""Why an estimate is not valid: palms that do not vibrate hold the object by dry friction, or may."""
+"""Reason code: the palms do not vibrate, so that dry friction may hold the object."""
 
 
 class BankObserver:
@@ -88,10 +97,10 @@ class BankObserver:
         hypotheses: Hypotheses | None = None,
         link: SmootherLink | None = None,
     ):
-        """Deterministic for given `seed`, events, times, and answers of the smoother that `link` leads to, if any.
+        """Deterministic for given `seed`, events, times, and improvements from the smoother behind `link`, if any.
 
-        `hypotheses` are about objects that are not new; by default that it is the last one, put back. Their first bank
-        is `filters`.
+        `hypotheses` are about known objects; by default that the last object has been put back. Their first bank is
+        `filters`.
         """
         self.name = filters.name
         self.backend = filters.bank.backend
@@ -107,21 +116,21 @@ class BankObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the very beginning, as if nothing had been fed."""
+        """Back to the initial state, as if nothing had been fed."""
         self._hypotheses.reset()
         self._fusion.reset()
         if self._link is not None:
             self._link.reset()
         self._contacts = Contacts()
-        self._because: Callable[[], str] = _no_contact  # in words only when asked: a tick has no time for them
+        self._invalid_text: Callable[[], str] = _no_contact  # formatted on request only: a tick has no time for it
         self._sticking = StickingWatch(self._rig.vibration, self._rig.gravity)
         self._session = ObjectSession(
             self._rig, self._seed, self._fusion, self._contacts, self._hypotheses, self._observability
         )
-        self._draws = np.random.default_rng([self._seed, 1 << 20])  # of outlooks: estimates do not depend on them
+        self._random = np.random.default_rng([self._seed, 1 << 20])  # for planning beliefs; no estimate depends on it
 
     def forget_object(self) -> bool:
-        """Begin a new object with the next readings; nothing of the present one is remembered."""
+        """Start a new object with the next readings; nothing of the present one is remembered."""
         self._hypotheses.reset()
         self._session.stop()
         return True
@@ -129,7 +138,7 @@ class BankObserver:
     def warm_up(self) -> None:
         """Pay the costs of first calls (page faults, the linear algebra's work space) now; ends with a `reset`.
 
-        For before the loop begins: it takes some milliseconds.
+        Takes some milliseconds: call it before the loop starts.
         """
         for i in range(2 * EVENTS):
             t = i * 0.01
@@ -142,35 +151,35 @@ class BankObserver:
 
     @property
     def object_count(self) -> int:
-        """Counts up when a new object is begun."""
+        """Number of the present object; increases when a new object is started."""
         return self._session.object_count
 
     @property
     def late_dropped(self) -> int:
-        """Events too late to be fused, or not finite."""
+        """Number of events that were too late to be fused, or not finite."""
         return self._fusion.late_dropped
 
     @property
     def improvements(self) -> int:
-        """How many of the smoother's answers have been taken in."""
+        """Number of the smoother's improvements that have been handed over."""
         return 0 if self._link is None else self._link.improvements
 
     @property
-    def begun(self) -> float:
-        """When the present object was begun (s), inf while there is none."""
-        return self._session.begun
+    def start_time(self) -> float:
+        """When the present object was started (s), inf while there is none."""
+        return self._session.start_time
 
-    # ---- what comes in
+    # ---- input
 
     def feed(self, event: Event) -> None:
-        """Take one event. A late one is fused at its own time; one too late for that is counted and dropped."""
+        """Take one event. A late event is fused at its own time, or counted and dropped if it is too late for that."""
         if isinstance(event, PadLift):
             self._contacts.lift(event.pad)
         elif not finite(event):
             self._fusion.late_dropped += 1
             return
         if self._link is not None:
-            self._link.hear(event)
+            self._link.add_event(event)
         if isinstance(event, PadSample):
             self._feed_pad(event if self._link is None else self._link.on_time(event))
         elif isinstance(event, PalmSample):
@@ -185,12 +194,12 @@ class BankObserver:
 
     def _feed_palms(self, event: PalmSample) -> None:
         t, fusion = event.t_sample, self._fusion
-        gap, foreseen = t - fusion.palms.t, fusion.palms_known(t)
-        fusion.hear_palms(event)
+        gap, predicted = t - fusion.palms.t, fusion.palms_known(t)
+        fusion.add_palm_report(event)
         if self._session.track is not None:
             if gap > GONE_S:
                 self._session.stop()
-            elif not foreseen and fusion.palms_known(t):
+            elif not predicted and fusion.palms_known(t):
                 fusion.bridge(t, t - fusion.t)
         self._fuse(event)
 
@@ -202,121 +211,122 @@ class BankObserver:
             elif fusion.palms_known(t):
                 fusion.add(event)
                 if isinstance(event, PadSample) and self._link is not None and not self._curved:
-                    session.track.riding.read(event, fusion.palms.motion(t))
+                    session.track.flat_side_test.read(event, fusion.palms.motion(t))
         if session.track is None:
             session.try_to_begin(t)
 
     def improve(self, t: float) -> Improvement | Unexplained | None:
-        """Exchange with the smoother at `t` (s), once a tick before `estimate`; what it answers, each answer once."""
+        """Exchange data with the smoother at `t` (s), once a tick before `estimate`; returns each result once."""
         if self._link is None:
             return None
         session, fusion = self._session, self._fusion
         track = session.track
-        known = track is not None and track.valid and not fusion.carries
+        known = track is not None and track.valid and not fusion.uses_smoothed_filter
         hint = fusion.bank.x[fusion.bank.best()] if known else None
-        improvement = self._link.exchange(t, Session(session.object_count, session.begun, hint))
+        improvement = self._link.exchange(t, Session(session.object_count, session.start_time, hint))
         self._link.catch_up(track, session.object_count, fusion.t)
         return improvement
 
-    # ---- what goes out
+    # ---- output
 
     def estimate(self, t: float) -> Estimate:
-        """The most likely filter's answer for time `t` ≥ the last event (s); never raises, NaN where unknown."""
+        """The most likely filter's estimate for time `t` ≥ the last event (s); never raises, NaN where unknown."""
         fusion, session = self._fusion, self._session
         gone, best = t - fusion.palms.t > GONE_S or self._contacts.gone(t), fusion.bank.best()
         if session.track is not None and (gone or fusion.bank.is_lost(best)):
             session.stop()
         track = session.track
-        self._because = _no_contact if track is None else str
+        self._invalid_text = _no_contact if track is None else str
         if track is None:
             palms = fusion.palms.motion(t) if fusion.palms_known(t) else None
-            return no_answer(t, self.name, session.object_count, palms)
+            return empty_estimate(t, self.name, session.object_count, palms)
         nis = fusion.bank.nis_of(best)
         y, sd, disagreement = self._named(track, best, t)
         evidence = self._evidence(track, t, y, sd, disagreement, nis)
         track.innovation_test.take(nis, t)
-        factor = track.innovation_test.factor  # what is acted on, validity too, goes by `sd`: who holds learns no more
-        told_sd = [each * factor for each in sd]
+        # `factor` inflates published values only; planning and validity use `sd`: a rig that holds gets no new readings
+        factor = track.innovation_test.factor
+        published_sd = [each * factor for each in sd]
         safe = (
             settled(evidence, SETTLED)
             and self._slides(t)
-            and self._foreseen(told_sd)
+            and self._is_precise(published_sd)
             and (fusion.is_convex(best) or fusion.make_convex(best // fusion.bank.block))
         )
         valid = session.judge(t, safe)
         if not valid:
-            self._because = partial(_why_invalid, evidence, nis, _largest(told_sd[_RADII]), safe)
-        best = fusion.bank.best()  # another bank may have taken over
-        track = session.track or track  # another object may have been begun
+            self._invalid_text = partial(_why_invalid, evidence, nis, _largest(published_sd[_RADII]), safe)
+        best = fusion.bank.best()  # the bank may have changed
+        track = session.track or track  # another object may have been started
         if valid:
             for pad, force in zip(PALMS, _FORCES, strict=True):
                 track.mass.weigh(self._contacts.last(pad), y[force])
             track.coverage.mark(t, best, y, fusion.psi)
             self._hypotheses.keep(track, t)
-        lately = session.track is not None and self._contacts.read_lately(t)
+        recent = session.track is not None and self._contacts.read_lately(t)
         track.valid = valid
         track.confirmed |= valid
-        track.predictable = valid or predictable(evidence.finite, lately, track.age(t), evidence.radius_sd_m)
+        track.predictable = valid or predictable(evidence.finite, recent, track.age(t), evidence.radius_sd_m)
         if track.predictable:
             for pad, force in zip(PALMS, _FORCES, strict=True):
                 track.likely_mass.weigh(self._contacts.last(pad), y[force])
-        return answer(
-            t, valid, self.name, session.object_count, y, told_sd, track.mass,
+        return make_estimate(
+            t, valid, self.name, session.object_count, y, published_sd, track.mass,
             fusion.bank.nis_of(best), self._observability.value(), track.coverage.fraction,
             () if valid else (*self._sticks(), *reasons(evidence, SETTLED)),
         )  # fmt: skip
 
     def _sticks(self) -> tuple[str, ...]:
-        """The code of dry friction that holds the object, or may."""
+        """The reason code `sticks` if dry friction may hold the object, else nothing."""
         return STICKS if self._dry and not self._sticking.frictionless else ()
 
     def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline of the most likely filter at `t` (s), None before anything is felt."""
+        """The outline of the most likely filter at `t` (s), None while there is no object."""
         fusion, track = self._fusion, self._session.track
         if track is None or fusion.bank.lost():
             return None
         coefficients, cov = fusion.filters.outline(fusion.bank.best())
-        radius_sd = 0.0 if fusion.allows_for_rig else track.radius_sd
+        radius_sd = 0.0 if fusion.includes_rig_uncertainty else track.radius_sd
         inflation = self._inflation(track, t) * track.innovation_test.factor
-        return outline_answer(t, coefficients, cov, track.coverage.marks, inflation, radius_sd)
+        return outline_estimate(t, coefficients, cov, track.coverage.marks, inflation, radius_sd)
 
     @property
-    def foresees(self) -> bool:
-        """Whether the last estimate was good enough to choose motions by, though perhaps not valid yet."""
+    def has_planning_belief(self) -> bool:
+        """Whether the last estimate was good enough for planning motions, though perhaps not valid yet."""
         return self._session.track is not None and self._session.track.predictable
 
     @property
     def invalid_because(self) -> str:
-        """As of the last `estimate`."""
-        return self._because()
+        """Why the last `estimate` was invalid."""
+        return self._invalid_text()
 
     @property
     def cornered(self) -> bool:
-        """Whether it has lain on a palm and touched the other one with a corner (`FixedModeTest`)."""
+        """Whether a corner has been detected: the object lay on one palm and touched the other with a corner."""
         track = self._session.track
-        return track is not None and track.riding.cornered
+        return track is not None and track.flat_side_test.cornered
 
     def planning_belief(self, t: float) -> PlanningBelief | None:
-        """What is known of the object at `t` (s), for choosing motions; None unless it `foresees`."""
+        """The belief for planning at `t` (s); None unless `has_planning_belief`."""
         fusion, track = self._fusion, self._session.track
         if track is None or not track.predictable:
             return None
         inflation = self._inflation(track, t)
         marks, count = track.coverage.marks, self._session.object_count
-        rig = None if self._link is None else self._link.rig_off
+        rig = None if self._link is None else self._link.rig_errors
         mass = track.likely_mass
-        return planning_belief(t, fusion.filters, fusion.rivals(), marks, inflation, self._draws, count, rig, mass)
+        return planning_belief(t, fusion.filters, fusion.rivals(), marks, inflation, self._random, count, rig, mass)
 
     def identify(self, t: float) -> ObjectEstimate | None:
-        """Which stored object it is at `t` (s), None before anything is felt or where none are stored."""
+        """Which stored object it is at `t` (s), None while there is no object or if no outlines are stored."""
         if self._session.track is None or self._fusion.bank.lost():
             return None
         return self._hypotheses.identify(t, self._session.object_count)
 
     def _named(self, track: Track, best: int, t: float) -> tuple[list[float], list[float], list[float]]:
-        """Of `NAMED` at `t` (s): values, one-sigmas, and the share of these that rival hypotheses make.
+        """Values of `NAMED` at `t` (s), their standard deviations, and the part of these due to rival hypotheses.
 
-        Plain numbers: of eighteen arithmetic takes less time than of an array.
+        Plain floats: for eighteen numbers they are faster than an array.
         """
         fusion = self._fusion
         dt = min(max(t - fusion.t, 0.0), LONGEST_STEP_S * 4)
@@ -328,7 +338,7 @@ class BankObserver:
         disagreement = fusion.disagreement(self._hypotheses.one_gauge) or _AGREED
         each = zip(variance, disagreement, strict=True)
         sd = [math.sqrt((0.0 if own < 0.0 else own) + other * other) * inflation for own, other in each]
-        if not fusion.allows_for_rig:
+        if not fusion.includes_rig_uncertainty:
             sd[_RADII] = np.hypot(sd[_RADII], track.radius_sd).tolist()
         return y, sd, disagreement
 
@@ -340,66 +350,67 @@ class BankObserver:
             touching=contacts.touching(t),
             palms_known=fusion.palms_known(t),
             resumed_for_s=t - contacts.resumed,
-            finite=math.isfinite(sum(y) + sum(sd)),  # as are all its terms
-            consistent=consistent(nis) and self._lies_on(y),
+            finite=math.isfinite(sum(y) + sum(sd)),  # the sum is finite only if all terms are
+            consistent=consistent(nis) and self._rests_on_palms(y),
             age_s=track.age(t),
             radius_sd_m=_largest(sd[_RADII]),
             disagreement_m=_largest(disagreement[_RADII]),
             explained=self._explained(track, t),
-            rig_known=self._link is None or fusion.allows_for_rig or track.radius_sd < RIG_KNOWN_M,
+            rig_known=self._link is None or fusion.includes_rig_uncertainty or track.radius_sd < RIG_KNOWN_M,
         )
 
     def _explained(self, track: Track, t: float) -> bool:
-        """Whether nothing speaks against the model itself: a corner, a flat side, two objects."""
-        if self._link is not None and self._link.refuses(self._session.begun):
+        """Whether nothing contradicts the model of a smooth outline: no corner, flat side or second object."""
+        if self._link is not None and self._link.rejects(self._session.start_time):
             return False
-        if self._may_ride(track):
+        if self._may_turn_with_palm(track):
             return False
-        return self._fusion.carries or not self._session.distrusted or track.age(t) > DISTRUSTED_S
+        return self._fusion.uses_smoothed_filter or not self._session.distrusted or track.age(t) > DISTRUSTED_S
 
-    def _foreseen(self, told_sd: list[float]) -> bool:
-        """Whether what is told, surprises and all, is as sharp as who tells it must be: a bank may take all in.
+    def _is_precise(self, published_sd: list[float]) -> bool:
+        """Whether the inflated 1σ of the radii is below the limit for its source; filter banks are overconfident.
 
-        So may what a smoother has vouched for on few readings, on a rig that is known exactly, until it is established.
+        On an exactly known rig the same limit, a wider one, applies to a confirmed smoother's outline until it is
+        established, since it may rest on few readings.
         """
-        if self._link is None or self._fusion.carries:
+        if self._link is None or self._fusion.uses_smoothed_filter:
             return True
-        vouched = self._link.vouches(self._session.begun)
-        if vouched and not self._exact:
+        confirmed = self._link.confirms(self._session.start_time)
+        if confirmed and not self._exact:
             return True
-        return max(told_sd[_RADII]) < (VAGUE_M if vouched else SETTLED.radius_sd_m)
+        return max(published_sd[_RADII]) < (CONTRADICTED_M if confirmed else SETTLED.radius_sd_m)
 
-    def _may_ride(self, track: Track) -> bool:
-        """Whether it may only turn with a palm, as what lies on a flat side does, or be a disc, for all that is known.
+    def _may_turn_with_palm(self, track: Track) -> bool:
+        """Whether the readings allow that the object turns with a palm (as on a flat side) or is a disc.
 
-        A bank takes that for a smooth object, however far off, and so may a smoother that no second search has agreed
-        with or, on a rig that is known exactly, that has not weighed its answer against a ride: of a disc it may all
-        the same, unless that is told sharply and both palms' readings together are not those of a disc. What has been
-        felt to have a corner no smooth outline is of, whoever tells it.
+        A bank explains such readings by a wrong smooth outline. So may a smoother's result that no second search has
+        confirmed or, on an exactly known rig, that has not been compared with an object fixed to a palm. For a disc
+        even that comparison does not help, unless the outline is precise and both palms' readings together contradict
+        a disc. After a corner has been detected, no smooth-outline estimate is valid.
         """
         if self._link is None or self._curved:
             return False
-        riding = track.riding
-        begun = self._session.begun
-        told = self._link.vouches(begun) if self._exact else self._fusion.allows_for_rig
-        if riding.cornered or not told:
-            return riding.cornered or not riding.excluded
-        return riding.disc and not (self._exact and self._link.sure(begun) and not riding.concentric)
+        side_test = track.flat_side_test
+        start_time = self._session.start_time
+        estimated = self._link.confirms(start_time) if self._exact else self._fusion.includes_rig_uncertainty
+        if side_test.cornered or not estimated:
+            return side_test.cornered or not side_test.excluded
+        return side_test.disc and not (self._exact and self._link.is_precise(start_time) and not side_test.concentric)
 
     def _slides(self, t: float) -> bool:
-        """Whether palms break friction by vibrating, or forces have shown that there is next to none to break."""
+        """Whether the object slides: the palms vibrate, or the forces have shown that friction is negligible."""
         if not self._dry:
             return True
         self._sticking.look(t, self._fusion.palms.motion(t) if self._fusion.palms_known(t) else None)
         return self._sticking.frictionless
 
-    def _lies_on(self, y: list[float]) -> bool:
-        """Whether the object lies on its palms rather than in one that is as concave as it is round there."""
+    def _rests_on_palms(self, y: list[float]) -> bool:
+        """Whether the object is more strongly curved than its concave palms, so that it does not lie in a cradle."""
         if not self._curved:
             return True
         bends = (y[at] for at in _BENDS)
         return all(kappa * v < MOST_LYING for kappa, v in zip(self._rig.curvatures, bends, strict=True))
 
     def _inflation(self, track: Track, t: float) -> float:
-        """What to multiply one-sigmas with at `t` (s)."""
+        """The factor for the filters' overconfidence by which to multiply standard deviations at `t` (s)."""
         return self._fusion.filters.overconfidence.factor(track.age(t))

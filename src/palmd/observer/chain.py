@@ -1,10 +1,10 @@
-"""Everything felt of one object so far, as information about its constants: a chain of marginalised segments.
+"""All readings of one object as information about its constants: a chain of marginalised segments.
 
-A record is cut into segments of some seconds. Of each only its cost as a function of (p, first node, last node) counts,
-the nodes in between being marginalised; one after the other they are added up and the nodes between them are
-marginalised too, down to what all say about p and the last node. A segment keeps its readings and is linearised again
-when the constants have moved; the oldest are folded into one quadratic cost for good. So information only grows, while
-memory and time stay bounded. Not for use inside the loop.
+A record is cut into segments of some seconds. Each segment contributes its cost as a function of (p, first node, last
+node), with the nodes in between marginalised. The segments are added up in order of time, and the nodes between them
+are marginalised too, which leaves the information about p and the last node. A segment keeps its readings and is
+relinearised when the constants have moved; the oldest segments are permanently marginalised into one quadratic cost.
+Information only grows, while memory and time stay bounded. Not for use inside the loop.
 """
 
 from __future__ import annotations
@@ -23,56 +23,56 @@ from palmd.observer.record import Record
 
 SEGMENT_S = 2.0
 READINGS_KEPT = 60  # segments whose readings are kept: two minutes
-RELINEARISED = 12  # segments at most in one call: the cost of an answer is bounded
-NEAR = 2.0  # squared sigmas of a segment's own readings by which p and its ends may move
-INNER_STEPS = 2  # of Newton's, of a segment's nodes when its ends and the constants have moved
-MOST_SETTLING = 6  # iterations, when something else is believed than before
+RELINEARISED = 12  # segments relinearised in one call at most, which bounds the cost of an estimate
+NEAR = 2.0  # squared Mahalanobis distance, by a segment's own readings, by which p and its ends may move
+INNER_STEPS = 2  # Newton steps of a segment's nodes after its ends and the constants have moved
+MOST_SETTLING = 6  # iterations after the prior of the rig has changed
 _NODE = slice(CONSTANTS, SIZE)
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Some seconds of readings, and their cost about one trajectory and one set of constants."""
+    """Some seconds of readings, and their cost linearised about one trajectory and one set of constants."""
 
     record: Record
     x: FloatArray
     summary: Factor
 
     def near(self, ends: FloatArray) -> bool:
-        """Whether (p, first node, last node) are where its linearisation holds, by what its own readings tell apart."""
-        by = ends - self.summary.about
-        return float(by @ self.summary.matrix @ by) < NEAR
+        """Whether its linearisation holds at (p, first node, last node), in units of its own readings' covariance."""
+        difference = ends - self.summary.about
+        return float(difference @ self.summary.matrix @ difference) < NEAR
 
 
 class Chain:
-    """Segments in order of time, each beginning with the node with which the one before ends."""
+    """Segments in order of time; each begins with the last node of the one before."""
 
     def __init__(self, library: Library, noise: ProcessNoise, prior: Knowledge, kept: int = READINGS_KEPT):
-        """`prior` is about the constants and the first node of all; `kept`: segments that keep their readings."""
+        """`prior`: of the constants and the very first node; `kept`: number of segments that keep their readings."""
         self._library = library
         self._noise = noise
         self._prior = prior
         self._scale = prior.scale
-        self._base: Factor | None = None  # of the segments that have been folded, and the prior
+        self._base: Factor | None = None  # marginalised segments and the prior
         self._learnt: Factor | None = None
-        self._revised: Factor | None = None  # by how much the prior of the rig's constants has changed, all along
+        self._revised: Factor | None = None  # accumulated change of the prior of the rig's constants
         self._kept = kept
         self._segments: list[Segment] = []
 
     def append(self, record: Record, guess: Guess) -> None:
-        """Take a segment of two steps or more, already smoothed to `guess`."""
+        """Append a segment of two steps or more, already smoothed to `guess`."""
         self._segments.append(self._linearised(record, guess))
         while len(self._segments) > self._kept:
-            self._fold()
+            self._marginalise_oldest()
 
     def learn(self, information: Factor) -> None:
-        """Take what other readings tell of the constants."""
+        """Add information about the constants from other readings."""
         self._learnt = information if self._learnt is None else self._learnt.plus(information)
 
     def revise(self, before: FloatArray, sd: FloatArray) -> None:
-        """Believe the rig's constants to be known to `sd`, no longer to `before`; one-sigmas.
+        """Change the prior of the rig's constants from standard deviations `before` to `sd`.
 
-        The damping measures their steps by it too: by what was all but certain it would hold what is open now.
+        The damping scales their steps by `sd` too; the old, smaller scale would hold constants that may now move.
         """
         nowhere, matrix = np.zeros(CONSTANTS), np.zeros((CONSTANTS, CONSTANTS))
         matrix[RIG, RIG] = np.diag(sd**-2.0 - before**-2.0)
@@ -83,41 +83,41 @@ class Chain:
         self._revised = change if self._revised is None else self._revised.plus(change)
 
     def known(self, p: FloatArray) -> Factor:
-        """What all of this says of the constants and of the last node, expanded at `p`; the prior included."""
+        """Information about the constants and the last node, expanded at `p`; the prior included."""
         return self._forward(p)[-1]
 
     def information(self, p: FloatArray) -> Factor:
-        """What all of this says of the constants without the prior, expanded at `p`."""
+        """Information about the constants, expanded at `p`; the prior excluded."""
         return self.known(p).marginalised(_NODE).minus(self.prior(p))
 
     def prior(self, p: FloatArray) -> Factor:
-        """What was believed of the constants beforehand, expanded at `p`."""
+        """The prior of the constants, expanded at `p`."""
         prior = replace(marginal_of_constants(self._prior, p), scale=self._scale)
         return prior if self._revised is None else prior.plus(self._revised)
 
     def renew(self, p: FloatArray, x: FloatArray) -> int:
-        """Linearise anew what is too far from the constants `p` and the last node `x`; how many segments that were.
+        """Relinearise segments that are too far from the constants `p` and the last node `x`; returns their number.
 
-        The latest first: theirs are the readings about the part of the outline where the motion is. Where the readings
-        cannot be solved for the nodes over there, what was linearised before stays: its minimum is known.
+        The latest first: their readings are about the part of the outline where the motion is. If the normal equations
+        of a segment are singular there, its previous linearisation stays, since its minimum is known.
         """
         ends = self._ends(p, x)
         stale = [i for i, segment in enumerate(self._segments) if not segment.near(ends[i])]
         for i in stale[::-1][:RELINEARISED]:
             segment = self._segments[i]
-            moved = segment.x.copy()
-            moved[0], moved[-1] = ends[i][CONSTANTS:-NODE], ends[i][-NODE:]
+            nodes = segment.x.copy()
+            nodes[0], nodes[-1] = ends[i][CONSTANTS:-NODE], ends[i][-NODE:]
             with suppress(np.linalg.LinAlgError):
-                self._segments[i] = self._linearised(segment.record, Guess(moved, p), INNER_STEPS)
+                self._segments[i] = self._linearised(segment.record, Guess(nodes, p), INNER_STEPS)
         return len(stale)
 
     def settle(self, p: FloatArray) -> FloatArray:
-        """The constants that all of this tells, everything being linearised anew on the way there from `p`."""
+        """The estimate of the constants, iterated from `p` with relinearisation."""
         for _ in range(MOST_SETTLING):
             known = self.known(p)
-            by = known.solved(known.side)
-            p = p + by[:CONSTANTS]
-            if not self.renew(p, known.about[_NODE] + by[_NODE]):
+            step = known.solved(known.side)
+            p = p + step[:CONSTANTS]
+            if not self.renew(p, known.about[_NODE] + step[_NODE]):
                 break
         return p
 
@@ -130,7 +130,7 @@ class Chain:
         return Segment(record, guess.x, now.summary(guess, self._scale))
 
     def _forward(self, p: FloatArray) -> list[Factor]:
-        """What is known of (p, first node) of each segment before it, and of (p, last node) after all."""
+        """Information about (p, first node) of each segment from all before it, and about (p, last node) from all."""
         passed = [self._beginning(p)]
         for segment in self._segments:
             passed.append(_joined(passed[-1], segment, p).marginalised(_NODE))
@@ -159,8 +159,8 @@ class Chain:
             x = first
         return ends[::-1]
 
-    def _fold(self) -> None:
-        """Make the oldest segment part of what is known beforehand: its readings are forgotten, not what they told."""
+    def _marginalise_oldest(self) -> None:
+        """Marginalise the oldest segment into the base: its readings are dropped, their information is kept."""
         oldest = self._segments[0]
         p = oldest.summary.about[:CONSTANTS]
         self._base = _joined(self._beginning(p), oldest, p).marginalised(_NODE)
@@ -169,7 +169,7 @@ class Chain:
 
 
 def _joined(known: Factor, segment: Segment, p: FloatArray) -> Factor:
-    """What is known before a segment and what the segment says, as one cost of (p, first node, last node)."""
+    """The information before a segment plus the segment's, as one cost of (p, first node, last node)."""
     here = segment.summary.moved(np.concatenate([p, known.about[_NODE], segment.summary.about[SIZE:]]))
     matrix, side = here.matrix.copy(), here.side.copy()
     matrix[:SIZE, :SIZE] += known.matrix

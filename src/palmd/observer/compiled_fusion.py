@@ -1,6 +1,6 @@
-"""What `model/fusion.c` computes for a bank of shape maps, and the memory that it does so in; safe inside the loop.
+"""Bindings to `model/fusion.c`, which fuses events into a bank of shape maps, with its memory; safe inside the loop.
 
-Each class here has a twin in NumPy, which serves where there is no compiler and is what it is checked against:
+Each class has a twin in NumPy, which is used where there is no compiler and serves as the reference in tests:
 `palms.PalmTracker`, `filters.shape_map.ShapeFilters` and, for whole sequences of events, `fusion.Fusion`.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MOST_STATES = 64
 _JOINTS = len(JOINTS)
 _TOO_LATE = -2
-_UNTOLD = (math.nan,) * _JOINTS
+_MISSING = (math.nan,) * _JOINTS
 _Joints, _Named = ctypes.c_double * _JOINTS, ctypes.c_double * len(NAMED)
 
 
@@ -83,13 +83,13 @@ class _Fusion(ctypes.Structure):
 
 
 class _Rows:
-    """Where a table begins that C reads, row by row: found out once for as long as it is the same one."""
+    """The address of a table that C reads, cached while the table is the same array."""
 
     def __init__(self) -> None:
         self._given: FloatArray | None = None
 
     def at(self, table: FloatArray) -> int:
-        """Its address, good until the next call."""
+        """Address of its first row, valid until the next call."""
         if table is not self._given:
             self._given, self._held = table, np.ascontiguousarray(table)
             self._address: int = self._held.ctypes.data
@@ -100,14 +100,14 @@ class Routines:
     """The functions of `model/fusion.c` in one compiled library of shape maps."""
 
     def __init__(self, library: Library):
-        """Raises RuntimeError where their sizes are not the model's."""
+        """Raises RuntimeError if the library's array sizes differ from the model's."""
         self.library = ctypes.CDLL(str(library.path))
         of_pads = (R.ZERO, R.SCALE, R.SAGITTA, R.LAG, R.STANDOFF)
         constants = (*of_pads, R.TILT, R.TURN, R.FRICTION, R.FORCE, R.KAPPA, RIG_CONSTANTS)
         inputs = (RIG_INPUTS, FRICTION_INPUT, VIBRATION_ERROR_INPUTS.start)
         sizes = (_JOINTS, *inputs, len(NAMED), MOST_STATES, EVENTS, shape_map.Z.SHAPE, *constants)
         if tuple((ctypes.c_long * len(sizes)).in_dll(self.library, "fusion_sizes")) != sizes:
-            raise RuntimeError("model/fusion.c has other sizes than the model")
+            raise RuntimeError("the array sizes in model/fusion.c differ from the model's: rebuild the library")
         pointer, number, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         of_bank = (pointer, pointer, pointer)
         self.palms_at = self._bound("palms_at", pointer, number, pointer)
@@ -115,32 +115,32 @@ class Routines:
         self.palms_feed = self._bound("palms_feed", pointer, pointer)
         self.carry = self._bound("carry", *of_bank, number, number, number)
         self.read_pad = self._bound("read_pad", *of_bank, pointer, number, number)
-        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, gives=integer)
+        self.follow = self._bound("follow", *of_bank, pointer, integer, pointer, pointer, restype=integer)
         self.fade = self._bound("fade", pointer, integer, number, integer, integer, pointer, pointer)
-        self.lift = self._bound("lift", pointer, integer, pointer, integer, gives=integer)
-        self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, gives=integer)
-        told = (pointer, pointer, pointer)
-        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, integer, *told)
-        self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, gives=integer)
-        self.add = self._bound("add", pointer, *of_bank, pointer, gives=integer)
-        self.fuse = self._bound("fuse", pointer, *of_bank, gives=integer)
+        self.lift = self._bound("lift", pointer, integer, pointer, integer, restype=integer)
+        self.falls_below = self._bound("falls_below", pointer, integer, pointer, integer, restype=integer)
+        outputs = (pointer, pointer, pointer)
+        self.named = self._bound("named", *of_bank, integer, number, number, pointer, integer, integer, *outputs)
+        self.disagreement = self._bound("disagreement", *of_bank, number, number, integer, pointer, restype=integer)
+        self.add = self._bound("add", pointer, *of_bank, pointer, restype=integer)
+        self.fuse = self._bound("fuse", pointer, *of_bank, restype=integer)
 
     def address(self, kernel: str) -> int:
-        """Where a kernel begins."""
+        """Address of a kernel."""
         return ctypes.cast(self.library[EXPORTED + kernel], ctypes.c_void_p).value or 0
 
-    def _bound(self, name: str, *arguments: type, gives: type | None = None) -> Callable[..., int]:
+    def _bound(self, name: str, *arguments: type, restype: type | None = None) -> Callable[..., int]:
         function = self.library[name]
-        function.argtypes, function.restype = arguments, gives
+        function.argtypes, function.restype = arguments, restype
         return function
 
 
 class CompiledPalms:
-    """As `palms.PalmTracker`."""
+    """`palms.PalmTracker` in C."""
 
     def __init__(self, routines: Routines, angle_noise: float):
-        """`angle_noise` is the one-sigma of a measured palm angle (rad)."""
-        self._does = routines
+        """`angle_noise`: 1σ of a measured palm angle (rad)."""
+        self._routines = routines
         self._now = _Palms(t=-math.inf, moved=0.0, plan_t=math.nan, variance=angle_noise**2)
         self.address = ctypes.addressof(self._now)
         self.jerk: FloatArray = np.ctypeslib.as_array(self._now.jerk)
@@ -151,7 +151,7 @@ class CompiledPalms:
 
     @property
     def known(self) -> bool:
-        """Whether a report has come."""
+        """Whether a report has been fused."""
         return self.t > -math.inf
 
     @property
@@ -161,38 +161,38 @@ class CompiledPalms:
 
     @property
     def repeated(self) -> float:
-        """The `repetitions` of what is read now."""
+        """The `repetitions` of readings at the last report's time."""
         return float(repetitions(self._now.t - self._now.moved)) if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s)."""
+        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s)."""
         angles, rates = np.empty(_JOINTS), np.empty(_JOINTS)
-        self._does.palms_variance(self.address, t, angles.ctypes.data, rates.ctypes.data)
+        self._routines.palms_variance(self.address, t, angles.ctypes.data, rates.ctypes.data)
         return np.sqrt(angles), np.sqrt(rates)
 
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
         report = self._report
         report.t = sample.t_sample
-        # by slices, which take lists as well: what has crossed to another process is of lists
-        report.angles[:], report.rates[:] = sample.angles, sample.rates or _UNTOLD
-        report.accelerations[:] = sample.accelerations or _UNTOLD
-        self._does.palms_feed(self.address, self._report_at)
+        # slices also accept lists, which samples from another process consist of
+        report.angles[:], report.rates[:] = sample.angles, sample.rates or _MISSING
+        report.accelerations[:] = sample.accelerations or _MISSING
+        self._routines.palms_feed(self.address, self._report_at)
 
     def at(self, t: float) -> FloatArray:
         """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
-        self._does.palms_at(self.address, t, self._motion_at)
+        self._routines.palms_at(self.address, t, self._motion_at)
         return np.array(self._motion)
 
     def motion(self, t: float) -> PalmMotion:
-        """The same as a value with names."""
-        self._does.palms_at(self.address, t, self._motion_at)
+        """The same as a `PalmMotion`."""
+        self._routines.palms_at(self.address, t, self._motion_at)
         values = tuple(self._motion)
         return PalmMotion(values[:_JOINTS], values[_JOINTS : 2 * _JOINTS], values[2 * _JOINTS :])
 
 
 class CompiledRig:
-    """A `RigError` as C sees it."""
+    """A `RigError` in C's layout."""
 
     def __init__(self, error: RigError):
         self.pressing = error.pressing
@@ -203,17 +203,17 @@ class CompiledRig:
 
 
 class CompiledBank:
-    """What a bank of shape maps does with readings; `rig` is what `ShapeFilters.rig_error` says of the rig."""
+    """Fusion of readings into a bank of shape maps; arguments `rig` are `ShapeFilters.compiled_rig`."""
 
-    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, besides: Sequence[FloatArray]):
-        """`rig_inputs` as `model.outputs.rig_inputs` gives them; C writes the friction asymmetry there.
+    def __init__(self, routines: Routines, bank: Bank, rig_inputs: FloatArray, added_variances: Sequence[FloatArray]):
+        """`rig_inputs` as from `model.outputs.rig_inputs`; C writes the friction asymmetry there.
 
-        `besides` are two sets of variances that are added to those of `NAMED`: for use before a smoother has estimated
-        the rig's constants, and after.
+        `added_variances` are two sets of variances that are added to those of `NAMED`: before a smoother has estimated
+        the rig's constants, and after. Raises ValueError for a bank with more than `MOST_STATES` states.
         """
         if bank.n > MOST_STATES:
-            raise ValueError(f"there is room for {MOST_STATES} states, not {bank.n}")
-        self.does = routines
+            raise ValueError(f"a bank of shape maps has at most {MOST_STATES} states, not {bank.n}")
+        self.routines = routines
         self.blocks = bank.blocks
         self.bank = bank
         self._rig_inputs = rig_inputs
@@ -225,40 +225,42 @@ class CompiledBank:
             *map(routines.address, kernels), *arrays, ctypes.addressof(now), bank.n, bank.block, bank.memory_s
         )
         self.address = ctypes.addressof(self._now)
-        self._y, self._variance, self._besides = _Named(), _Named(), tuple(_Named(*each) for each in besides)
-        self._told = tuple(map(ctypes.addressof, (self._y, self._variance)))
-        self._apart = _Named()
-        self._apart_at = ctypes.addressof(self._apart)
+        self._y, self._variance, self._added = _Named(), _Named(), tuple(_Named(*each) for each in added_variances)
+        self._outputs = tuple(map(ctypes.addressof, (self._y, self._variance)))
+        self._disagreement = _Named()
+        self._disagreement_at = ctypes.addressof(self._disagreement)
         self._spread, self._rows = _Rows(), _Rows()
-        self._believed_sd: FloatArray | None = None
-        self._believed = np.zeros((0, bank.n))  # as variances
+        self._prior_sd: FloatArray | None = None
+        self._prior_variance = np.zeros((0, bank.n))
         self._reading = _FusedReading()
         self._reading_at = ctypes.addressof(self._reading)
 
     def reading(self, sample: PadSample, rig: CompiledRig) -> int:
-        """The address of a reading, until the next one; ValueError for a pad that there is not."""
+        """The address of a reading, valid until the next call; raises ValueError for an unknown pad."""
         if sample.pad not in PALMS:
             raise ValueError(f"there is no pad {sample.pad}")
         reading = self._reading
         reading.t, reading.s, reading.force, reading.pad = sample.t_sample, sample.s, rig.pressing(sample), sample.pad
         return self._reading_at
 
-    def carry(self, rig: CompiledRig, palms: CompiledPalms, t: float, until: float, repeated: float) -> None:
-        """As `Filters.carry`."""
-        self.does.carry(self.address, palms.address, rig.address, t, until, repeated)
+    def propagate(self, rig: CompiledRig, palms: CompiledPalms, t: float, until: float, repeated: float) -> None:
+        """As `Filters.propagate`."""
+        self.routines.carry(self.address, palms.address, rig.address, t, until, repeated)
 
-    def read(self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float) -> None:
-        """Fuse one contact reading, one of `repeated` that share one error."""
-        self.does.read_pad(self.address, palms.address, rig.address, self.reading(sample, rig), variance, repeated)
+    def fuse_pad(
+        self, rig: CompiledRig, palms: CompiledPalms, sample: PadSample, variance: float, repeated: float
+    ) -> None:
+        """As `Filters.fuse_pad`."""
+        self.routines.read_pad(self.address, palms.address, rig.address, self.reading(sample, rig), variance, repeated)
 
-    def follow(
+    def fuse_events(
         self, rig: CompiledRig, palms: CompiledPalms, events: Sequence[Event], variances: FloatArray, t: float
     ) -> tuple[float, int]:
-        """As `ShapeFilters.follow`."""
+        """As `ShapeFilters.fuse_events`."""
         rows = np.array([_row(event) for event in events if not isinstance(event, PadLift)])
         now = ctypes.c_double(t)
         at = (self.address, palms.address, rig.address, rows.ctypes.data, len(rows), variances.ctypes.data)
-        read = self.does.follow(*at, ctypes.addressof(now))
+        read = self.routines.follow(*at, ctypes.addressof(now))
         return now.value, read
 
     def fade(self, block: int, fraction: float, prior: Belief) -> None:
@@ -266,61 +268,63 @@ class CompiledBank:
         first, last, _ = prior.which.indices(self.bank.n)
         mean = np.ascontiguousarray(prior.mean)
         if len(mean) < self.bank.size or mean.shape[1] != self.bank.n:
-            raise ValueError(f"beliefs are of {self.bank.size} filters' {self.bank.n} states, not {mean.shape}")
-        if prior.sd is not self._believed_sd or mean.shape != self._believed.shape:
-            self._believed_sd = prior.sd
-            self._believed = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
-        at = mean.ctypes.data, self._believed.ctypes.data
-        self.does.fade(self.address, block, fraction, first, last, *at)
+            raise ValueError(f"beliefs need shape ({self.bank.size}, {self.bank.n}) at least, not {mean.shape}")
+        if prior.sd is not self._prior_sd or mean.shape != self._prior_variance.shape:
+            self._prior_sd = prior.sd
+            self._prior_variance = np.ascontiguousarray(np.broadcast_to(prior.sd, mean.shape) ** 2)
+        at = mean.ctypes.data, self._prior_variance.ctypes.data
+        self.routines.fade(self.address, block, fraction, first, last, *at)
 
-    def lift(self, block: int, rows: FloatArray) -> bool:
-        """As `Bank.lift`."""
-        return self.does.lift(self.address, block, *self._checked(rows)) == 0
+    def impose_nonnegative(self, block: int, rows: FloatArray) -> bool:
+        """As `Bank.impose_nonnegative`."""
+        return self.routines.lift(self.address, block, *self._checked(rows)) == 0
 
     def falls_below(self, member: int, rows: FloatArray) -> bool:
         """As `Bank.falls_below`."""
-        return self.does.falls_below(self.address, member, *self._checked(rows)) != 0
+        return self.routines.falls_below(self.address, member, *self._checked(rows)) != 0
 
     def _checked(self, rows: FloatArray) -> tuple[int, int]:
         if rows.shape[1] != self.bank.n:
-            raise ValueError(f"rows are of {self.bank.n} states, not {rows.shape}")
+            raise ValueError(f"rows need {self.bank.n} columns, one for each state, not {rows.shape}")
         return self._rows.at(rows), len(rows)
 
     def named(
         self, rig: CompiledRig, palms: CompiledPalms, member: int, t: float, dt: float, spread: FloatArray | None
     ) -> tuple[list[float], list[float]]:
-        """Values of `NAMED` and their variances for one filter, taken from `t` to `t + dt`.
+        """Values of `NAMED` and their variances for one filter, propagated from `t` to `t + dt`.
 
-        `spread` has a row for each of the filter's states, and perhaps one for each of the rig's constants.
+        `spread` has a row for each of the filter's states, optionally followed by one for each of the rig's constants.
         """
-        by = (None, 0, 0) if spread is None else (self._spread.at(spread), *spread.shape)
-        besides = ctypes.addressof(self._besides[spread is not None])
-        self.does.named(self.address, palms.address, rig.address, member, t, dt, *by, besides, *self._told)
+        table = (None, 0, 0) if spread is None else (self._spread.at(spread), *spread.shape)
+        added = ctypes.addressof(self._added[spread is not None])
+        self.routines.named(self.address, palms.address, rig.address, member, t, dt, *table, added, *self._outputs)
         return self._y[:], self._variance[:]
 
     def disagreement(
         self, rig: CompiledRig, palms: CompiledPalms, t: float, margin: float, one_gauge: bool
     ) -> list[float] | None:
-        """As `Fusion.disagreement` at `t` (s), the rivals being within `margin` (nats) of the best."""
+        """As `Fusion.disagreement` at `t` (s), with rivals within `margin` (nats) of the best."""
         at = (self.address, palms.address, rig.address)
-        rivals = self.does.disagreement(*at, t, margin, one_gauge, self._apart_at)
-        return self._apart[:] if rivals > 1 else None
+        rivals = self.routines.disagreement(*at, t, margin, one_gauge, self._disagreement_at)
+        return self._disagreement[:] if rivals > 1 else None
 
 
 class CompiledHistory:
-    """Events in the order of their own times, each with the bank as it was before: as `history.History` and `Fusion`.
-
+    """`history.History` and `Fusion` in C: events in order of their own times, each with the bank's state before it.
     `now.t` and `now.t_start` are those of `Fusion`.
     """
 
     def __init__(self, banks: Iterable[CompiledBank], variances: FloatArray):
-        """`banks` are all that will ever be used; `variances` of each pad's readings (m²)."""
+        """`banks`: all banks that will be used; `variances`: of each pad's readings (m²)."""
         self._memory = {id(bank): [_blank(bank) for _ in range(EVENTS)] for bank in banks}
         self.now = _Fusion(t=-math.inf, t_start=math.inf, variances=tuple(variances.tolist()))
         self._address = ctypes.addressof(self.now)
 
     def use(self, bank: CompiledBank, t_faded: FloatArray, early: bool) -> None:
-        """From now on the events are fused into `bank`; none can be undone yet. `t_faded` as in `Forgetting`."""
+        """Fuse into `bank` from now on, with an empty history; `t_faded` as in `Forgetting`.
+
+        `early`: inflate the noise of the first readings.
+        """
         self._bank, self._t_faded = bank, t_faded
         now = self.now
         now.faded, now.early = t_faded.ctypes.data, early
@@ -329,30 +333,30 @@ class CompiledHistory:
             entry.faded, entry.x, entry.P, entry.score, entry.nis = (each.ctypes.data for each in arrays)
 
     def clear(self) -> None:
-        """What came before can no longer be undone."""
+        """Empty the history: no earlier event can be undone."""
         self.now.count = 0
 
     def add(
         self, sample: PadSample, rig: CompiledRig, palms: CompiledPalms, forget: Callable[[int, float], None]
     ) -> bool:
-        """Fuse one reading in its place; False when it is too late for that.
+        """Fuse one reading at its own time; False if it is too late for that.
 
-        `forget` is told the number of a block whenever that is to forget, and of how many readings of one place one is.
+        `forget` is called with the number of each block that is due to forget, and the `repetitions` of the reading.
         """
         bank = self._bank
-        does, at = bank.does, (bank.address, palms.address, rig.address)
-        block = does.add(self._address, *at, bank.reading(sample, rig))
+        routines, at = bank.routines, (bank.address, palms.address, rig.address)
+        block = routines.add(self._address, *at, bank.reading(sample, rig))
         while block >= 0:
             forget(block, self.now.repeated)
-            block = does.fuse(self._address, *at)
+            block = routines.fuse(self._address, *at)
         return block != _TOO_LATE
 
 
 def _row(event: PadSample | PalmSample) -> tuple[float, ...]:
-    """An event as C takes it."""
+    """An event as a row of numbers for C."""
     if isinstance(event, PalmSample):
-        return 0.0, event.t_sample, *event.angles, *(event.rates or _UNTOLD), *(event.accelerations or _UNTOLD)
-    return event.pad, event.t_sample, event.s, math.nan if event.force is None else event.force, *_UNTOLD, *_UNTOLD
+        return 0.0, event.t_sample, *event.angles, *(event.rates or _MISSING), *(event.accelerations or _MISSING)
+    return event.pad, event.t_sample, event.s, math.nan if event.force is None else event.force, *_MISSING, *_MISSING
 
 
 def _blank(bank: CompiledBank) -> tuple[FloatArray, ...]:

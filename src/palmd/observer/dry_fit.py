@@ -22,7 +22,7 @@ from palmd.model.rolling import SLIPS_SIGN, Lying, friction_asked, normal_forces
 from palmd.model.smoothing import ORDER, RIG_CONSTANTS, C, R
 from palmd.observer import stuck_palms
 from palmd.observer.factor import Prior
-from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
+from palmd.observer.force_gain import HYSTERESIS, hysteresis_position, modes_at
 from palmd.observer.palm_path import PalmPath
 from palmd.observer.record import LEAST_FORCE_N, Record
 from palmd.observer.stuck_palms import FRICTION, FRICTION_SD, MASS_SD, STANDING, FilterStart, Palms
@@ -32,16 +32,17 @@ SHAPE = slice(0, 2 * ORDER + 1)
 LN_RHO, LN_MASS, MU = range(SHAPE.stop, SHAPE.stop + 3)
 RIG = slice(MU + 1, MU + 1 + RIG_CONSTANTS)
 TURNS = RIG.stop
-KEPT = 16  # filters that start from a fit: they know the object
-TURN_SD = 5e-3  # rad, of a turn at a change: both contacts slip then, and its time is uncertain
-BLIND_S = 0.015  # before and after a change, in which forces are not used: they are impulsive
-GATE = 16.0  # squared normalised residual beyond which a reading's weight decreases
+KEPT = 16  # filters that begin with a fit: they know the object
+TURN_SD = 5e-3  # rad, while both contacts slip, and for a change that is not where it is thought to be
+BLIND_S = 0.015  # before and after a change, in which forces tell of blows
+GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off
 NEWTON_STEPS, NEWTON_RAD = 12, 1e-11
 ITERATIONS, LEAST_DAMPING, MOST_DAMPING, WORTH = 25, 1e-9, 1e6, 1e-3
-SAME_DECIMALS = 9  # to which times (s) are rounded
-# predicted decrease of the cost below which a fit without a successful step counts as converged: outliers block it
-SMALL_DECREASE = 0.1
-MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: larger accelerations are impulsive, and are clipped
+SAME_DECIMALS = 9  # of times (s)
+SMALL_DECREASE = (
+    0.1  # of the cost: where no step lowers it and none promises more, outliers that come and go are in the way
+)
+MOST_PULL, MOST_SPIN = 2.0, 60.0  # m/s², rad/s²: accelerations beyond are of moments
 _STEP = 1e-6
 _STANDOFFS = slice(RIG.start + R.STANDOFF, RIG.start + R.STANDOFF + 2)
 _TILT, _TURN, ASYMMETRY = (RIG.start + which for which in (R.TILT, R.TURN, R.FRICTION))
@@ -101,7 +102,7 @@ class DryModel:
         self.record, self.prior, self.phases = record, prior, phases
         self._path, self._gain_stds = path, gain_stds
         contact_t, force_t = record.contact_t, record.force_t
-        # Times of a node and of a reading may differ by rounding only; a rate between them would be meaningless.
+        # A node's time and a reading's may differ by rounding alone: no rate is told between them.
         times = np.round(np.concatenate([record.t, contact_t, force_t]), SAME_DECIMALS)
         self._t, index = np.unique(times, return_inverse=True)
         self._nodes, self._contacts, self._forces = np.split(index, np.cumsum([len(record.t), len(contact_t)]))
@@ -205,8 +206,7 @@ class DryModel:
         ratios = np.append(ratios[self._weight > 0.0], 0.0)
         return DryFit(
             z, self._normal(terms)[0], psi[self._nodes], terms.cost, terms.chi2, forces.chi2,
-            max(terms.outliers, forces.outliers), prior_cost, settled,
-            float(np.quantile(ratios, 0.99, method="nearest")),
+            max(terms.outliers, forces.outliers), prior_cost, settled, float(np.quantile(ratios, 0.99, method="nearest")),
         )  # fmt: skip
 
     def _orientation(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -332,7 +332,9 @@ class DryModel:
         columns = np.zeros((len(force), self.gains.stop - self.gains.start))
         column = 0
         for of_pad, modes in self._gains:
-            pad_modes = np.column_stack([modes, BEHIND * place_in_play(np.maximum(force[of_pad], LEAST_FORCE_N))])
+            pad_modes = np.column_stack(
+                [modes, HYSTERESIS * hysteresis_position(np.maximum(force[of_pad], LEAST_FORCE_N))]
+            )
             columns[of_pad, column : column + pad_modes.shape[1]] = pad_modes
             column += pad_modes.shape[1]
         return columns

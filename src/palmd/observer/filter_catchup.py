@@ -1,4 +1,4 @@
-"""A filter from a smoother's posterior on its way to the present: it must first read what came since that time."""
+"""A filter that starts from a smoother's posterior in the past and fuses the readings since then."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from palmd.model.smoothing import ORDER
 from palmd.observer.filters.shape_map import ShapeFilters
 from palmd.system.description import RigDescription
 
-LEAST_READINGS = 30  # by which it is judged before it takes part
-LATEST_S = 1.0
-LEAD_S = 0.3  # of the arm's reports before that time, from which the palms' motion is known
+LEAST_READINGS = 30  # fused before its mean NIS is meaningful
+LATEST_S = 1.0  # s by which an event may arrive after later events and still be used
+LEAD_S = 0.3  # s of arm reports before the start, from which the palms' motion is estimated
 
 
 class FilterCatchUp:
     """One filter that catches up with the bank, a few events at a time; safe inside the loop.
 
-    A late reading is left out: it is one of hundreds.
+    Late readings are skipped: they are few among hundreds.
     """
 
     def __init__(self, rig: RigDescription):
@@ -36,9 +36,10 @@ class FilterCatchUp:
         self.active = False
 
     def begin(self, improvement: Improvement, recent: deque[Event]) -> None:
-        """Start at `improvement.t`; `recent` holds the events since `LEAD_S` before it, and maybe earlier ones.
+        """Start at `improvement.t`; `recent` holds at least the events since `LEAD_S` before it.
 
-        They are in the order in which they came; what came later than `LATEST_S` after those of its time is left out.
+        They are in their order of arrival. Events that arrived more than `LATEST_S` after others of their time are
+        skipped.
         """
         self._palms = self._filters.tracker(self._angle_noise)
         self._filters.rig_error.values[:] = improvement.rig
@@ -56,30 +57,30 @@ class FilterCatchUp:
         self._filters.bank.x[:], self._filters.bank.P[:] = improvement.x, improvement.P
         self._t, self._read = improvement.t, 0
         if before:
-            self._filters.follow(before, self._t, self._palms, self._variances)
+            self._filters.fuse_events(before, self._t, self._palms, self._variances)
         self.active = self._palms.known
 
-    def hear(self, event: Event) -> None:
+    def add_event(self, event: Event) -> None:
         """Queue one more event."""
         self._waiting.append(event)
 
-    def follow(self, budget: int) -> bool:
-        """Read up to `budget` of the events that wait; whether none is left and it can be judged."""
+    def advance(self, budget: int) -> bool:
+        """Fuse up to `budget` queued events; True if none is left and `LEAST_READINGS` have been fused."""
         events = [self._waiting.popleft() for _ in range(min(budget, len(self._waiting)))]
         if events:
-            self._t, read = self._filters.follow(events, self._t, self._palms, self._variances)
+            self._t, read = self._filters.fuse_events(events, self._t, self._palms, self._variances)
             self._read += read
         return not self._waiting and self._read >= LEAST_READINGS
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, float]:
-        """(mean, covariance, mean NIS since then) at `t` (s); ends its work."""
+        """(mean, covariance, mean NIS since the start) at `t` (s); afterwards it is inactive."""
         self._move_to(max(t, self._t))
         self.active = False
         bank = self._filters.bank
         return bank.x[0].copy(), bank.P[0].copy(), float(bank.nis[0])
 
     def _move_to(self, t: float) -> None:
-        self._filters.carry(self._t, t, self._palms, math.inf)
+        self._filters.propagate(self._t, t, self._palms, math.inf)
         self._t = t
 
 

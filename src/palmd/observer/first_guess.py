@@ -65,10 +65,10 @@ def blind_starts(
         if event.t_sample > end:
             break
         observer.feed(event)
-        if observer.begun < math.inf and (not times or event.t_sample >= times[-1] + SPACING_S):
+        if observer.start_time < math.inf and (not times or event.t_sample >= times[-1] + SPACING_S):
             times.append(event.t_sample)
             states.append(filters.bank.x.copy())
-    if not times or not observer.begun < math.inf:
+    if not times or not observer.start_time < math.inf:
         return []
     at, score = np.array(times), filters.bank.score
     order = [int(i) for i in np.argsort(-score, kind="stable")[:count]]

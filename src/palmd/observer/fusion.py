@@ -1,4 +1,4 @@
-"""One object's events fused into the bank in use, each at its own time; a late one goes back for its place."""
+"""Fusion of one object's events into the bank in use, each at its own time; late events are fused retroactively."""
 
 from __future__ import annotations
 
@@ -16,50 +16,49 @@ from palmd.observer.bank import Bank, Belief
 from palmd.observer.compiled_fusion import CompiledHistory, CompiledPalms
 from palmd.observer.filters.base import Filters
 from palmd.observer.filters.shape_map import ShapeFilters
-from palmd.observer.forgetting import SURPRISING_NIS, Forgetting
+from palmd.observer.forgetting import HIGH_NIS, Forgetting
 from palmd.observer.history import Fused, History
 from palmd.observer.prior import BlindStart
 from palmd.system.description import RigDescription
 
-# Palms not reported for longer are not known: a controller that does not track is asked each 0.1 s only.
-PALMS_UNKNOWN_S = 0.15
-UNTOLD_S = 0.025  # of a cycle of 16 ms: where no plan is told, a stop turns palms by degrees in a tenth of a second
-# The first readings are fused about a blind guess: they weigh little at first.
+PALMS_UNKNOWN_S = 0.15  # longest age of a report by which palm motion is known; without tracking one comes each 0.1 s
+UNPLANNED_S = 0.025  # the same without a plan (cycle 16 ms): a stop turns palms by degrees within 0.1 s
+# The first readings are linearised about a blind guess: their variance is inflated by 1 + EARLY_NOISE at first.
 EARLY_NOISE, EARLY_S = 20.0, 0.3
-PLAUSIBLE = 12.0  # nats below the best
+PLAUSIBLE = 12.0  # nats below the best score, within which a filter is a rival
 _PSI = NAMED.index("psi")
 
 
 @dataclass(frozen=True, slots=True)
 class Pruning:
-    """Which hypotheses are dropped: those so many nats behind the best, once the track is so old."""
+    """Filters are dropped if their score is `margin` nats below the best, once the track is `age_s` old."""
 
     margin: float
     age_s: float
 
 
 class Beliefs(Protocol):
-    """What fusion asks of the hypotheses about which object it is."""
+    """What fusion needs to know of the hypotheses about the object's identity."""
 
     @property
     def pruning(self) -> Pruning:
         """Which filters are dropped."""
 
     def constants(self) -> Belief:
-        """What was believed of each filter's constants at the start."""
+        """The prior of each filter's constants at the start."""
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
-        """The bank has been pruned: the former numbers of the filters that stay."""
+        """Adapt to a pruned bank; `kept`: former indices of the remaining filters."""
 
 
 class Fusion:
     """See the module; `add` takes bounded time and is safe inside the loop.
 
-    Events of compiled shape maps are fused in C (`compiled_fusion.CompiledHistory`), others here, by the same rules.
+    Compiled shape maps fuse events in C (`compiled_fusion.CompiledHistory`), other filters here, by the same rules.
     """
 
     def __init__(self, rig: RigDescription, banks: Sequence[Filters]):
-        """`banks` are all that will ever be used, the first one at first."""
+        """`banks`: all banks that will be used; the first is used first."""
         self._rig = rig
         self._variances = rig.reading_variances
         self.curvatures = rig.curvatures
@@ -73,16 +72,16 @@ class Fusion:
         self.reset()
 
     def reset(self) -> None:
-        """As if nothing had been fed."""
+        """Back to the initial state, as if nothing had been fed."""
         self.palms = self._first.tracker(self._rig.palm_angle_noise)
-        self._foreseen_s = 0.0
+        self._predictable_s = 0.0
         self.late_dropped = 0
         self.t, self.t_start = -math.inf, math.inf
         self._use(self._first)
 
     @property
     def t(self) -> float:
-        """Up to when the bank has been moved (s)."""
+        """Time of the bank's state (s)."""
         return self.history.now.t
 
     @t.setter
@@ -91,7 +90,7 @@ class Fusion:
 
     @property
     def t_start(self) -> float:
-        """When the present track was begun (s)."""
+        """When the present track was started (s)."""
         return self.history.now.t_start
 
     @t_start.setter
@@ -104,38 +103,38 @@ class Fusion:
         return self.filters.bank
 
     @property
-    def carries(self) -> bool:
-        """Whether one filter carries to the present what a smoother knows; else a bank looks for the object."""
+    def uses_smoothed_filter(self) -> bool:
+        """Whether a single filter propagates an established smoother's estimate to the present, instead of a bank."""
         return self.filters.spread is not None
 
     @property
-    def allows_for_rig(self) -> bool:
-        """Whether a smoother has told what the rig's constants leave open, and what is read off has it."""
-        return self.carries or self.filters.left_open is not None
+    def includes_rig_uncertainty(self) -> bool:
+        """Whether outputs include the uncertainty due to the rig's constants, as estimated by a smoother."""
+        return self.uses_smoothed_filter or self.filters.provisional_spread is not None
 
     def palms_known(self, t: float) -> bool:
-        """Whether the palms were reported so shortly before `t` (s) that their motion is foreseen."""
-        return t - self.palms.t < self._foreseen_s
+        """Whether the last report of the palms is recent enough to predict their motion at `t` (s)."""
+        return t - self.palms.t < self._predictable_s
 
-    def hear_palms(self, report: PalmSample) -> None:
-        """A report of the palms: foreseen is what their plan tells, or what one report soon after another does."""
-        follows = 0.0 <= report.t_sample - self.palms.t < UNTOLD_S
+    def add_palm_report(self, report: PalmSample) -> None:
+        """Take a report of the palms. Their motion can be predicted from a plan, or from two reports in a row."""
+        consecutive = 0.0 <= report.t_sample - self.palms.t < UNPLANNED_S
         if report.t_sample >= self.palms.t:
-            told = report.accelerations is not None
-            self._foreseen_s = PALMS_UNKNOWN_S if told else UNTOLD_S if follows else 0.0
+            planned = report.accelerations is not None
+            self._predictable_s = PALMS_UNKNOWN_S if planned else UNPLANNED_S if consecutive else 0.0
         self.palms.feed(report)
 
-    # ---- what the filters begin with
+    # ---- initial states
 
     def begin(self, filters: Filters, start: BlindStart, beliefs: Beliefs, t: float) -> None:
-        """A new track at `t` (s): every filter blind, until `beliefs` begins some of them otherwise."""
+        """Start a new track at `t` (s) with blind filters; the hypotheses may re-initialise some of them afterwards."""
         self._use(filters)
         self._beliefs = beliefs
         filters.start(start, self.palms, t)
         self.t = self.t_start = t
 
-    def lead_with(self, filters: Filters, x: FloatArray, P: FloatArray, nis: float) -> None:
-        """One filter takes the place of all others."""
+    def use_single_filter(self, filters: Filters, x: FloatArray, P: FloatArray, nis: float) -> None:
+        """Replace the bank by a single filter with this state, covariance and mean NIS."""
         self._use(filters)
         bank = filters.bank
         bank.x[0], bank.P[0], bank.nis[0] = x, P, nis
@@ -147,19 +146,19 @@ class Fusion:
         if isinstance(self.history, History):
             self.history.use(filters.bank)
         elif isinstance(filters, ShapeFilters) and filters.compiled is not None:
-            self.history.use(filters.compiled, self.forgetting.t_faded, not self.carries)
+            self.history.use(filters.compiled, self.forgetting.t_faded, not self.uses_smoothed_filter)
 
     # ---- events
 
     def bridge(self, t: float, gap: float) -> None:
-        """The palms are reported again at `t` (s) after `gap` seconds: go on from a guess of what was between."""
+        """Continue at `t` (s) after `gap` seconds without a report of the palms, whose motion is guessed in between."""
         self.history.clear()
         if t > self.t:
             self._move_to(t, self._repeated)
         self.filters.inflate(gap)
 
     def add(self, event: PadSample | PalmSample) -> None:
-        """Fuse one event; one too late for that is counted and dropped, and so is one from before the track."""
+        """Fuse one event. If it is too late it is counted and dropped; if it is from before the track it is ignored."""
         if isinstance(event, PalmSample) and not self.filters.fuses_palms:
             return
         if event.t_sample < self.t_start:
@@ -198,7 +197,7 @@ class Fusion:
             self._forget(block, repeated)
         if isinstance(event, PadSample):
             age = event.t_sample - self.t_start
-            inflation = 1.0 if self.carries else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
+            inflation = 1.0 if self.uses_smoothed_filter else 1.0 + EARLY_NOISE * math.exp(-age / EARLY_S)
             self.filters.fuse_pad(event, inflation * float(self._variances[event.pad - 1]), self.palms, repeated)
         else:
             self.filters.fuse_palms(event, self._rig.palm_angle_noise**2)
@@ -214,23 +213,23 @@ class Fusion:
             self._beliefs.renumber(kept)
 
     def _move_to(self, t: float, repeated: float) -> None:
-        self.filters.carry(self.t, t, self.palms, repeated)
+        self.filters.propagate(self.t, t, self.palms, repeated)
         self.t = t
 
     @property
     def _repeated(self) -> float:
-        """Of how many readings of the present place one is; of 1 where they surprise: the object has been moved."""
-        surprised = self.bank.nis[self.bank.best()] > SURPRISING_NIS
-        return 1.0 if surprised else self.palms.repeated
+        """How many readings share one error; 1 if the NIS is high, since then the object has been moved."""
+        moved = self.bank.nis[self.bank.best()] > HIGH_NIS
+        return 1.0 if moved else self.palms.repeated
 
     def make_convex(self, block: int) -> bool:
-        """Whether the outlines of a block's filters are; those that are not are bent towards it."""
-        return self.bank.lift(block, self.filters.curvature)
+        """Impose convexity on the outlines of a block's filters; returns whether all were convex already."""
+        return self.bank.impose_nonnegative(block, self.filters.curvature)
 
-    # ---- reading off
+    # ---- outputs
 
     def is_convex(self, member: int) -> bool:
-        """Whether one filter's outline is."""
+        """Whether one filter's outline is convex."""
         return not self.bank.falls_below(member, self.filters.curvature)
 
     def named(self) -> FloatArray:
@@ -238,9 +237,9 @@ class Fusion:
         return self.filters.all_named(self.t, self.palms)
 
     def disagreement(self, one_gauge: bool) -> list[float] | None:
-        """One-sigma of the answers of `NAMED` of the best filter's rivals about its own, weighted by likelihood.
+        """RMS difference of the rivals' values of `NAMED` from the best filter's, weighted by likelihood.
 
-        None where it has no rival. ψ counts, the short way round, of filters that have `one_gauge` alone.
+        None if there is no rival. ψ is compared (modulo 2π) only if all filters have `one_gauge`.
         """
         filters, palms = self.filters, self.palms
         if filters.bank.size == 1:
@@ -250,17 +249,17 @@ class Fusion:
         rivals, best, score = self.rivals(), self.bank.best(), self.bank.score
         if len(rivals) == 1:
             return None
-        answers = self.named()
-        apart, weights = answers[rivals] - answers[best], np.exp(score[rivals] - score[best])
-        turned = apart[:, _PSI]
-        apart[:, _PSI] = np.remainder(turned + math.pi, math.tau) - math.pi if one_gauge else 0.0
-        spread: list[float] = np.sqrt(weights @ apart**2 / weights.sum()).tolist()
-        return spread
+        values = self.named()
+        difference, weights = values[rivals] - values[best], np.exp(score[rivals] - score[best])
+        turned = difference[:, _PSI]
+        difference[:, _PSI] = np.remainder(turned + math.pi, math.tau) - math.pi if one_gauge else 0.0
+        rms: list[float] = np.sqrt(weights @ difference**2 / weights.sum()).tolist()
+        return rms
 
     def psi(self) -> FloatArray:
         """ψ of every filter (rad)."""
         return self.named()[:, _PSI]
 
     def rivals(self) -> npt.NDArray[np.intp]:
-        """The filters that are not much less likely than the best, which is among them."""
+        """Indices of the filters within `PLAUSIBLE` nats of the best, which is among them."""
         return self.bank.plausible(PLAUSIBLE)

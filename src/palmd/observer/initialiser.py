@@ -1,4 +1,4 @@
-"""The search for an unknown object while its readings come in: each answer starts the next. Not for the loop."""
+"""The search for an unknown object while its readings arrive; each result starts the next search. Not for the loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from palmd.events import FloatArray
 from palmd.observer.criticism import MOST_REVISIONS, RigBelief
 from palmd.observer.data_segment import DataSegment
-from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Answer
+from palmd.observer.fixed_lag_smoother import LOST_S, OPEN_S, PATIENCE, Solution
 from palmd.observer.noise import with_scatter
 from palmd.observer.normal_equations import Guess
 from palmd.observer.search import (
@@ -31,46 +31,46 @@ from palmd.system.description import RigDescription
 from palmd.system.rig_constants import declared_exact
 
 UNFOUND = "nothing explains the readings"
-LEAST_S = 1.0  # of readings, before which the bank is as good
-STILL_KEPT_S = 2.0  # of readings at rest, when those and what came before tell nothing
+LEAST_S = 1.0  # s of readings for the first search; on fewer the bank is as good
+STILL_KEPT_S = 2.0  # s of readings kept while everything rests and the readings so far determine nothing
 _ATTEMPTS = (Attempt(2.0, 3), Attempt(3.5, 4), Attempt(1.2, 8), Attempt(5.0, 4))
-_BEGUN = (0.5, -0.5)  # with palms that rub so unequally
-_UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _BEGUN)
+_ASYMMETRIES = (0.5, -0.5)  # initial values of unequal friction of the palms
+_UNEQUAL = tuple(Attempt(seconds, 4, a) for seconds in (2.0, 3.5) for a in _ASYMMETRIES)
 _FREE = (Attempt(2.0, 4, free=True), Attempt(3.5, 4, free=True))
-TELLING_S = 6.0
-"""Of readings. In simulation every hypothesis that was the only one to explain longer records was right; once
-confirmed, it is handed to the follower."""
-ALONE_S = 12.0  # of readings: what foretold their end, and alone explains them, need not be found again
-CHALLENGE = 2.0  # by how much the record grows from one blind search to the next, until one confirms what was sure
-REACH_S = 2.0  # of new readings in one step (choice: twice the follower's, since all readings are fitted again)
-STEADY_S = 3.0  # of readings since the machine was last starved, by which an object may be sought without those before
-LONGEST_S, KEPT_S = 30.0, 15.0  # of readings in which nothing has been found, and that are kept then
+SUFFICIENT_S = 6.0
+"""Duration of readings (s). In simulation every hypothesis that alone explained a longer record was right; a confirmed
+hypothesis is then handed to the fixed-lag smoother."""
+ALONE_S = 12.0  # s of readings; a single hypothesis that predicted their end needs no confirmation by another search
+CHALLENGE = 2.0  # growth factor of the record from one blind search to the next, until one repeats the confirmation
+REACH_S = 2.0  # s of new readings in one step (choice: twice the fixed-lag smoother's: all readings are refitted)
+STEADY_S = 3.0  # s of readings since the machine was last starved, after which earlier ones may be dropped
+LONGEST_S, KEPT_S = 30.0, 15.0  # s of readings without any result, and how many of them are kept then
 IN_VAIN, RENEWED_S = 2, 2.5
-"""After so many searches in a row that explain nothing, so much of the latest readings is kept: longer records begin
-with what none of the searches passes (study 2026-11-30, explorations 98305 and 563143372: known again after 12 and
-11 s, not after 31 and 23)."""
+"""After `IN_VAIN` searches in a row that explain nothing, the latest `RENEWED_S` of readings are kept: longer records
+start with a part that no search passes (study 2026-11-30, explorations 98305 and 563143372: object known again after 12
+and 11 s instead of 31 and 23 s)."""
 
 
 def attempts_for(rig: RigDescription) -> tuple[Attempt, ...]:
-    """The blind searches one after the other; some begin with palms that rub unequally, where they may.
+    """The sequence of blind searches; some start with unequal friction of the palms, if the rig allows it.
 
-    The last are for rigs that are not what they are taken for.
+    The last ones are for rigs that differ from their description.
     """
     return _ATTEMPTS + _UNEQUAL * bool(rig.friction_sd) + _FREE
 
 
 class Initialiser:
-    """Deterministic for a given seed and the same calls.
+    """Search for one object; deterministic for a given seed and the same calls.
 
-    Where constants of the rig are uncertain, a wrong outline often explains a short record as well. There a hypothesis
-    is confirmed by a second blind search with the same result, by blind searches of a long record that find no rival,
-    or by its prediction of the last second or more of one. Where none are, on flat palms, it must be likelier than an
-    object that turns with a palm or not at all. On a fixed hinge two confirmations are needed, by searches that begin
-    with unequal friction, one way and the other, and no rival may explain the readings nearly as well.
+    If constants of the rig are uncertain, a wrong outline often explains a short record as well. Then a hypothesis is
+    confirmed by a second blind search with the same result, by blind searches of a long record that find no rival, or
+    by its prediction of the last second or more of one. If no constant is uncertain, on flat palms, it must be likelier
+    than an object that turns with a palm or not at all. On a fixed hinge two confirmations are needed, by searches that
+    start with unequal friction of either sign, and no rival may explain the readings nearly as well.
     """
 
     def __init__(self, rig: RigDescription, seed: int):
-        """`seed` draws where blind searches start."""
+        """`seed`: for the starts of blind searches."""
         self._rig = rig
         self._seed = seed
         self._start: float | None = None
@@ -80,49 +80,49 @@ class Initialiser:
         self._exact = declared_exact(rig)
         self._rolls = False
         self._motions: tuple[FloatArray, tuple[int, ...]] | None = None  # that explained it, under which belief
-        self._survived = self._challenges = 0
-        self._failed = self._in_vain = 0
+        self._confirmations = self._challenges = 0
+        self._failed = self._failed_in_a_row = 0
         self._doubtful = True
-        self.hypothesis: Answer | None = None  # the last answer that explained its readings, with or without rivals
-        self.stuck = False  # the search could not extend the hypothesis to the last readings
+        self.hypothesis: Solution | None = None  # the last that explained its readings, with or without rivals
+        self.extension_failed = False  # the hypothesis could not be extended to the last readings
         self.unexplained = False  # the last readings, by any smooth outline
-        self.needs_from = -float("inf")
+        self.needs_from = -float("inf")  # time (s) before which readings are not needed any more
 
-    def sought(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Answer | None:
-        """What the readings of `segment` tell; None while that is in doubt. `needs_from`: those before are useless.
+    def search(self, segment: DataSegment, hint: FloatArray | None, budget: Budget | None = None) -> Solution | None:
+        """The solution for the readings of `segment`; None while it is ambiguous or nothing explains them.
 
-        `hint`: constants that a live filter has settled on, in whatever gauge. Readings are processed in steps of
+        `hint`: constants to which a live filter has converged, in any gauge. Readings are processed in steps of
         `REACH_S` until the `budget`, by default `LIVE_BUDGET`, is spent or the hypothesis can be handed to the
-        follower; the answer may be of an earlier time than the last reading.
+        fixed-lag smoother; the solution may end before the last reading.
         """
         budget = budget or Budget(LIVE_BUDGET)
         while True:
             known = self._known_until(segment)
-            end = segment.start + TELLING_S if known is None else known + REACH_S
+            end = segment.start + SUFFICIENT_S if known is None else known + REACH_S
             if segment.end < end + LEAST_S:
                 end = segment.end
-            answer = self._sought(segment.until(end), hint, segment.end, budget)
-            if answer is None or end == segment.end or answer.end < end - SPACING_S:
-                return answer
-            if budget.left <= 0.0 or (self.sure and end - segment.start >= TELLING_S):
-                return answer
+            solution = self._step(segment.until(end), hint, segment.end, budget)
+            if solution is None or end == segment.end or solution.end < end - SPACING_S:
+                return solution
+            if budget.left <= 0.0 or (self.confirmed and end - segment.start >= SUFFICIENT_S):
+                return solution
 
     def _known_until(self, segment: DataSegment) -> float | None:
-        """End of the readings of `segment` that the hypotheses explain (s); None where there is no hypothesis."""
+        """End of the readings of `segment` that the hypotheses explain (s); None without a hypothesis."""
         if not self._guesses or segment.start != self._start:
             return None
         return segment.start + (len(self._guesses[0].x) - 1) * SPACING_S
 
-    def _sought(
+    def _step(
         self,
         segment: DataSegment,
         hint: FloatArray | None,
         now: float,
         budget: Budget,
-    ) -> Answer | None:
-        """As `sought`, in one step to the end of `segment`; `now`: the time of the last reading of all (s)."""
+    ) -> Solution | None:
+        """`search` in one step to the end of `segment`; `now`: time of the last of all readings (s)."""
         seconds = segment.lasts
-        self.unexplained = self.stuck = False
+        self.unexplained = self.extension_failed = False
         if seconds < LEAST_S:
             return None
         rig = with_scatter(self._rig, segment.pads)
@@ -134,31 +134,31 @@ class Initialiser:
         known = self._known_until(segment)
         if known is not None:
             finding = self._resumed(search, budget)
-            self.stuck = self._tries and (finding is None or not search.covers(finding))
-            if self.stuck:
+            self.extension_failed = self._allows_trial and (finding is None or not search.covers(finding))
+            if self.extension_failed:
                 return None
-            if finding is None and self.sure and now - known < LOST_S:
+            if finding is None and self.confirmed and now - known < LOST_S:
                 return None  # one step that is hard to fit does not reject a confirmed hypothesis
         else:
-            self._challenge_s, self._survived, self._rolls, self._motions = 0.0, 0, False, None
+            self._challenge_s, self._confirmations, self._rolls, self._motions = 0.0, 0, False, None
             self.hypothesis = None
         if finding is None and hint is not None and not self._exact:
             finding = search.from_constants(hint)
         if finding is None or (self._to_challenge(search, finding) and segment.end == now):
-            search, finding = self._sought_blindly(search, finding, hint, seconds)
+            search, finding = self._search_blindly(search, finding, hint, seconds)
         if finding is not None and not finding.fits[0].settled:
             finding = search.with_friction_discrepancy(finding)
-        answer = None if finding is None else self._criticised(Answer(search, finding))
+        solution = None if finding is None else self._with_revised_rig(Solution(search, finding))
         before, self._start, self._guesses = self._guesses, segment.start, ()
-        if answer is not None:
-            self._guesses = tuple(fit.guess for fit in answer.finding.fits)
-        doubts = UNFOUND if answer is None else rejection_reason(answer.finding.fits[0], answer.finding)
-        self.unexplained = answer is None or is_implausible(answer.finding.fits[0], answer.finding.record)
+        if solution is not None:
+            self._guesses = tuple(fit.guess for fit in solution.finding.fits)
+        doubts = UNFOUND if solution is None else rejection_reason(solution.finding.fits[0], solution.finding)
+        self.unexplained = solution is None or is_implausible(solution.finding.fits[0], solution.finding.record)
         self._doubtful = bool(doubts) or self.unexplained
         if doubts in {"", AMBIGUOUS} and not self.unexplained:
-            self.hypothesis = answer
-        elif self._tries:
-            self.stuck = True
+            self.hypothesis = solution
+        elif self._allows_trial:
+            self.extension_failed = True
             return None
         if self._doubtful and budget.left <= 0.0 and known is not None and now - known < LOST_S:
             self._guesses, self.unexplained = self._guesses or before, False
@@ -167,14 +167,19 @@ class Initialiser:
             self._failed += seconds > _ATTEMPTS[0].seconds
             self.needs_from = max(self._useful_from(segment, doubts, now), self.needs_from)
             return None
-        self._in_vain = 0
-        if answer is not None and known is not None and answer.end - known > LEAST_S and answer.lasts > TELLING_S:
-            self._survived += len(answer.finding.fits) == 1  # the only one, and it predicted them
-        return answer
+        self._failed_in_a_row = 0
+        if (
+            solution is not None
+            and known is not None
+            and solution.end - known > LEAST_S
+            and solution.lasts > SUFFICIENT_S
+        ):
+            self._confirmations += len(solution.finding.fits) == 1  # the only hypothesis, and it predicted the readings
+        return solution
 
     def _resumed(self, search: Search, budget: Budget) -> Minima | None:
-        """Extend the hypotheses to the last readings; half the budget at most where a trial comes next."""
-        if not self._tries:
+        """Extend the hypotheses to the last readings, with half the budget at most if a trial may come next."""
+        if not self._allows_trial:
             return search.resumed(self._guesses)
         half = Budget(min(budget.left, LIVE_BUDGET / 2))
         budget.left -= half.left
@@ -183,31 +188,32 @@ class Initialiser:
         return finding
 
     def _to_challenge(self, search: Search, finding: Minima) -> bool:
-        """Whether a hypothesis that explains all readings is due for a challenge by a blind search."""
+        """Whether a hypothesis that explains all readings has to be challenged by a blind search now."""
         due = (
             search.segment.lasts >= self._challenge_s
-            or not self.sure
+            or not self.confirmed
             or bool(misfit_reason(finding.fits[0], finding.record))
         )
         return due and search.covers(finding)
 
     def _useful_from(self, segment: DataSegment, doubts: str, now: float) -> float:
-        """Since when readings are of use for the next search (s), by what is doubted of the last one's answer."""
+        """Time (s) before which readings do not help the next search, given the `doubts` about the last result."""
         seconds = now - segment.start
-        self._in_vain = 0 if doubts == AMBIGUOUS else self._in_vain + 1  # more readings will tell rivals apart
-        if self._in_vain >= IN_VAIN and seconds > _ATTEMPTS[1].seconds:
-            self._in_vain = 0
+        # if the result is ambiguous, more readings will distinguish the rivals
+        self._failed_in_a_row = 0 if doubts == AMBIGUOUS else self._failed_in_a_row + 1
+        if self._failed_in_a_row >= IN_VAIN and seconds > _ATTEMPTS[1].seconds:
+            self._failed_in_a_row = 0
             return now - RENEWED_S
         if self.unexplained and segment.start < segment.steady_since < now - STEADY_S:
             return segment.steady_since
         return now - KEPT_S if seconds > LONGEST_S else -math.inf
 
-    def _sought_blindly(
+    def _search_blindly(
         self, search: Search, finding: Minima | None, hint: FloatArray | None, seconds: float
     ) -> tuple[Search, Minima | None]:
-        """What has been found, beside what a blind search of so many seconds finds; and the search to go on with.
+        """Merge `finding` with the result of a blind search of `seconds`; returns the search to continue with, too.
 
-        A window that has grown may have been led into a valley next to the right one.
+        Extending a window may lead into a minimum next to the right one; a blind search finds the latter.
         """
         attempt = self._attempt(finding is not None)
         self._seed += 1
@@ -219,18 +225,20 @@ class Initialiser:
         if blind is None and budget.left <= 0.0 and finding is not None:
             return search, finding  # a search that was cut short is no evidence
         if blind is None and finding is None and hint is not None and self._exact:
-            blind = search.from_constants(hint)  # dear, and what it is held against elsewhere are rides here
+            blind = search.from_constants(
+                hint
+            )  # expensive; on an exact rig its rival is an object that turns with a palm
         merged = search.merged(finding, blind)
-        again = self.sure and agree(finding, blind)
-        self._survived = self._challenges_survived(finding, blind, merged, seconds)
+        again = self.confirmed and agree(finding, blind)
+        self._confirmations = self._count_confirmations(finding, blind, merged, seconds)
         if merged is not None and self._exact and not self._rig.curved:
             merged = self._likeliest(search, merged)
-        confirmed = again and self.sure and merged is not None and len(merged.fits) == 1
+        confirmed = again and self.confirmed and merged is not None and len(merged.fits) == 1
         self._challenge_s = math.inf if confirmed else CHALLENGE * seconds
         return search, merged
 
     def _likeliest(self, search: Search, finding: Minima) -> Minima:
-        """As `Search.likeliest`, without the motions that have not explained what there was before."""
+        """As `Search.likeliest`, without motions that failed to explain an earlier part of the readings."""
         before, sd = self._motions, search.belief.sd
         motions = before[1] if before is not None and before[0] is sd else MOTIONS
         found = search.likeliest(finding, motions)
@@ -238,56 +246,56 @@ class Initialiser:
         return found.finding
 
     def _attempt(self, found: bool) -> Attempt:
-        """The next blind search; what has been `found` is set against those that begin with unequal palms."""
+        """The next blind search; a hypothesis that was `found` is challenged by starts with unequal friction."""
         if found and self._rig.unequal_friction:
             self._challenges += 1
             return _UNEQUAL[self._challenges % len(_UNEQUAL)]
         attempts = attempts_for(self._rig)
         return attempts[self._failed % len(attempts)]
 
-    def _challenges_survived(
+    def _count_confirmations(
         self, finding: Minima | None, blind: Minima | None, merged: Minima | None, seconds: float
     ) -> int:
-        """In how many searches since what has been found it has been found again, or been better than what was.
+        """Number of blind searches that confirmed `finding`: found it again, or found only worse minima.
 
-        That one comes to nothing says little of a short record, and of a long one that it has no rival.
+        A blind search without result says little about a short record; of a long one it says that there is no rival.
         """
         if not self._rig.unequal_friction:
             alone = blind is None and merged is not None and len(merged.fits) == 1 and seconds > ALONE_S
-            return int(agree(finding, blind) or ((alone or self._survived > 0) and agree(finding, merged)))
+            return int(agree(finding, blind) or ((alone or self._confirmations > 0) and agree(finding, merged)))
         if merged is None or not agree(finding, merged):
             return 0
-        return self._survived + (len(merged.fits) == 1 and (blind is not None or seconds > TELLING_S))
+        return self._confirmations + (len(merged.fits) == 1 and (blind is not None or seconds > SUFFICIENT_S))
 
     @property
-    def sure(self) -> bool:
-        """Whether the last answer is one to vouch for."""
+    def confirmed(self) -> bool:
+        """Whether the last solution is confirmed."""
         if self._exact:
             return self._rolls or self._rig.curved
-        return self._survived >= (len(_BEGUN) if self._rig.unequal_friction else 1)
+        return self._confirmations >= (len(_ASYMMETRIES) if self._rig.unequal_friction else 1)
 
     @property
-    def _tries(self) -> bool:
-        """Whether a hypothesis that cannot be extended is followed on trial (decision 82), not searched for again.
+    def _allows_trial(self) -> bool:
+        """Whether a hypothesis that cannot be extended is smoothed on trial (decision 82), instead of a new search.
 
-        Not on an exactly known rig nor with unequal friction of the palms: searches decide there.
+        Not on an exactly known rig nor with unequal friction of the palms: there searches decide.
         """
         known = self.hypothesis
         return known is not None and not self._exact and not self._rig.unequal_friction and known.lasts > OPEN_S
 
-    def _criticised(self, answer: Answer) -> Answer:
-        """What is found once the rig is taken for what the readings tell."""
+    def _with_revised_rig(self, solution: Solution) -> Solution:
+        """The solution after the belief in the rig has been revised by the readings."""
         for _ in range(MOST_REVISIONS):
-            search, finding = answer.search, answer.finding
+            search, finding = solution.search, solution.finding
             if rejection_reason(finding.fits[0], finding):
                 break
-            self._belief = answer.belief
+            self._belief = solution.belief
             if np.array_equal(self._belief.sd, search.belief.sd):
                 break
-            anew = search.with_belief(self._belief)
-            found = anew.resumed([self._belief.within(fit.guess) for fit in finding.fits])
+            revised = search.with_belief(self._belief)
+            found = revised.resumed([self._belief.within(fit.guess) for fit in finding.fits])
             if found is None:
                 self._belief = search.belief
                 break
-            answer = Answer(anew, found)
-        return answer
+            solution = Solution(revised, found)
+        return solution

@@ -1,10 +1,11 @@
-"""How much the last second of readings tells by itself: the smallest singular value of a scaled Gramian.
+"""Observability in the last second of readings: the smallest singular value of a scaled Gramian.
 
-Let x0 be the shape map's state a second ago, G the information about it in the readings since, z = (radii, contacts) of
-that instant and J = ∂z/∂x0. Before anything is felt z has the covariance C0 = J P0 Jᵀ, and from that second alone
-C = J (P0⁻¹ + G)⁻¹ Jᵀ. The number is the smallest singular value of (C0^½ C⁻¹ C0^½ − 1)^½: prior one-sigma over
-the error with which that second tells the combination of z that it tells worst. contacts are read; so the worst is what
-motion has to tell, above 1 in lively motion and near 0 when palms and object rest or the object turns along with them.
+Let x0 be the shape map's state one second ago, G the information about it in the readings since, z = (radii, contacts)
+at that time and J = ∂z/∂x0. A priori z has the covariance C0 = J P0 Jᵀ, and given that second of readings alone
+C = J (P0⁻¹ + G)⁻¹ Jᵀ. The measure is the smallest singular value of (C0^½ C⁻¹ C0^½ − 1)^½: prior 1σ over the 1σ with
+which that second determines the worst determined combination of z. Contacts are measured directly, so the worst
+combination is one that only motion determines: above 1 in lively motion, near 0 while palms and object rest or the
+object turns with the palms.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from palmd.model.outputs import CURVATURE_INPUTS
 WINDOW_S = 1.0
 BLOCK_S = 0.1
 SAMPLE_S = 0.025
-LONGEST_GAP_S = 0.1  # between samples; beyond, the trajectory between them is not known
+LONGEST_GAP_S = 0.1  # between samples; over a longer gap the trajectory is unknown
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A tenth of a second: its transition Φ, information G about its beginning, and J = ∂z/∂x there."""
+    """A block of `BLOCK_S`: its transition Φ, information G about its start, and J = ∂z/∂x there."""
 
     transition: FloatArray
     information: FloatArray
@@ -35,13 +36,13 @@ class _Block:
 
 
 class Observability:
-    """Follows one trajectory of the shape map, sample by sample; safe inside the loop.
+    """The measure along one trajectory of the shape map, updated sample by sample; safe inside the loop.
 
-    `sample` takes some 20 µs each `SAMPLE_S`, and a tenth of a millisecond more when a block is full.
+    `sample` takes some 20 µs each `SAMPLE_S`, and 0.1 ms more when a block is full.
     """
 
     def __init__(self, rig: FloatArray, reading_variances: FloatArray):
-        """`rig` are the kernels' inputs for it, `reading_variances` of each pad are in m²; may compile C."""
+        """`rig`: the kernels' inputs for the rig; `reading_variances`: of each pad (m²). May compile C."""
         curvatures = rig[CURVATURE_INPUTS]
         n = shape_map.N
         library = sensitivity.library(bool(curvatures.any()))
@@ -58,12 +59,12 @@ class Observability:
         ]
         self._aim = library.bind("aim", [self._x, self._phi], [self._J])
         self._blocks: deque[_Block] = deque(maxlen=round(WINDOW_S / BLOCK_S))
-        self._side = 0  # of the two, which is current
+        self._side = 0  # index of the current one of the two
         self._filled_s = 0.0
         self.begin(math.inf, np.ones(n))
 
     def begin(self, t: float, prior_sd: FloatArray) -> None:
-        """Begin anew at `t` (s) with the one-sigma of each state before anything is felt, 0 for the gauge's ψ."""
+        """Restart at `t` (s) with the prior 1σ of each state, 0 for ψ (gauge)."""
         self._t_begin = t
         self._prior_sd = prior_sd
         self._value = math.nan
@@ -72,15 +73,15 @@ class Observability:
         self._break_off()
 
     def count(self, pad: int) -> None:
-        """A reading of `pad` has been fused."""
+        """Count a fused reading of `pad`."""
         self._readings[pad - 1] += 1
 
     def due(self, t: float) -> bool:
-        """Whether `sample` wants the trajectory at `t` (s)."""
+        """Whether the next `sample` is due at `t` (s)."""
         return t - self._t_sample >= SAMPLE_S
 
     def sample(self, t: float, x: FloatArray, palms: FloatArray, jerk: FloatArray) -> None:
-        """The trajectory is at state `x` at `t` (s), with the palms' (φ, ω, α) and jerk."""
+        """Take the trajectory's state `x` at `t` (s), with the palms' (φ, ω, α) and jerk."""
         dt = t - self._t_sample
         if dt > LONGEST_GAP_S:
             self._break_off()
@@ -93,7 +94,7 @@ class Observability:
             if self._filled_s >= BLOCK_S - SAMPLE_S / 2:
                 self._close_block()
                 if t - self._t_begin >= WINDOW_S:
-                    self._value = self._judge()
+                    self._value = self._evaluate()
         self._t_sample = t
         self._readings = [0, 0]
         self._x[:] = x
@@ -103,7 +104,7 @@ class Observability:
             self._aim()
 
     def value(self) -> float:
-        """The number as of the last full block (no unit, ≥ 0); NaN in the first second."""
+        """The measure as of the last full block (no unit, ≥ 0); NaN in the first second."""
         return self._value
 
     def _break_off(self) -> None:
@@ -122,7 +123,7 @@ class Observability:
         self._blocks.append(_Block(transition, self._G[self._side].copy(), self._J.T.copy()))
         self._open_block()
 
-    def _judge(self) -> float:
+    def _evaluate(self) -> float:
         information = np.zeros((shape_map.N, shape_map.N))
         for block in reversed(self._blocks):
             information = block.information + block.transition.T @ information @ block.transition
@@ -135,11 +136,11 @@ def scaled_singular_value(information: FloatArray, aim: FloatArray, prior_sd: Fl
     No unit, NaN if undefined. A state with sd 0 is known. Safe inside the loop.
     """
     scaled = aim * prior_sd
-    told = np.eye(len(prior_sd)) + prior_sd[:, None] * information * prior_sd
+    scaled_information = np.eye(len(prior_sd)) + prior_sd[:, None] * information * prior_sd
     try:
         root = np.linalg.inv(np.linalg.cholesky(scaled @ scaled.T))
-        left = root @ scaled
-        share_left = np.linalg.eigvalsh(left @ np.linalg.solve(told, left.T))[-1]
-    except np.linalg.LinAlgError:  # a state gone wild; the bank parks it
+        projected = root @ scaled
+        share_left = np.linalg.eigvalsh(projected @ np.linalg.solve(scaled_information, projected.T))[-1]
+    except np.linalg.LinAlgError:  # a diverged state; the bank deactivates it
         return math.nan
     return math.sqrt(max(1.0 / share_left - 1.0, 0.0)) if share_left > 0.0 else math.nan

@@ -1,4 +1,4 @@
-"""What an observer is: a thing that takes events and a time and gives an estimate."""
+"""The interface of observers: events in, estimates for requested times out."""
 
 from __future__ import annotations
 
@@ -17,57 +17,56 @@ from palmd.events import (
 
 
 class LiveObserver(Protocol):
-    """Events in, estimates out, of whichever system. All calls but `warm_up` take bounded time and are
-    safe inside the loop.
+    """An observer of any system. All calls except `warm_up` take bounded time and are safe inside the loop.
 
-    Per tick: `feed` what has come, `improve`, `estimate`; the rest as often as it is wanted, for that tick's time.
-    Times are seconds on the events' clock and never run backwards.
+    Each tick: `feed` the new events, `improve`, `estimate`; the other calls as needed, for that tick's time. Times are
+    seconds on the events' clock and never decrease.
     """
 
     @property
     def name(self) -> str:
-        """As in estimates."""
+        """Name of the observer, as in estimates."""
 
     @property
     def backend(self) -> str:
-        """What runs the models: "c", "vm" or "numpy"."""
+        """The backend that evaluates the models: "c", "vm" or "numpy"."""
 
     @property
     def object_count(self) -> int:
-        """Counts up when a new object is begun."""
+        """Number of the present object; increases when a new object is started."""
 
     @property
     def late_dropped(self) -> int:
-        """Events that could not be fused: too late, or not finite."""
+        """Number of events that could not be fused: too late, or not finite."""
 
     @property
     def improvements(self) -> int:
-        """How many of a smoother's answers have been taken in; 0 without one."""
+        """Number of a smoother's improvements that have been used; 0 without a smoother."""
 
     def warm_up(self) -> None:
         """Pay the costs of first calls now; ends as if nothing had been fed."""
 
     def forget_object(self) -> bool:
-        """Begin a new object with the next readings, whatever is known of this one; False where that cannot be done."""
+        """Start a new object with the next readings and forget this one; False if that is not possible."""
 
     def feed(self, event: Event) -> None:
-        """Take one event, at its own time; one too late for that is counted and dropped."""
+        """Take one event, at its own time; an event that is too late is counted and dropped."""
 
     def improve(self, t: float) -> object:
-        """Exchange with the smoother beside the loop; what it has answered, each answer once. None without one."""
+        """Exchange data with the smoother beside the loop; returns each of its results once, None without one."""
 
     def estimate(self, t: float) -> LiveEstimate:
-        """The answer for time `t`; never raises, NaN where nothing is known."""
+        """The estimate for time `t`; never raises, NaN where nothing is known."""
 
     def shape(self, t: float) -> ShapeEstimate | None:
-        """The outline, None before anything is felt."""
+        """The outline, None while there is no object."""
 
     @property
-    def foresees(self) -> bool:
-        """Whether there is an outlook, of an estimate that need not be valid yet."""
+    def has_planning_belief(self) -> bool:
+        """Whether there is a belief for planning; the estimate need not be valid yet."""
 
     def planning_belief(self, t: float) -> object:
-        """What is known for choosing motions, None unless it `foresees`."""
+        """The belief for planning motions, None unless `has_planning_belief`."""
 
     @property
     def invalid_because(self) -> str:
@@ -75,20 +74,20 @@ class LiveObserver(Protocol):
 
     @property
     def cornered(self) -> bool:
-        """Whether the object has been felt to have a corner, so that no outlook is right about it."""
+        """Whether a corner has been detected, so that no planning belief of a smooth outline is valid."""
 
     def identify(self, t: float) -> ObjectEstimate | None:
-        """Which stored object it is, None before anything is felt and where none are stored."""
+        """Which stored object it is, None while there is no object or if none are stored."""
 
 
 class Observer(LiveObserver, Protocol):
     """An observer of two palms on a hinge."""
 
     def improve(self, t: float) -> Improvement | Unexplained | None:
-        """As above."""
+        """As `LiveObserver.improve`."""
 
     def estimate(self, t: float) -> Estimate:
-        """As above."""
+        """As `LiveObserver.estimate`."""
 
     def planning_belief(self, t: float) -> PlanningBelief | None:
-        """As above."""
+        """As `LiveObserver.planning_belief`."""

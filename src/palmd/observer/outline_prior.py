@@ -17,8 +17,8 @@ from palmd.events import FloatArray, PalmMotion
 from palmd.model import shape, shape_map
 from palmd.observer import prior
 from palmd.observer.object_memory import (
-    APART,
     DIRECTIONS,
+    EXCLUDED,
     PSI_SD,
     SAME_CHI2,
     SPIN_SD,
@@ -30,10 +30,12 @@ from palmd.system.vibration import INDEPENDENT
 
 LEAST_SD = 5e-6  # m, of each coefficient: no file is better than that
 LEAST_RHO_SD = 5e-3  # relative
-# A sliding and a sticking object move too differently for one filter: each pose is started with both.
-FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and 1σ
-MOST_STARTS = DIRECTIONS // (APART + 1) * len(FRICTIONS)  # of one outline
-DEVIATION = 0.1  # of another object, at least, in prior 1σ of any object: with more, small ones go unnoticed
+# An object that slides and one that sticks move too differently for one filter: each pose starts with either.
+FRICTIONS = ((0.0, 0.02), (0.12, 0.08))  # mean and one-sigma
+MOST_STARTS = DIRECTIONS // (EXCLUDED + 1) * len(FRICTIONS)  # of one outline
+DEVIATION = (
+    0.1  # how far another object deviates at least, of what is believed of any: more, and small ones go unnoticed
+)
 DEVIATION_OF_RADIUS = 3e-3  # relative
 _OUTLINE = slice(shape_map.Z.SHAPE, None)
 
@@ -90,7 +92,7 @@ class OutlinePrior:
         while len(poses) < count and likelihood.max() > -math.inf:
             which, direction = divmod(int(np.argmax(likelihood)), DIRECTIONS)
             poses.append((which, direction))
-            likelihood[which, np.arange(direction - APART, direction + APART + 1) % DIRECTIONS] = -math.inf
+            likelihood[which, np.arange(direction - EXCLUDED, direction + EXCLUDED + 1) % DIRECTIONS] = -math.inf
         chosen = np.array(poses, dtype=np.intp)
         psi: FloatArray = chosen[:, 1].astype(np.float64) * (2 * math.pi / DIRECTIONS)
         return chosen[:, 0], psi

@@ -17,12 +17,12 @@ from palmd.observer.palms import (
     FIRST_RATE_SD,
     PLAN_ACCELERATION_SD,
     PLAN_RATE_SD,
-    TOLD_JERK,
+    PLANNED_JERK,
     white_jerk,
 )
 from palmd.system.mechanism import JOINTS
 
-UNPLANNED_JERK = 20.0  # rad/s³/√Hz, without a planned motion: follows a planned stop; more would only pass more noise
+UNPLANNED_JERK = 20.0  # rad/s³/√Hz where no plan is told: follows a planned stop; more only lets more noise through
 _DRIFT = np.diag([0.0, 1e-8, 1e-8])
 _FIRST: FloatArray = np.array([1.0, FIRST_RATE_SD**2, FIRST_ACCELERATION_SD**2])
 
@@ -75,7 +75,7 @@ def smoothed_path(samples: Sequence[PalmSample], angle_noise: float) -> PalmPath
     t = np.array([sample.t_sample for sample in samples])
     missing = (math.nan,) * len(JOINTS)
     reported = np.array([(each.angles, each.rates or missing, each.accelerations or missing) for each in samples])
-    dt, jerk = np.diff(t), np.where(np.isnan(reported[1:, 2, 0]), UNPLANNED_JERK, TOLD_JERK)
+    dt, jerk = np.diff(t), np.where(np.isnan(reported[1:, 2, 0]), UNPLANNED_JERK, PLANNED_JERK)
     drift = np.moveaxis(white_jerk(dt) * jerk**2, -1, 0) + _DRIFT * dt[:, None, None]
     sd = np.array([angle_noise, PLAN_RATE_SD, PLAN_ACCELERATION_SD])
     return PalmPath(t, _smoothing()(dt, np.ascontiguousarray(drift), reported, sd))

@@ -1,4 +1,4 @@
-"""The palms' own motion between reports: angle, rate and acceleration at any time near the last report."""
+"""The palms' motion between reports: angle, rate and acceleration at any time near the last report."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from palmd.events import FloatArray, Joints, PalmMotion, PalmSample
 from palmd.system.mechanism import JOINTS
 
-JERK = 200.0  # rad/s³/√Hz, of palms whose plan is not told: enough to follow a planned stop
-TOLD_JERK = 1.0  # rad/s³/√Hz, of palms whose plan is
-PLAN_RATE_SD = 2e-3  # rad/s, of the plan's rate as a description of the palms
-PLAN_ACCELERATION_SD = 2e-2  # rad/s²
-ROUNDING_S2 = 6e-5  # (8 ms)²: an arm that interpolates between set-points rounds a plan's bends off beside delaying it
-CHANGED = 0.2  # of the jerks of the last second: how far a change of the plan since the last report is off, one-sigma
-JERK_MEMORY_S = 1.0
-FORGOTTEN_S = 0.5  # after which what was known of the motion helps no more
-FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0
+JERK = 200.0  # rad/s³/√Hz, white jerk of palms without a known plan: enough to follow a planned stop
+PLANNED_JERK = 1.0  # rad/s³/√Hz, white jerk of palms with a known plan
+PLAN_RATE_SD = 2e-3  # rad/s, 1σ of the plan's rate as a measurement of the palms
+PLAN_ACCELERATION_SD = 2e-2  # rad/s², the same for the plan's acceleration
+ROUNDING_S2 = 6e-5  # (8 ms)²: an arm that interpolates between set-points delays a plan and rounds its bends
+CHANGED = 0.2  # 1σ of a change of the plan since the last report, relative to the largest jerk of the last second
+JERK_MEMORY_S = 1.0  # decay time of the largest jerk
+FORGOTTEN_S = 0.5  # gap between reports after which the tracker is re-initialised
+FIRST_RATE_SD, FIRST_ACCELERATION_SD = 0.5, 5.0  # rad/s, rad/s²; initial 1σ without a plan
 STILL = (0.0,) * len(JOINTS)
 
 
 def white_jerk(dt: float | FloatArray) -> FloatArray:
-    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s): (3, 3), or (3, 3, n) for n of them."""
+    """Covariance that white jerk of density 1 adds to (φ, ω, α) in `dt` (s): (3, 3), or (3, 3, n) for n intervals."""
     return np.array(
         [
             [dt**5 / 20, dt**4 / 8, dt**3 / 6],
@@ -33,30 +33,30 @@ def white_jerk(dt: float | FloatArray) -> FloatArray:
     )
 
 
-# Readings of one place share what the pad is wrong about there, its rounding above all: while the palms rest they weigh
-# less and less, one half after such a time.
+# Readings at one position share the pad's error there, its rounding above all: while the palms rest (rates below
+# RESTING_RAD_S) their weight decreases, to one half after SHARED_AFTER_S.
 RESTING_RAD_S, SHARED_AFTER_S = 2e-3, 1.0
 
 
 def motion_of(values: FloatArray) -> PalmMotion:
-    """The joints' angles, rates and accelerations, one after the other, as a value with names."""
+    """A `PalmMotion` from the joints' angles, rates and accelerations in one array."""
     angles, rates, accelerations = (tuple(each) for each in values.reshape(3, -1).tolist())
     return PalmMotion(angles, rates, accelerations)
 
 
 def repetitions(rested_s: FloatArray | float) -> FloatArray | float:
-    """How many readings of a pad share one error when the palms have rested for so long: 1 while they move."""
+    """How many readings of a pad share one error after the palms have rested for `rested_s`; 1 while they move."""
     return 1.0 + rested_s / SHARED_AFTER_S
 
 
 class TrackedPalms(Protocol):
-    """The palms' motion by their reports so far; `jerk` (rad/s³) of each joint is the one the plan showed last."""
+    """The palms' motion estimated from their reports so far; `jerk` (rad/s³): each joint's last jerk by the plan."""
 
     jerk: FloatArray
 
     @property
     def known(self) -> bool:
-        """Whether a report has come."""
+        """Whether a report has been fused."""
 
     @property
     def t(self) -> float:
@@ -64,10 +64,10 @@ class TrackedPalms(Protocol):
 
     @property
     def repeated(self) -> float:
-        """The `repetitions` of what is read now."""
+        """The `repetitions` of readings at the last report's time."""
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s)."""
+        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s)."""
 
     def feed(self, sample: PalmSample) -> None:
         """Fuse one report; reports older than the last one are ignored."""
@@ -76,30 +76,30 @@ class TrackedPalms(Protocol):
         """Angles, rates and accelerations of all joints at `t`, seconds on the samples' clock."""
 
     def motion(self, t: float) -> PalmMotion:
-        """The same as a value with names."""
+        """The same as a `PalmMotion`."""
 
 
 class PalmTracker:
-    """A Kalman filter on (φ, ω, α) of each palm, with the plan's rates and accelerations where they are told.
+    """A Kalman filter on (φ, ω, α) of each palm, which also fuses the plan's rates and accelerations if known.
 
-    Between reports the jerk is the one the plan showed last. Pure and safe inside the loop. Its twin in C is
+    Between reports the jerk is the plan's last one. Pure and safe inside the loop. Its twin in C is
     `compiled_fusion.CompiledPalms`.
     """
 
     def __init__(self, angle_noise: float):
-        """`angle_noise` is the one-sigma of a measured palm angle (rad)."""
+        """`angle_noise`: 1σ of a measured palm angle (rad)."""
         self._angle_variance = angle_noise**2
         self._t: float | None = None
         self._state = np.zeros((len(JOINTS), 3))  # palm × (φ, ω, α)
-        self._P = np.zeros((3, 3))  # the same for both palms: they are read and told together
+        self._P = np.zeros((3, 3))  # the same for both palms: their reports come together
         self._plan: tuple[float, Joints] | None = None  # t, α
         self.jerk = np.zeros(len(JOINTS))
-        self._liveliest = 0.0  # the largest jerk lately
-        self._t_moved = 0.0  # when the palms turned last
+        self._largest_jerk = 0.0  # decays with JERK_MEMORY_S
+        self._t_moved = 0.0  # when the palms moved last
 
     @property
     def known(self) -> bool:
-        """Whether a report has come."""
+        """Whether a report has been fused."""
         return self._t is not None
 
     @property
@@ -109,18 +109,18 @@ class PalmTracker:
 
     @property
     def repeated(self) -> float:
-        """The `repetitions` of what is read now."""
+        """The `repetitions` of readings at the last report's time."""
         return float(repetitions(self.t - self._t_moved)) if self.known else 1.0
 
     def sd(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """One-sigma of both angles (rad) and of both rates (rad/s) at `t` (s).
+        """1σ of both angles (rad) and of both rates (rad/s) at `t` (s).
 
-        The arm rounds the plan off, and since the last report the plan may have turned.
+        Includes the arm's rounding of the plan, and a possible change of the plan since the last report.
         """
         age = t - self.t
-        turned = CHANGED * self._liveliest
-        angle = self._P[0, 0] + (ROUNDING_S2 * self._state[:, 2]) ** 2 + (turned * age**3 / 6) ** 2
-        rate = self._P[1, 1] + (ROUNDING_S2 * self.jerk) ** 2 + (turned * age**2 / 2) ** 2
+        changed = CHANGED * self._largest_jerk
+        angle = self._P[0, 0] + (ROUNDING_S2 * self._state[:, 2]) ** 2 + (changed * age**3 / 6) ** 2
+        rate = self._P[1, 1] + (ROUNDING_S2 * self.jerk) ** 2 + (changed * age**2 / 2) ** 2
         return np.sqrt(angle), np.sqrt(rate)
 
     def feed(self, sample: PalmSample) -> None:
@@ -133,11 +133,11 @@ class PalmTracker:
             return
         self._state = self.at(sample.t_sample).reshape(3, len(JOINTS)).T.copy()
         F = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        told = sample.accelerations is not None
-        jerk = TOLD_JERK if told else JERK
+        planned = sample.accelerations is not None
+        jerk = PLANNED_JERK if planned else JERK
         self._P = F @ self._P @ F.T + white_jerk(dt) * jerk**2 + np.diag([0.0, 1e-8, 1e-8]) * dt
         self._t = sample.t_sample
-        self._liveliest = max(float(np.abs(self.jerk).max()), self._liveliest * math.exp(-dt / JERK_MEMORY_S))
+        self._largest_jerk = max(float(np.abs(self.jerk).max()), self._largest_jerk * math.exp(-dt / JERK_MEMORY_S))
         self._fuse(0, sample.angles, self._angle_variance)
         if sample.rates is not None:
             self._fuse(1, sample.rates, PLAN_RATE_SD**2)
@@ -167,7 +167,7 @@ class PalmTracker:
         return np.array([*angles, *rates, *accelerations])
 
     def motion(self, t: float) -> PalmMotion:
-        """The same as a value with names."""
+        """The same as a `PalmMotion`."""
         return motion_of(self.at(t))
 
     def _begin(self, sample: PalmSample) -> None:
@@ -180,7 +180,7 @@ class PalmTracker:
         if sample.accelerations is not None:
             self._plan = (sample.t_sample, sample.accelerations)
         self.jerk[:] = 0.0
-        self._liveliest = 0.0
+        self._largest_jerk = 0.0
 
     def _fuse(self, state: int, values: Joints, variance: float) -> None:
         spread = self._P[state, state] + variance

@@ -1,7 +1,7 @@
-"""Whether the object on the palms is the last one, put back, or a new one: re-initialisation from what is remembered.
+"""Decision whether the object on the palms is the last one, put back, or a new one.
 
-Most of the bank begins with the remembered map, the rest blind, and the readings decide between them. Until then
-nothing is valid, so that nobody sees the count of objects change to and fro.
+Most filters of the bank start from the stored map of the last object, the rest blind, and the readings decide between
+them. Until then no estimate is valid, so that the published object count does not change back and forth.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import PALMS
 
-KNOWN_SHARE = 0.75  # of the bank, for filters that begin with the remembered object
-PRIOR_AGE_S = 4.0  # by which these forget as if they were older
-LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # after which what is not the known object, or may not be, is begun as a new one
-BAYES_FACTOR = 3.0  # nats by which blind filters lead when it is not
-SAME_POSE_RAD = 0.1  # from which on an object lies another way round
+KNOWN_SHARE = 0.75  # share of the bank that starts from the stored object
+PRIOR_AGE_S = 4.0  # added age of these filters, for slower forgetting
+LOOKED_AT_S, UNDECIDED_S = 0.5, 3.0  # age of the track at which the candidate is rejected: clear case, open case
+BAYES_FACTOR = 3.0  # nats by which blind filters must lead for a clear case
+SAME_POSE_RAD = 0.1  # largest difference of ψ in the same pose
 
 
 class SmoothedFilters(NamedTuple):
-    """Filters for objects that a smoother vouches for: a bank to find a `known` one, and a `single` that carries it."""
+    """Filters for objects confirmed by a smoother: a bank to find a `known` object, and a `single` one to track it."""
 
     known: ShapeFilters
     single: ShapeFilters
 
 
 class ReturningObject:
-    """Hypotheses of an observer that remembers the last object; `candidate` is what it may be again."""
+    """Hypotheses of an observer that remembers the last object; `candidate`: that object, while it may be back."""
 
-    pruning = Pruning(margin=100.0, age_s=4.0)  # no filter comes back from there
+    pruning = Pruning(margin=100.0, age_s=4.0)  # no filter recovers from there
     one_gauge = False
 
     def __init__(self, rig: RigDescription, blind: Filters, smoothed: SmoothedFilters | None = None):
-        """`smoothed`: for an observer with a smoother at its side."""
+        """`smoothed`: for an observer with a smoother."""
         self._rig = rig
         self._blind = blind
         self._smoothed = smoothed
@@ -55,42 +55,42 @@ class ReturningObject:
 
     @property
     def banks(self) -> Sequence[Filters]:
-        """All that are ever used, the one for objects never felt before first."""
+        """All banks that are used; the one for unknown objects first."""
         return [self._blind, *(self._smoothed or ())]
 
     def reset(self) -> None:
-        """As if no object had ever been felt."""
+        """Back to the initial state, as if there had been no object."""
         self.memory = ObjectMemory()
         self.candidate: KnownObject | None = None
 
     def choose(self) -> Filters:
-        """The bank that the next object is to be begun with."""
+        """The bank for the next object."""
         known = self.memory.recall()
         return self._smoothed.known if self._smoothed and known and known.smoothed else self._blind
 
     def begin(self, track: Track, t: float) -> bool:
-        """Let the bank's first filters begin from what is remembered, at the likeliest orientations."""
+        """Start the bank's first filters from the stored map, at the likeliest orientations; False if there is one."""
         rig, fusion, bank = self._rig, track.fusion, track.fusion.bank
         self._rough_mass = MassEstimator(rig.pads)
         count = int(bank.full_size // bank.block * KNOWN_SHARE) * bank.block
         known = self.candidate = self.memory.recall() if count else None
         if known is not None:
             psi = known.orientations(track.first_contacts, track.palms, rig, count)
-            fusion.filters.start_known(known.x, known.believed(), psi, fusion.palms, t)
+            fusion.filters.start_known(known.x, known.prior_covariance(), psi, fusion.palms, t)
             fusion.forgetting.prior_age_s[:count] = PRIOR_AGE_S
-        # what a smoother vouches for has been linearised well: only what begins blind has to forget
+        # a map confirmed by a smoother has been linearised well: only blind filters have to forget
         fusion.forgetting.begin(t, everywhere=known is None or not known.smoothed)
         return known is None
 
     def constants(self, track: Track) -> Belief:
-        """What was believed of each filter's constants at the start."""
+        """The prior of each filter's constants at the start."""
         return track.fusion.filters.constants(track.start)
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
-        """Nothing to do: a filter's hypothesis is told by its prior age."""
+        """Nothing to do: a filter's prior age identifies its hypothesis."""
 
     def decide(self, track: Track, t: float, settled: bool) -> Verdict:
-        """Accept or reject that it is the candidate; with none there is nothing to decide."""
+        """Accept or reject that the object is the candidate; decided at once without a candidate."""
         known, fusion, bank = self.candidate, track.fusion, track.fusion.bank
         if known is None:
             return Verdict.DECIDED
@@ -102,54 +102,57 @@ class ReturningObject:
         best, blind = bank.best(), fusion.forgetting.prior_age_s == 0.0
         likely = not blind[best]
         x, P = fusion.filters.belief(best)
-        alike = known.weighs(self._rough_mass.value) and (not likely or known.resembles(x))
-        if likely and alike and (not known.smoothed or _where_felt(known, fusion, best)):
+        matches = known.matches_mass(self._rough_mass.value) and (not likely or known.matches_outline(x))
+        if likely and matches and (not known.smoothed or _touches_known_part(known, fusion, best)):
             if not settled or (known.smoothed and not (_one_pose(fusion, best) or track.age(t) > UNDECIDED_S)):
                 return Verdict.OPEN
             self.accept(track)
             if known.spread is not None and self._smoothed is not None:
-                track.lead_with(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
+                track.use_single_filter(self._smoothed.single, x, P, float(bank.nis[best]), known.touched, known.spread)
             else:
                 track.coverage = Coverage(known.touched, best, self._rig.curvatures)
                 bank.drop(blind)
             return Verdict.DECIDED
-        clear = not alike or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
+        clear = not matches or bank.score[blind].max() - bank.score[~blind].max() > BAYES_FACTOR
         if track.age(t) <= (LOOKED_AT_S if clear else UNDECIDED_S):
             return Verdict.OPEN
         self.memory.forget()
         return Verdict.REJECTED
 
     def accept(self, track: Track) -> None:
-        """It is the candidate, if there is one."""
+        """Take the candidate, if there is one, for the present object."""
         if self.candidate is not None:
-            track.mass, track.riding = self.candidate.mass, self.candidate.riding or track.riding
+            track.mass, track.flat_side_test = (
+                self.candidate.mass,
+                self.candidate.flat_side_test or track.flat_side_test,
+            )
             self.candidate = None
 
     def keep(self, track: Track, t: float) -> None:
-        """Remember the map, for when the object is lost and put back."""
+        """Store the map, for when the object is lost and put back."""
         if self.memory.due(t):
             filters = track.fusion.filters
             x, P = filters.belief(filters.bank.best())
             touched = track.coverage.marks.copy()
-            self.memory.keep(t, KnownObject(x, P, touched, track.mass, filters.spread, track.riding))
+            self.memory.keep(t, KnownObject(x, P, touched, track.mass, filters.spread, track.flat_side_test))
 
     def lost(self, track: Track) -> None:
-        """What was known of the object, if it was, has led astray."""
-        if track.fusion.forgetting.prior_age_s.any() or (self._smoothed and not track.fusion.carries):
+        """Drop the stored map if the lost track started from it, or if no smoother confirmed the track."""
+        if track.fusion.forgetting.prior_age_s.any() or (self._smoothed and not track.fusion.uses_smoothed_filter):
             self.memory.forget()
 
     def identify(self, t: float, object_count: int) -> None:
-        """Nothing is stored to choose from."""
+        """None: there are no stored outlines."""
 
 
-def _where_felt(known: KnownObject, fusion: Fusion, best: int) -> bool:
-    """Whether the likeliest filter touches the known outline where that was felt: elsewhere any outline fits."""
+def _touches_known_part(known: KnownObject, fusion: Fusion, best: int) -> bool:
+    """Whether the likeliest filter's contacts are where the known outline was touched; elsewhere any outline fits."""
     return bool(known.touched[contact_bins(fusion.named()[best], fusion.curvatures)].all())
 
 
 def _one_pose(fusion: Fusion, best: int) -> bool:
-    """Whether the plausible filters that began from what is known agree on how it lies."""
-    rivals = [number for number in fusion.rivals() if fusion.forgetting.prior_age_s[number] > 0.0]
+    """Whether the plausible filters that started from the stored map agree on the orientation."""
+    rivals = [member for member in fusion.rivals() if fusion.forgetting.prior_age_s[member] > 0.0]
     psi = fusion.psi()
-    apart = np.remainder(psi[rivals] - psi[best] + math.pi, math.tau) - math.pi
-    return bool(np.abs(apart).max() < SAME_POSE_RAD)
+    difference = np.remainder(psi[rivals] - psi[best] + math.pi, math.tau) - math.pi
+    return bool(np.abs(difference).max() < SAME_POSE_RAD)

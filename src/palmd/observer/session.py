@@ -1,4 +1,4 @@
-"""When an object on the palms is begun, lost, and begun again."""
+"""Life cycle of the object on the palms: when a track is started, lost, and started again."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from palmd.system.arcs import tangents
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import OPENING, PALMS
 
-LOSS_AGE_S, LOST_FOR_S = 0.4, 0.4
+LOSS_AGE_S, LOST_FOR_S = 0.4, 0.4  # s: least age of a track that can be lost, and time of high NIS after which it is
 
 
 class ObjectSession:
-    """The present `track`, None while no object lies on both palms; safe inside the loop.
+    """The present `track`, None while there is no object on both palms; safe inside the loop.
 
-    `object_count` counts up when a new object is begun.
+    `object_count` increases when a new object is started.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class ObjectSession:
         hypotheses: Hypotheses,
         observability: Observability,
     ):
-        """`seed` draws where blind filters start."""
+        """`seed`: for the starts of blind filters."""
         self._rig = rig
         self._seed = seed
         self._fusion = fusion
@@ -49,29 +49,29 @@ class ObjectSession:
         self._hypotheses = hypotheses
         self._observability = observability
         self.track: Track | None = None
-        self.distrusted = False  # it was begun where the one before had just been lost: it may be the same
+        self.distrusted = False  # the track started just after a loss without lift-off: it may be the same object
         self._t_lost = -math.inf
         self.object_count = 0
         self._starts = 0
         self._t_begun = math.inf
 
     @property
-    def begun(self) -> float:
+    def start_time(self) -> float:
         """Since when the present object has been on the palms (s), inf while there is none.
 
-        What a bank loses where it lay may be the same object.
+        May be before the present track's start: after a loss without lift-off it may be the same object.
         """
         return self._t_begun
 
     def try_to_begin(self, t: float) -> None:
-        """Begin at `t` (s) if both pads and the palms are told of then."""
+        """Start a track at `t` (s) if both pads and the palms were read then."""
         if self._contacts.read_about(t) and self._fusion.palms_known(t):
             self.distrusted = t - self._t_lost < GONE_S
             self._t_begun = min(self._t_begun, t) if self.distrusted else t
             self._begin(t)
 
     def _begin(self, t: float) -> None:
-        """Begin with what lies on the palms since `begun`, as the hypotheses say or blind."""
+        """Start a track of the object on the palms, from the hypotheses or blind."""
         self._starts += 1
         rig, fusion, filters = self._rig, self._fusion, self._hypotheses.choose()
         palms = fusion.palms.motion(t)
@@ -87,18 +87,18 @@ class ObjectSession:
             mass=MassEstimator(rig.pads),
             likely_mass=MassEstimator(rig.pads),
             coverage=Coverage(curvatures=rig.curvatures),
-            riding=FixedModeTest(rig),
+            flat_side_test=FixedModeTest(rig),
         )  # fmt: skip
         self.object_count += self._hypotheses.begin(track, t)
         self._observability.begin(t, shape_map_sd(start))
 
     def stop(self) -> None:
-        """The object has left the palms, or what is on them must be sought again."""
+        """End the track: the object has left the palms, or has to be searched for again."""
         self.track, self._t_begun = None, math.inf
         self._contacts.clear()
 
     def judge(self, t: float, settled: bool) -> bool:
-        """Whether the answer at `t` (s), `settled` or not, is valid: not lost, and decided which object it is of."""
+        """Whether the estimate at `t` (s) is valid: `settled`, not lost, and the object's identity decided."""
         track = self.track
         if track is None or self._is_lost(track, t):
             return False
@@ -115,20 +115,20 @@ class ObjectSession:
             track.t_unlikely = t
         elif t - track.t_unlikely > LOST_FOR_S:
             self._hypotheses.lost(track)
-            begun = self._t_begun if self._still_the_same(track) else math.inf
+            start_time = self._t_begun if self._may_be_same_object(track) else math.inf
             self.stop()
-            self._t_lost, self._t_begun = t, begun
+            self._t_lost, self._t_begun = t, start_time
         return self.track is None
 
-    def _still_the_same(self, track: Track) -> bool:
-        """Whether what a smoother has of the object that a bank has just lost where it lay is of the next one too.
+    def _may_be_same_object(self, track: Track) -> bool:
+        """Whether the smoother keeps the readings of the object that a bank has just lost without lift-off.
 
-        A bank that never knew the object cannot tell that there is another now, and on a busy machine it may be lost
-        again and again before the smoother's first answers come.
+        A bank that never had a valid estimate of the object cannot detect that it was exchanged, and on a busy machine
+        it may be lost repeatedly before the smoother's first results arrive.
         """
-        return not self._fusion.carries and (self._rig.unequal_friction or not track.confirmed)
+        return not self._fusion.uses_smoothed_filter and (self._rig.unequal_friction or not track.confirmed)
 
-    # ---- what fusion asks
+    # ---- `fusion.Beliefs`
 
     @property
     def pruning(self) -> Pruning:
@@ -136,12 +136,12 @@ class ObjectSession:
         return self._hypotheses.pruning
 
     def constants(self) -> Belief:
-        """What was believed of each filter's constants at the start."""
+        """The prior of each filter's constants at the start."""
         assert self.track is not None
         return self._hypotheses.constants(self.track)
 
     def renumber(self, kept: npt.NDArray[np.intp]) -> None:
-        """The bank has been pruned: the former numbers of the filters that stay."""
+        """Adapt to a pruned bank; `kept`: former indices of the remaining filters."""
         assert self.track is not None
         self.track.coverage.renumber(kept)
         self._hypotheses.renumber(kept)

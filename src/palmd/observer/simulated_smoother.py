@@ -26,7 +26,7 @@ class Simulated:
         self._smoother.add(session, events)
         if t >= self._next and self._ready is None:
             self._next = t + period(t - session.start_time)
-            self._ready = (t + self._latency, self._smoother.said())
+            self._ready = (t + self._latency, self._smoother.result())
 
     def collect(self, t: float) -> Improvement | Unexplained | None:
         """The answer of the run started at least `latency_s` ago."""

@@ -20,33 +20,31 @@ from palmd.events import FloatArray
 from palmd.model.rolling import SLIPS_SIGN, Lying, normal_forces
 from palmd.model.smoothing import ORDER, C, R
 from palmd.observer.factor import Prior
-from palmd.observer.force_gain import BEHIND, BEHIND_S, DRIFT_S
+from palmd.observer.force_gain import DRIFT_S, HYSTERESIS, HYSTERESIS_S
 from palmd.observer.record import Record
 from palmd.system.mechanism import JOINTS, OPENING, PALMS, directions
 
 FRICTION, FRICTION_SD = 0.25, 0.15
-STANDING = 1.5e-2  # rad/s: palms that turn relative to each other no faster may be at rest, or turn the other way
-STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; steps until the palm may change, while little is known of the object
-KEPT = 48  # filters, while little is known of the object
-CHANGE_COST = 8.0  # of twice the log-likelihood: the palm changes once or twice a second
-TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad: at a change, which is at some time between two decisions; and at each step
-ALIKE_RAD = 1e-3  # difference of ψ below which two filters with one palm are duplicates
-MASS_SD = 0.1  # relative, about the mass of a frictionless object with these forces
-CONTACT_SD, FORCE_SD = 3e-5, 0.02  # m, and relative: model errors of the filters
-# additional noise of a reading, as a share of its predicted variance: the filter is linearised far from the solution
-UNDERWEIGHTED = 0.2
-LOST = 1.0  # change of ln mass or ln radius from the start beyond which a filter has diverged
-MOST_NIS = 8.0  # per reading, averaged over a step; limits the effect of an impact
-# mean squared normalised residual beyond which no sequence of stuck palms explains the readings
-HOPELESS, HOPELESS_S = 1.4, 2.0
+STANDING = 1.5e-2  # rad/s: palms that turn against each other no faster may stand, or turn the other way
+STEP_S, DECISION_STEPS = 0.02, 3  # of the filters; until the palm may change, while little is known of the object
+KEPT = 48  # filters, the same
+CHANGE_COST = 8.0  # of twice the log-likelihood: it changes once or twice a second
+TURN_SD, CREEP_SD = 6e-3, 2e-4  # rad, at a change, which is somewhere between two decisions; and at each step
+ALIKE_RAD = 1e-3  # filters of one palm whose ψ differ by less go the same way from now on
+MASS_SD = 0.1  # relative, of what a frictionless object of these forces would have
+CONTACT_SD, FORCE_SD = 3e-5, 0.02  # m and relative: what the filters leave out
+UNDERWEIGHTED = 0.2  # of what a filter is unsure of a reading, as noise besides: it is linearised far from the answer
+LOST = 1.0  # in ln mass and in ln radius, from where filters begin: beyond, one has diverged
+MOST_NIS = 8.0  # of a reading, on the average of a step: whatever a blow does there
+HOPELESS, HOPELESS_S = 1.4, 2.0  # of the squared normalised residuals' mean: no motion is one that sticks
 
 SHAPE = slice(1, 2 + 2 * ORDER)  # after ψ
 STANDOFF = slice(SHAPE.stop, SHAPE.stop + len(PALMS))  # of the palms' surfaces (m)
-LN_MASS = slice(STANDOFF.stop, STANDOFF.stop + len(PALMS))  # one for each pad's force
+LN_MASS = slice(STANDOFF.stop, STANDOFF.stop + len(PALMS))  # as each pad weighs it
 MU1, MU2 = range(LN_MASS.stop, LN_MASS.stop + 2)
 SIZE = MU2 + 1
 MASS_INDICES = np.arange(LN_MASS.start, LN_MASS.stop)
-_CONTACT_STATE = slice(SHAPE.start, STANDOFF.stop)  # states that determine the contacts
+_CONTACT_STATE = slice(SHAPE.start, STANDOFF.stop)  # what tells where it touches
 _OF_STANDOFFS = slice(C.RIG + R.STANDOFF, C.RIG + R.STANDOFF + len(PALMS))  # among the constants of `model.smoothing`
 _LITTLE = 1e-6
 
@@ -156,7 +154,7 @@ def stuck_guess(record: Record, start: FilterStart) -> StuckGuess | float:
 
 def _wandering(std: float) -> float:
     """Variance added in a step by a gain of this `std` and by play; 0 for a pad of known gain."""
-    return 2.0 * STEP_S * (std**2 / DRIFT_S + BEHIND**2 / BEHIND_S) if std else 0.0
+    return 2.0 * STEP_S * (std**2 / DRIFT_S + HYSTERESIS**2 / HYSTERESIS_S) if std else 0.0
 
 
 def _initial_filters(start: FilterStart) -> _Filters:
@@ -237,7 +235,7 @@ def _learned(filters: _Filters, part: Record, before: FloatArray, pull: tuple[Fl
     nis = np.einsum("nm,nm->n", innovation, np.linalg.solve(spread, innovation[:, :, None])[:, :, 0])
     nis = np.minimum(nis, MOST_NIS * part.readings)
     covariance = covariance - gain_numerator.transpose(0, 2, 1) @ gain
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))  # else rounding errors grow
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))  # what rounding makes of it else grows and grows
     return replace(
         filters, x=x + np.einsum("nms,nm->ns", gain, innovation), covariance=covariance,
         cost=filters.cost + nis + np.linalg.slogdet(spread)[1], nis=filters.nis + nis,

@@ -1,4 +1,4 @@
-"""The object on the palms, from when it is begun until it is lost: what it began with, what has been found of it."""
+"""The state of one object's track, from its start until it is lost."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from palmd.observer.prior import BlindStart
 
 @dataclass(slots=True)
 class Track:
-    """One object, on palms at `palms` when it was begun, with the pads' readings `first_contacts` (m).
+    """One object's track; at its start the palms were at `palms` and the pads read `first_contacts` (m).
 
-    likely_mass: as `mass`, by estimates that need not be valid.
-    radius_sd: what the rig's constants leave of its radius (m) until a smoother has told more. valid, predictable: of
-    the last estimate. t_unlikely: since when (s) all filters have been surprised, None while they are not.
-    surprise: what its readings have lately said of the published one-sigmas; what is acted on does not ask.
-    riding: whether it may only have turned with a palm since.
+    likely_mass: as `mass`, from estimates that need not be valid. radius_sd: 1σ of its radius (m) due to the rig's
+    constants, until a smoother has estimated them. valid, predictable: of the last estimate. confirmed: an estimate was
+    valid. t_unlikely: since when (s) the best filter's NIS has been too high, None while it is not. innovation_test:
+    inflates published standard deviations only. flat_side_test: whether the object may have turned with a palm only.
     """
 
     fusion: Fusion
@@ -36,7 +35,7 @@ class Track:
     mass: MassEstimator
     likely_mass: MassEstimator
     coverage: Coverage
-    riding: FixedModeTest
+    flat_side_test: FixedModeTest
     valid: bool = False
     predictable: bool = False
     confirmed: bool = False
@@ -44,14 +43,14 @@ class Track:
     innovation_test: InnovationTest = field(default_factory=InnovationTest)
 
     def age(self, t: float) -> float:
-        """How long ago its filters began, at `t` (s)."""
+        """Time (s) since its filters were started, at `t` (s)."""
         return t - self.fusion.t_start
 
-    def lead_with(
+    def use_single_filter(
         self, filters: ShapeFilters, x: FloatArray, P: FloatArray, nis: float, touched: Marks, spread: FloatArray
     ) -> None:
-        """One filter, which a smoother vouches for, takes the place of all others; it has the leader's gauge."""
+        """Replace the bank by a single filter from a smoother, in the leader's gauge."""
         filters.spread = spread
         self.innovation_test = InnovationTest()
         self.coverage = Coverage(touched, 0, self.fusion.curvatures)
-        self.fusion.lead_with(filters, x, P, nis)
+        self.fusion.use_single_filter(filters, x, P, nis)

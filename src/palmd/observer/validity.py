@@ -1,7 +1,7 @@
-"""When an estimate is valid: one rule for every observer, from evidence to judgement. Pure.
+"""The rule by which an estimate is valid, for every observer. Pure.
 
-An estimate is valid when it is `settled`, its outline is convex, and it is decided which object it is of: none was
-expected, or the hypothesis that it is a known one was accepted (`identified`, where outlines are stored).
+An estimate is valid if it is `settled`, its outline is convex, and the object's identity is decided: no known object
+was expected, or the hypothesis that it is one was accepted (`identified`, if outlines are stored).
 """
 
 from __future__ import annotations
@@ -12,28 +12,29 @@ from typing import NamedTuple
 
 from palmd.events import DECIDED
 
-MOST_NIS = 2.0  # of the running mean, to be called consistent; noise that does not show is no reason for doubt
-RESUMED_FOR_S = 0.05  # of readings after a silence, by which it shows whether they are of the same object
-SURE = 0.99  # the probability from which on an object is identified, until it falls below `DECIDED`
-LOST_NIS = 3.0
-# RMS of the outline's one-sigma where touched, were the rig known, above which there is no outline to speak of.
+MOST_NIS = 2.0  # largest running mean NIS of a consistent estimate; overestimated noise is no reason to reject
+RESUMED_FOR_S = 0.05  # s of readings after a silence, enough to show whether they are of the same object
+SURE = 0.99  # probability from which an object is identified, until it falls below `DECIDED`
+LOST_NIS = 3.0  # running mean NIS above which a track is being lost
+# Largest RMS 1σ of the touched outline, given the rig's constants, of an estimate that is used at all.
 SHARP_M = 1.5e-4
-# The same, above which a smoother vouches for nothing: what weighs all readings at once knows more than a filter,
-# whatever one-sigma that has. Seen on simulated lumps and ellipses: valid, and 0.3 to 1 mm off, with 0.1 to 0.2 mm.
-VOUCHED_M = 2e-4
-SURE_M = 1e-4  # the same, below which what is no disc by the readings of both palms together need not be felt to roll
-VAGUE_M = 5e-4  # of what is told of a radius, surprises counted: above it a vouched answer has been contradicted
-PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # of the radii
+# The same for a smoother's outline to count as confirmed. The smoother uses all readings at once and knows more than a
+# filter, whatever 1σ that has: on simulated lumps and ellipses filters with 0.1 to 0.2 mm were valid and wrong by 0.3
+# to 1 mm.
+CONFIRMED_M = 2e-4
+PRECISE_M = 1e-4  # the same for an outline that is accepted if only both palms' readings together contradict a disc
+CONTRADICTED_M = 5e-4  # inflated 1σ of a radius above which a confirmed estimate has been contradicted
+PREDICTABLE_SD_M, PREDICTABLE_AGE_S = 3e-3, 0.6  # largest 1σ of the radii and least age (s) for planning motions
 
 
 class Evidence(NamedTuple):
-    """What one estimate rests on; a tuple, as a frozen dataclass takes several times as long to make.
+    """The facts that decide about one estimate; a tuple, since a frozen dataclass takes several times as long to make.
 
-    touching: both pads vouch for a contact, since `resumed_for_s`. palms_known: so do reports of the palms. finite: of
-    all values. consistent: the readings are as the model predicts. age_s: since the object was begun. radius_sd_m: the
-    largest of the radii's. disagreement_m: among rival hypotheses, or of the readings about one outline. rig_known: the
-    one-sigmas have what the rig's constants leave open, or these leave nothing open. explained: no smoother has said
-    last that nothing explains the readings, and they are not of what the model has lost where it lay, a while ago.
+    touching: both pads confirm a contact, since `resumed_for_s`. palms_known: there are recent reports of the palms.
+    finite: all values are. consistent: the readings are as predicted. age_s: since the object was started. radius_sd_m:
+    the largest 1σ of a radius. disagreement_m: among rival hypotheses, or of the readings about one outline. rig_known:
+    the standard deviations include the uncertainty of the rig's constants, or that is negligible. explained: the
+    smoother's last result was not a rejection, and the object was not lost a short while ago without lift-off.
     """
 
     touching: bool
@@ -50,7 +51,7 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """How old, how sharp and how much agreed on an observer's answer has to be."""
+    """Least age, largest 1σ of a radius and largest disagreement of a valid estimate of an observer."""
 
     age_s: float
     radius_sd_m: float
@@ -58,9 +59,9 @@ class Thresholds:
 
 
 class _Condition(NamedTuple):
-    """What a valid estimate needs: a code, whether it holds, and in words with value and limit why it does not.
+    """A condition for a valid estimate: its code, a test, and a text with value and limit for when it fails.
 
-    `words` are given the running mean of the NIS, too.
+    `words` also gets the running mean of the NIS.
     """
 
     code: str
@@ -111,12 +112,12 @@ _CONDITIONS = (
 
 
 def settled(evidence: Evidence, least: Thresholds) -> bool:
-    """Whether the numbers can be taken at their word, whichever object they are of."""
+    """Whether all conditions hold, apart from convexity and the object's identity."""
     return all(condition.holds(evidence, least) for condition in _CONDITIONS)
 
 
 def reasons(evidence: Evidence, least: Thresholds) -> tuple[str, ...]:
-    """The codes of the conditions that fail; `not-settled` where none of them does."""
+    """The codes of the conditions that fail; `not-settled` if none fails."""
     failed = tuple(condition.code for condition in _CONDITIONS if not condition.holds(evidence, least))
     return failed or ("not-settled",)
 
@@ -127,20 +128,20 @@ def unmet(evidence: Evidence, least: Thresholds, nis: float) -> list[str]:
 
 
 def consistent(nis: float) -> bool:
-    """Whether a filter's running mean of the normalised innovation squared is that of a right model."""
+    """Whether a filter's running mean NIS is consistent with a correct model."""
     return bool(nis < MOST_NIS)
 
 
-def surprised(nis: float) -> bool:
-    """Whether the readings are beyond what any filter foresees."""
+def fails_innovation_test(nis: float) -> bool:
+    """Whether the best filter's running mean NIS shows that no filter predicts the readings."""
     return bool(nis > MOST_NIS)
 
 
 def identified(probability: float, before: bool) -> bool:
-    """Whether an object of this probability is the one, given whether it was `before`: with hysteresis."""
+    """Whether an object of this probability is identified, with hysteresis: `before` is the previous result."""
     return probability >= (DECIDED if before else SURE)
 
 
 def predictable(finite: bool, read_lately: bool, age_s: float, radius_sd_m: float) -> bool:
-    """Whether an answer that may not be valid yet is known well enough to foresee what a motion will do."""
+    """Whether an estimate that may not be valid yet is good enough to predict the effect of a motion."""
     return bool(finite and read_lately and age_s > PREDICTABLE_AGE_S and radius_sd_m < PREDICTABLE_SD_M)

@@ -73,7 +73,7 @@ class Fake(SilentObserver):
         return True
 
     @property
-    def foresees(self):
+    def has_planning_belief(self):
         return self.valid
 
     @property

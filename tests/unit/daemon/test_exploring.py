@@ -37,7 +37,7 @@ from palmd.motion.plan import compile_plan
 from palmd.motion.segments import Move
 from palmd.motion.tipping import tip
 from palmd.system.rig_constants import RIG_NAMES
-from tools.wireless import InlineExplorer
+from tools.closed_loop import InlineExplorer
 
 STEP_S = 0.002
 CYCLE_STEPS, TICK_STEPS = 8, 5

@@ -8,7 +8,7 @@ from palmd.config.two_palms import ImperfectionsConfig, PlanSpec
 from palmd.daemon.diagnostics import NIS_MEMORY_S, NisDiagnostics
 from palmd.faults import TABLE, Severity
 from palmd.rig.world import default_config
-from tools.wireless import Wireless
+from tools.closed_loop import TwoPalmsLoop
 
 CODE = "estimate-inconsistent"
 ROCK = PlanSpec.model_validate(
@@ -74,7 +74,7 @@ def test_its_row_says_what_to_do():
 def test_it_comes_when_the_pads_are_not_as_configured_and_else_not(seed, off, alarm):
     config = default_config()
     rig = config.rig.model_copy(update={"imperfections": ImperfectionsConfig.model_validate(off)})
-    run = Wireless(config.model_copy(update={"rig": rig}), ROCK, seed)
+    run = TwoPalmsLoop(config.model_copy(update={"rig": rig}), ROCK, seed)
     run.start()
     raised = any(CODE in [fault.code for fault in run.core.faults.active] for _ in run.run(15.0))
     assert raised == alarm

@@ -20,8 +20,8 @@ from palmd.score import score_shape
 from palmd.topics import TOPICS
 from palmd.yamlfile import load_any_config, read_document
 from palmd.yamlfile import parse as parsed
+from tools.closed_loop import PivotLoop
 from tools.published import validate
-from tools.wireless import PivotWireless
 
 ROOT = Path(__file__).parents[3]
 CONFIG = load_any_config(ROOT / "config/pivot.yaml")
@@ -32,7 +32,7 @@ LONGEST_S = 80.0
 
 class Lived:
     def __init__(self):
-        self.rig = PivotWireless(CONFIG, PLAN, SEED, period_s=PERIOD_S)
+        self.rig = PivotLoop(CONFIG, PLAN, SEED, period_s=PERIOD_S)
         self.ticks, self.reasons = [], []
         tick = self.rig.tick
 
@@ -66,7 +66,7 @@ def test_nothing_jams_and_the_force_stays_below_its_limit(lived):
 
 @pytest.mark.parametrize("seed", [728, 816])  # 3.3 and 2.8 N: set down on the way back, lifted off after the force
 def test_bodies_that_pressed_too_hard_do_not(seed):
-    rig = PivotWireless(CONFIG, PLAN, seed, period_s=math.inf)
+    rig = PivotLoop(CONFIG, PLAN, seed, period_s=math.inf)
     rig.start()
     while rig.t < 55.0:
         rig.tick()

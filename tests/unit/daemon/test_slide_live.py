@@ -12,7 +12,7 @@ from palmd.config.pivot import PivotPlanSpec, pivot_rig
 from palmd.observer.pivot.observer import pivot_observer
 from palmd.score import score_shape
 from palmd.yamlfile import load_any_config, parse, read_document
-from tools.wireless import PivotWireless
+from tools.closed_loop import PivotLoop
 
 ROOT = Path(__file__).parents[3]
 CONFIG = load_any_config(ROOT / "config/slide.yaml")
@@ -22,7 +22,7 @@ SEED, PERIOD_S = 3, 4.0
 
 class Lived:
     def __init__(self):
-        self.rig, self.ticks = PivotWireless(CONFIG, PLAN, SEED, period_s=PERIOD_S), []
+        self.rig, self.ticks = PivotLoop(CONFIG, PLAN, SEED, period_s=PERIOD_S), []
         tick = self.rig.tick
 
         def noted():

@@ -8,8 +8,8 @@ import yaml
 from palmd.config.two_palms import Config, PlanSpec
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
+from tools.closed_loop import ClosedLoopError, TwoPalmsLoop
 from tools.studies.simulation.light_observer import LightObserver
-from tools.wireless import Wireless, WirelessError
 
 PLAN = PlanSpec.model_validate(
     yaml.safe_load(
@@ -32,7 +32,7 @@ RIGS = {"adept": lambda: ADEPT, "dynamixel": lambda: servos("dynamixel"), "feete
 
 
 def started(config, seed=7, after_s=4.0):
-    loop = Wireless(config, PLAN, seed, estimator=LightObserver())
+    loop = TwoPalmsLoop(config, PLAN, seed, estimator=LightObserver())
     loop.start()
     for _ in loop.run(after_s):
         pass
@@ -145,10 +145,10 @@ def test_after_a_block_a_start_begins_where_the_arm_is():
 @pytest.mark.parametrize("yaw_deg", [90.0, 180.0])
 def test_an_arm_whose_base_is_turned_in_the_configuration_is_not_armed(yaw_deg):
     wrong = ADEPT.model_copy(update={"arm": ADEPT.arm.model_copy(update={"base_yaw_deg": yaw_deg})})
-    loop = Wireless(ADEPT, PLAN, 7, estimator=LightObserver())
-    loop.core = Wireless(wrong, PLAN, 7, estimator=LightObserver()).core
+    loop = TwoPalmsLoop(ADEPT, PLAN, 7, estimator=LightObserver())
+    loop.core = TwoPalmsLoop(wrong, PLAN, 7, estimator=LightObserver()).core
     for _ in range(100):
         loop.tick()
     assert "pose-contradicts-rig" in {fault.code for fault in loop.core.faults.active}
-    with pytest.raises(WirelessError, match=r"mm.*base_yaw_deg: -?0.*palmd doctor.*palmd calibrate arm"):
+    with pytest.raises(ClosedLoopError, match=r"mm.*base_yaw_deg: -?0.*palmd doctor.*palmd calibrate arm"):
         loop.ask("arm")

@@ -17,7 +17,7 @@ from palmd.events import PadSample
 from palmd.rig.fault_injection import order
 from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
-from tools.wireless import Wireless
+from tools.closed_loop import TwoPalmsLoop
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 ROCK = PlanSpec.model_validate(
@@ -46,7 +46,7 @@ def config(pads="strip", pressure=True) -> Config:
 
 @cache
 def begun(pads, **how):
-    run = Wireless(config(pads, **how), ROCK, seed=2, observer_name="quasistatic")
+    run = TwoPalmsLoop(config(pads, **how), ROCK, seed=2, observer_name="quasistatic")
     run.start()
     for _ in run.run(BEGIN_S):
         pass

@@ -12,8 +12,8 @@ from palmd.model.icosphere import icosphere
 from palmd.quantities import STATE
 from palmd.system.three_palms import BodyAnswer
 from palmd.yamlfile import load_any_config
+from tools.closed_loop import ThreePalmsLoop
 from tools.studies.space import LIVE, SpaceLiveRow, TrueCoverage, remarks
-from tools.wireless import ThreePalmsWireless
 
 PLAN = TiltPlanSpec.model_validate({"name": "p", "segments": [{"explore": {"coverage": 0.9}}]})
 TOLD_S, SECONDS = 2.2, 6.5
@@ -22,7 +22,7 @@ TOLD_S, SECONDS = 2.2, 6.5
 class Informed:
     """A smoother that says once what the body is, and how it moves just then."""
 
-    rig: ThreePalmsWireless
+    rig: ThreePalmsLoop
     done = False
 
     def submit(self, *_):
@@ -48,7 +48,7 @@ class Informed:
 def explored():
     """(the rig, its true coverage, what was said in each tick)."""
     smoother = Informed()
-    rig = smoother.rig = ThreePalmsWireless(load_any_config(shipped("three_palms.yaml")), PLAN, 3, smoother)
+    rig = smoother.rig = ThreePalmsLoop(load_any_config(shipped("three_palms.yaml")), PLAN, 3, smoother)
     rig.start()
     begun, coverage, said = rig.t, TrueCoverage(), []
     for now in rig.run(SECONDS):

@@ -84,7 +84,7 @@ def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkey
         pytest.fail("another kind of object was looked for")
 
     monkeypatch.setattr("palmd.observer.reconstruct.dry_reconstruction", asked)
-    body, surface = sbc.believed("odd", 64002)
+    body, surface = sbc.drawn_from_prior("odd", 64002)
     log, told = calibrated_run("odd", 64002, 10.0, body, "calibrated", surface)
     answer = reconstruct(log.events, log.rig)
     assert answer.converged, answer.reason
@@ -93,7 +93,7 @@ def test_where_the_beginning_is_hard_no_other_kind_of_object_is_asked_for(monkey
 
 
 def test_a_record_too_short_to_be_sought_from_later_on_has_a_second_opinion_all_the_same():
-    body, surface = sbc.believed("nominal", 67007)
+    body, surface = sbc.drawn_from_prior("nominal", 67007)
     log, _ = calibrated_run("nominal", 67007, 10.0, body, "calibrated", surface)
     begin = log.events[0].t_sample
     answer = reconstruct([event for event in log.events if event.t_sample < begin + 1.6], log.rig)

@@ -333,7 +333,7 @@ def test_a_hollow_outline_is_bent_to_the_mean_of_what_is_convex() -> None:
     filters.start(blind_start((0.02, 0.021), palms.motion(0.0), 8, True, np.random.default_rng(1)), palms, 0.0)
     bank, rows = filters.bank, filters.curvature
     bank.x[:, shape_map.Z.SHAPE + 5 :] = 0.0
-    assert bank.lift(0, rows), "nothing hollow, nothing done"
+    assert bank.impose_nonnegative(0, rows), "nothing hollow, nothing done"
     bank.x[2, shape_map.Z.SHAPE + 13] += 8e-4  # of the seventh harmonic: enters v 48-fold
     x, P, others = bank.x[2].copy(), bank.P[2].copy(), bank.x[3].copy()
     v = rows @ x
@@ -341,14 +341,14 @@ def test_a_hollow_outline_is_bent_to_the_mean_of_what_is_convex() -> None:
     assert v[lowest] < -5e-3
     believed = np.random.default_rng(2).multivariate_normal(x, P, 200_000)
     convex = believed[believed @ rows[lowest] >= 0.0]
-    assert not bank.lift(0, rows)
+    assert not bank.impose_nonnegative(0, rows)
     assert bank.x[2] == pytest.approx(convex.mean(axis=0), abs=0.1 * np.sqrt(np.diag(P)).max())
     sd = np.sqrt(np.diag(P))
     assert (np.abs(bank.x[2] - convex.mean(axis=0)) <= 0.1 * sd).all()
     assert (np.abs(bank.P[2] - np.cov(convex.T)) <= 0.1 * np.outer(sd, sd)).all()
     assert (bank.x[3] == others).all()
     for _ in range(72):
-        if bank.lift(0, rows):
+        if bank.impose_nonnegative(0, rows):
             break
     assert (rows @ bank.x[2]).min() >= 0.0
     assert np.linalg.eigvalsh(bank.P[2]).min() > -1e-15
@@ -362,7 +362,7 @@ def test_even_a_sure_belief_in_a_hollow_is_lifted(depth: float) -> None:
     bank.x[:, shape_map.Z.SHAPE] = 0.02
     sd = float(np.sqrt(rows[0] @ bank.P[0] @ rows[0]))
     bank.x[0, shape_map.Z.SHAPE] = -depth * sd
-    bank.lift(0, rows)
+    bank.impose_nonnegative(0, rows)
     assert 0.0 <= rows[0] @ bank.x[0] < sd
     assert np.linalg.eigvalsh(bank.P[0]).min() > -1e-25
 
@@ -408,7 +408,7 @@ def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal
     watcher = observer.make("shape", rig)
     right = events[: 1000 if known else 5]
     _replay(watcher, right)
-    begun, t = watcher.begun, right[-1].t_sample
+    begun, t = watcher.start_time, right[-1].t_sample
     random = np.random.default_rng(5)
     for event in events[len(right) :]:
         spoilt = replace(event, s=0.02 + 0.01 * random.uniform(-1, 1)) if isinstance(event, PadSample) else event
@@ -418,7 +418,7 @@ def test_what_a_bank_loses_before_it_knew_it_has_lain_there_all_the_time(nominal
         if watcher.object_count > 1:
             break
     assert watcher.object_count == 2
-    assert watcher.begun == begun if not known else watcher.begun > t
+    assert watcher.start_time == begun if not known else watcher.start_time > t
 
 
 def test_a_short_lift_is_bridged_without_starting_again(nominal: tuple) -> None:

@@ -481,10 +481,10 @@ def test_a_palm_that_is_let_go_ends_what_is_known_of_the_motion(lived):
 
 def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(lived):
     observer = BodyObserver(lived.rig, stub := Stub())
-    assert not observer.foresees
+    assert not observer.has_planning_belief
     assert observer.planning_belief(lived.END - 0.2) is None
     lived.told(observer, stub, lived.END + 0.4, lived.END + 0.05)
-    assert observer.foresees
+    assert observer.has_planning_belief
     told = observer.planning_belief(lived.END + 0.4)
     R = lived.truth(told.t)[6:15].reshape(3, 3)
     assert (told.accepted, told.record_start) == (True, lived.answer.record_start)
@@ -496,14 +496,18 @@ def test_who_chooses_motions_is_told_where_the_body_is_and_where_it_was_touched(
     normal = palms_at(*swung(np.array([lived.END + 0.4]))).normal[0]
     assert np.abs(told.normals_since[-1] - -normal @ told.R).max() < 0.1
     observer._filter._body[12] = 1.1 * live.NIS_LIMIT  # what was claimed is contradicted a little
-    assert observer.foresees
+    assert observer.has_planning_belief
     assert not observer.planning_belief(lived.END + 0.4).accepted
     stub.next = replace(lived.answer, accepted=False, reason="the readings tell too little of the shape")
     said = go_on(lived, observer, lived.END + 0.4, lived.END + 0.45)
-    assert (said.valid, observer.foresees, observer.planning_belief(lived.END + 0.45).accepted) == (False, True, False)
+    assert (said.valid, observer.has_planning_belief, observer.planning_belief(lived.END + 0.45).accepted) == (
+        False,
+        True,
+        False,
+    )
     stub.next = replace(lived.answer, hypotheses=0, accepted=False)
     go_on(lived, observer, lived.END + 0.45, lived.END + 0.5)
-    assert not observer.foresees
+    assert not observer.has_planning_belief
 
 
 def turned(answer, G, begun):

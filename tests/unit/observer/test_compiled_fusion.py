@@ -101,7 +101,7 @@ def test_filters_are_carried_and_told_readings_as_the_twins_are(kind, size, orde
     filters, palms = pair(RIGS[kind], size, order)
     for pad, until, force in ((1, 0.034, 1.3), (2, 0.0345, 0.8), (2, 0.051, None), (1, 0.051, 1.2)):
         for each, tracked in zip(filters, palms, strict=True):
-            each.carry(0.03, until, tracked, 1.7)
+            each.propagate(0.03, until, tracked, 1.7)
             each.fuse_pad(PadSample(until, pad, 0.021, force), 1e-6, tracked, 1.7)
         same(filters, 1e-10)
 
@@ -122,11 +122,11 @@ def test_what_comes_one_after_the_other_is_followed_as_the_twin_does(kind):
     told = []
     for each, tracked in zip(filters, palms, strict=True):
         each.rig_error.values[R.LAG : R.LAG + 2] = 2e-3, -1e-3
-        told.append(each.follow(events, 0.03, tracked, np.array([1e-6, 2e-6])))
+        told.append(each.fuse_events(events, 0.03, tracked, np.array([1e-6, 2e-6])))
     assert told[0] == told[1] == (pytest.approx(0.0635), 4)
     same(filters, 1e-9)
     np.testing.assert_allclose(palms[0].at(0.07), palms[1].at(0.07), rtol=1e-10)
-    assert filters[0].follow([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2)) == (0.07, 0)
+    assert filters[0].fuse_events([PadLift(0.07, 1)], 0.07, palms[0], np.ones(2)) == (0.07, 0)
 
 
 def test_a_reading_beyond_the_pads_scale_is_taken_under_the_force_told_before():
@@ -139,7 +139,7 @@ def test_a_reading_beyond_the_pads_scale_is_taken_under_the_force_told_before():
 
 
 @pytest.mark.parametrize("kind", RIGS)
-@pytest.mark.parametrize("left_by", ["nobody", "spread", "left_open"])
+@pytest.mark.parametrize("left_by", ["nobody", "spread", "provisional_spread"])
 def test_named_values_and_their_variances_are_the_twins(kind, left_by):
     filters, palms = pair(RIGS[kind], 1, ORDER)
     random, shape = np.random.default_rng(2), (filters[0].bank.n + RIG_CONSTANTS, RIG_CONSTANTS)
@@ -265,13 +265,13 @@ def test_hollow_outlines_are_bent_as_the_twins_are():
     below = [[each.bank.falls_below(member, each.curvature) for member in range(16)] for each in filters]
     assert below[0] == below[1]
     assert all(below[0][3:9])
-    found = [[each.bank.lift(block, each.curvature) for block in range(2)] for each in filters]
+    found = [[each.bank.impose_nonnegative(block, each.curvature) for block in range(2)] for each in filters]
     assert found[0] == found[1] == [False, False]
     same(filters, 1e-9)
     for each in filters:
         each.bank.x[:, Z.SHAPE + 1 :] = 0.0  # circles
         assert not each.bank.falls_below(1, each.curvature)
-        assert each.bank.lift(0, each.curvature)
+        assert each.bank.impose_nonnegative(0, each.curvature)
 
 
 @pytest.mark.parametrize("lost", [[2, 9], list(range(16))])
@@ -289,12 +289,12 @@ def test_filters_that_are_no_numbers_are_parked_as_the_twins_are(lost):
 def test_what_a_bank_is_told_wrongly_is_refused():
     filters, _ = pair(RIGS["flat"], 16)
     bank = filters[0].bank
-    with pytest.raises(ValueError, match="beliefs are of 16 filters"):
+    with pytest.raises(ValueError, match=r"\(16, 21\) at least, not \(8, 21\)"):
         bank.fade(0, 0.1, Belief(slice(2, 5), np.zeros((8, bank.n)), np.ones(bank.n)))
     with pytest.raises(ValueError, match="there is no pad 3"):
         filters[0].fuse_pad(PadSample(0.03, 3, 0.02, 1.0), 1e-8, filters[0].tracker(2e-4), 1.0)
-    with pytest.raises(ValueError, match="rows are of 21 states"):
-        bank.lift(0, np.ones((3, 4)))
+    with pytest.raises(ValueError, match=r"21 columns, .* not \(3, 4\)"):
+        bank.impose_nonnegative(0, np.ones((3, 4)))
 
 
 # ---- whole records

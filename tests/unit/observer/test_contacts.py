@@ -20,12 +20,12 @@ def test_a_contact_needs_both_pads_lately():
     both = read((1.0, 1), (1.05, 2))
     assert both.touching(1.0 + 0.9 * SILENCE_S)
     assert not both.touching(1.0 + 1.1 * SILENCE_S)
-    assert both.quietest == 1.0
+    assert both.least_recent == 1.0
 
 
 def test_before_the_first_reading_nothing_was_seen():
     contacts = Contacts()
-    assert contacts.quietest == contacts.resumed == contacts.last_seen(2) == -math.inf
+    assert contacts.least_recent == contacts.resumed == contacts.last_seen(2) == -math.inf
     assert contacts.last(1) is None
     assert not contacts.any
 
@@ -33,10 +33,10 @@ def test_before_the_first_reading_nothing_was_seen():
 def test_once_cleared_nothing_was_seen():
     contacts = read((1.0, 1), (1.0, 2))
     contacts.clear()
-    assert contacts.quietest == contacts.last_seen(1) == -math.inf
+    assert contacts.least_recent == contacts.last_seen(1) == -math.inf
     assert contacts.gone(1.0)
     contacts.read(PadSample(1.01, 1, 0.02))
-    assert contacts.quietest == -math.inf
+    assert contacts.least_recent == -math.inf
     assert not contacts.touching(1.01)
 
 

@@ -40,8 +40,8 @@ from palmd.rig.simulate import Rock, Rocking, simulate_log
 from palmd.score import score_outline
 from palmd.system.description import AS_CALIBRATED, RigDescription
 from palmd.system.rig_constants import prior_sds
+from tools.studies.object_logs import SharpTask, simulated
 from tools.studies.simulated import written
-from tools.studies.thing_logs import SharpTask, simulated
 
 STEP = 5e-4
 ROCKING = Rocking(Rock(0.75, 0.5, 0.5, 0.3), Rock(1.65, 0.25, 0.8, 1.0))

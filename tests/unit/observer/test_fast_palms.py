@@ -6,7 +6,7 @@ from palmd.config.two_palms import PlanSpec, rig_description
 from palmd.events import Improvement
 from palmd.observer.incremental import IncrementalSmoother
 from palmd.yamlfile import load_config
-from tools.wireless import Wireless
+from tools.closed_loop import TwoPalmsLoop
 
 DEMO = Path(__file__).parents[3] / "config" / "demo.yaml"
 SEED, GENTLE_S, ASKED_EVERY_S = 3, 4.2, 0.6
@@ -33,7 +33,7 @@ class Beside:
         self.smoother.add(session, events)
         if t >= self.t_ask:
             self.t_ask = t + ASKED_EVERY_S
-            self.answers.append((t, self.smoother.said()))
+            self.answers.append((t, self.smoother.result()))
 
     def collect(self, _):
         return None
@@ -42,7 +42,7 @@ class Beside:
 def test_what_has_been_found_is_followed_through_slip_that_is_faster_than_the_vibration():
     config = load_config(DEMO)
     beside = Beside(rig_description(config))
-    wireless = Wireless(config, PLAN, SEED, smoothing=beside)
+    wireless = TwoPalmsLoop(config, PLAN, SEED, smoothing=beside)
     wireless.start()
     for _ in wireless.run(5.7):
         pass

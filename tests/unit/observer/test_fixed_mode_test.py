@@ -95,8 +95,8 @@ def test_what_is_told_sharply_and_is_no_disc_need_not_be_felt_to_roll():
     run = simulated("friction", 16302, 6.0)
     watcher = observer.make("shape", run.rig, smoothing=Simulated(run.rig))
     tick = next(islice(replay(run, watcher), 210, None))
-    assert watcher._session.track.riding.disc
-    assert not watcher._session.track.riding.concentric
+    assert watcher._session.track.flat_side_test.disc
+    assert not watcher._session.track.flat_side_test.concentric
     assert tick.estimate.valid
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmd.observer.bank import Belief
-from palmd.observer.forgetting import AT_LEAST_EVERY_S, EVERY_S, FIRST_AGE_S, STRENGTH, SURPRISING_NIS, Forgetting
+from palmd.observer.forgetting import AT_LEAST_EVERY_S, EVERY_S, FIRST_AGE_S, HIGH_NIS, STRENGTH, Forgetting
 
 
 class Blocks:
@@ -67,7 +67,7 @@ def test_what_was_known_before_fades_as_if_it_were_older():
 
 
 def test_surprise_makes_it_forget_faster_but_never_more_than_all():
-    calm, surprised = begun(nis=SURPRISING_NIS), begun(nis=SURPRISING_NIS + 0.05)
+    calm, surprised = begun(nis=HIGH_NIS), begun(nis=HIGH_NIS + 0.05)
     for bank, forgetting in (calm, surprised):
         forgetting.step(bank, 1.0, 1.0, 1.0, belief)
     assert calm[0].faded[0][1] == 1.0 == surprised[0].faded[0][1]

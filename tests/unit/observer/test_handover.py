@@ -33,9 +33,14 @@ def track(valid, left_open_m=None):
     size = shape.COEFFICIENTS if left_open_m is None else SMOOTHED_N - shape_map.Z.SHAPE
     outline = np.zeros(size), (OWN_SD**2 + (left_open_m or 0.0) ** 2) * np.eye(size)
     filters = SimpleNamespace(outline=lambda _: outline)
-    carries = left_open_m is not None
+    smoothed = left_open_m is not None
     fusion = SimpleNamespace(
-        bank=bank, filters=filters, carries=carries, allows_for_rig=carries, forgetting=forgetting, history=history
+        bank=bank,
+        filters=filters,
+        uses_smoothed_filter=smoothed,
+        includes_rig_uncertainty=smoothed,
+        forgetting=forgetting,
+        history=history,
     )
     return SimpleNamespace(fusion=fusion, valid=valid, coverage=SimpleNamespace(marks=TOUCHED))
 
@@ -51,7 +56,7 @@ def answered(sd, valid):
     """Whether an answer of that one-sigma (m) that nothing has confirmed joins a bank, and the bank."""
     now, P = track(valid), sd**2 * np.eye(SMOOTHED_N)
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED)
-    return handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
+    return handover().hand_over(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0), now.fusion.bank
 
 
 @pytest.mark.parametrize(("sd", "valid", "taken"), [(2e-5, True, False), (5e-6, True, True), (2e-5, False, True)])
@@ -68,7 +73,7 @@ def test_what_the_same_search_tells_later_is_taken_in_though_the_bank_has_become
     for sd, of_frame, joins in ((5e-6, 1, True), (2e-5, frame, taken)):
         P = sd**2 * np.eye(SMOOTHED_N)
         answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, frame=of_frame)
-        assert given.take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is joins
+        assert given.hand_over(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is joins
 
 
 @pytest.mark.parametrize(("left_open_m", "taken"), [(1.0e-4, True), (1.5e-4, False)])
@@ -78,7 +83,7 @@ def test_an_answer_found_anew_tells_more_where_it_leaves_less_open_of_the_rig(le
     spread = np.zeros((SMOOTHED_N + RIG_CONSTANTS, SMOOTHED_N))
     np.fill_diagonal(spread[SHAPE, SHAPE], left_open_m)
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
-    assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is taken
+    assert handover().hand_over(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0) is taken
 
 
 def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_established():
@@ -87,15 +92,15 @@ def test_a_bank_tells_what_an_answer_leaves_open_of_the_rig_before_it_is_establi
     root = 2e-6 * random.standard_normal((SMOOTHED_N, SMOOTHED_N))
     P, spread = root @ root.T, random.standard_normal((SMOOTHED_N + RIG_CONSTANTS, RIG_CONSTANTS))
     answer = improvement(np.zeros(SMOOTHED_N), P, established=False, touched=TOUCHED, spread=spread)
-    assert handover().take_in(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0)
-    left_open = now.fusion.filters.left_open
-    assert left_open.shape == (shape_map.N + RIG_CONSTANTS, RIG_CONSTANTS)
+    assert handover().hand_over(now, 1, answer, np.zeros(SMOOTHED_N), P, nis=1.0)
+    provisional_spread = now.fusion.filters.provisional_spread
+    assert provisional_spread.shape == (shape_map.N + RIG_CONSTANTS, RIG_CONSTANTS)
     moved = smoother_outline(spread[:SMOOTHED_N, 0], P)[0]
-    np.testing.assert_allclose(left_open[: shape_map.N, 0], moved)
-    np.testing.assert_array_equal(left_open[shape_map.N :], spread[SMOOTHED_N:])
+    np.testing.assert_allclose(provisional_spread[: shape_map.N, 0], moved)
+    np.testing.assert_array_equal(provisional_spread[shape_map.N :], spread[SMOOTHED_N:])
     vague = replace(answer, P=900.0 * P)
-    assert handover().take_in(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
-    assert now.fusion.filters.left_open is None, "there is no outline to speak of yet"
+    assert handover().hand_over(now, 1, vague, np.zeros(SMOOTHED_N), P, nis=1.0)
+    assert now.fusion.filters.provisional_spread is None, "there is no outline to speak of yet"
 
 
 def test_how_well_an_outline_is_told_is_told_where_it_was_felt_alone():

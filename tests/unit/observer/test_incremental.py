@@ -18,7 +18,7 @@ from palmd.observer.chain import Chain
 from palmd.observer.coverage import NORMAL_BINS
 from palmd.observer.data_segment import longest_segment
 from palmd.observer.incremental import _FROM, IncrementalSmoother, _as_shape_map, given_the_rig
-from palmd.observer.initialiser import TELLING_S
+from palmd.observer.initialiser import SUFFICIENT_S
 from palmd.observer.normal_equations import Guess
 from palmd.observer.outline import gauge_free_sd
 from palmd.observer.record import Record
@@ -323,7 +323,7 @@ def test_a_known_object_is_reidentified_sooner_than_a_blind_search_confirms_a_ne
         beside.until(start, Session(number, math.inf))
         assert beside.until(end, Session(number + 1, start)) is not None
     beside.until(19.02, Session(2, math.inf))
-    again = beside.until(19.02 + 0.75 * TELLING_S, Session(3, 19.02))
+    again = beside.until(19.02 + 0.75 * SUFFICIENT_S, Session(3, 19.02))
     assert again is not None
     assert again.established
     error, sd, _ = scored(again, run)
@@ -351,7 +351,9 @@ def test_another_object_is_not_reidentified() -> None:
     segments = [longest_segment(run.events) for run in (one, other)]
     assert all(segments)
     budgets = Budget(), Budget()
-    found = [reidentified(known.felt(), each, one.rig, budget) for each, budget in zip(segments, budgets, strict=True)]
+    found = [
+        reidentified(known.summary(), each, one.rig, budget) for each, budget in zip(segments, budgets, strict=True)
+    ]
     assert found[0] is not None
     assert found[1] is None
 
@@ -393,7 +395,7 @@ def test_what_a_search_cannot_carry_on_is_followed_on_trial(monkeypatch):
         return beside.answers
 
     on_trial = answers(run.rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0}))
-    assert {answer.established for answer in on_trial if answer.t < TELLING_S} == {False}
+    assert {answer.established for answer in on_trial if answer.t < SUFFICIENT_S} == {False}
     assert on_trial[-1].established
     error, sd, touched = scored(on_trial[-1], run)
     assert touched > 0.1
@@ -407,10 +409,10 @@ def test_what_explains_only_the_first_readings_is_never_established(monkeypatch)
 
     def resumed(self, guesses, pressed=False, strict=True):
         found = carried_on(self, guesses, pressed, strict)
-        return found.until(TELLING_S - 1.0) or found if strict and found is not None else found
+        return found.until(SUFFICIENT_S - 1.0) or found if strict and found is not None else found
 
     monkeypatch.setattr(Search, "resumed", resumed)
     beside = Beside(run)
     beside.until(9.0, Session(1, 0.0))
-    assert beside.answers[-1].t > TELLING_S - 1.5
+    assert beside.answers[-1].t > SUFFICIENT_S - 1.5
     assert not any(answer.established for answer in beside.answers)

@@ -33,7 +33,7 @@ def sought(rig, times=2):
     """Whether what is told of the same readings is sure, asked so many times."""
     (segment,) = data_segments(simulated(*RUN).events)
     mine = Initialiser(rig, 0)
-    return [mine.sought(segment, None) is not None and mine.sure for _ in range(times)]
+    return [mine.search(segment, None) is not None and mine.confirmed for _ in range(times)]
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_what_has_not_ridden_is_not_tried_again_on_more_of_the_same_readings(rig
     whole = longest_segment(simulated(*RUN).events)
     seek = Initialiser(rig, seed=0)
     for segment in (whole.until(whole.start + 2.0), whole, whole.since(whole.start + 1.0), whole):
-        seek.sought(segment, None)
+        seek.search(segment, None)
     assert tried == [MOTIONS, MOTIONS[1:], MOTIONS, MOTIONS]
     search = Search(whole, rig)
     seek._likeliest(search, None)
@@ -143,7 +143,7 @@ def test_searches_that_come_to_nothing_tell_of_a_long_record_that_it_has_no_riva
         Search, "blind", lambda self, attempt, seed: None if attempt.asymmetry else blind(self, attempt, seed)
     )
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False] * 4
-    monkeypatch.setattr(initialiser, "TELLING_S", 2.0)
+    monkeypatch.setattr(initialiser, "SUFFICIENT_S", 2.0)
     assert sought(rig.known_to(AS_CALIBRATED), 4) == [False, False, True, True]
 
 
@@ -187,8 +187,8 @@ def test_what_was_sure_and_is_found_again_alone_is_not_challenged_any_more(rig, 
     whole = longest_segment(simulated("friction", 107, 6.5).events)
     seek = Initialiser(rig, 0)
     for seconds, searches in ((1.5, 1), (2.9, 1), (3.1, 2), (6.3, 2)):
-        assert seek.sought(whole.until(whole.start + seconds), None) is not None
-        assert seek.sure
+        assert seek.search(whole.until(whole.start + seconds), None) is not None
+        assert seek.confirmed
         assert len(order) == searches
 
 
@@ -216,8 +216,8 @@ def test_what_is_sure_but_not_found_again_alone_is_challenged_when_the_record_ha
     whole = longest_segment(simulated("friction", 107, 6.5).events)
     seek = Initialiser(rig, 0)
     for seconds, searches in ((1.5, 1), (3.1, 2), (6.3, 3)):
-        seek.sought(whole.until(whole.start + seconds), None)
-        assert seek.sure
+        seek.search(whole.until(whole.start + seconds), None)
+        assert seek.confirmed
         assert len(order) == searches
 
 
@@ -234,7 +234,7 @@ def test_what_a_filter_has_settled_on_is_a_second_opinion_where_constants_are_op
     segment = longest_segment(simulated(*RUN).events)
     hint = Search(segment, rig).prior.mean
     rig = rig if exact else rig.known_to({**AS_CALIBRATED, "friction_sd": 0.0})
-    Initialiser(rig, 0).sought(segment, hint)
+    Initialiser(rig, 0).search(segment, hint)
     assert order == expected
 
 
@@ -242,9 +242,9 @@ def test_what_a_filter_has_settled_on_is_no_answer_where_something_is_known(rig,
     order, vain = asked
     whole = longest_segment(simulated("friction", 107, 3.2).events)
     seek = Initialiser(rig, 0)
-    assert seek.sought(whole.until(whole.start + 1.5), None) is not None
+    assert seek.search(whole.until(whole.start + 1.5), None) is not None
     vain.add("blind")
-    seek.sought(whole.until(whole.start + 3.1), Search(whole, rig).prior.mean)
+    seek.search(whole.until(whole.start + 3.1), Search(whole, rig).prior.mean)
     assert order == ["blind", "blind"]
 
 
@@ -254,7 +254,7 @@ def test_after_two_searches_in_vain_it_begins_anew_with_the_latest_readings(rig,
     whole = longest_segment(simulated("friction", 0, 8.0).events)
     seek, useful = Initialiser(rig, seed=0), []
     for seconds in (3.0, 3.7, 5.0):
-        assert seek.sought(whole.until(whole.start + seconds), None) is None
+        assert seek.search(whole.until(whole.start + seconds), None) is None
         useful.append(seek.needs_from - whole.start)
     assert useful[:1] == [-math.inf]
     assert useful[1] == useful[2] == pytest.approx(3.7 - initialiser.RENEWED_S, abs=0.02)
@@ -282,16 +282,16 @@ def test_one_step_that_is_not_explained_does_not_reject_a_confirmed_hypothesis(r
     order, _ = asked
     whole = longest_segment(simulated("friction", 107, 10.0).events)
     seek, resumed = Initialiser(rig, 0), Search.resumed
-    assert seek.sought(whole.until(whole.start + 1.5), None) is not None
-    assert seek.sure
+    assert seek.search(whole.until(whole.start + 1.5), None) is not None
+    assert seek.confirmed
     with monkeypatch.context() as hard:
         hard.setattr(Search, "resumed", lambda *_: None)
-        assert seek.sought(whole.until(whole.start + 2.5), None) is None
+        assert seek.search(whole.until(whole.start + 2.5), None) is None
         assert not seek.unexplained
         assert order == ["blind"]
     monkeypatch.setattr(Search, "resumed", resumed)
-    assert seek.sought(whole.until(whole.start + 2.8), None) is not None
+    assert seek.search(whole.until(whole.start + 2.8), None) is not None
     assert order == ["blind"]
     monkeypatch.setattr(Search, "resumed", lambda *_: None)
-    seek.sought(whole, None)
+    seek.search(whole, None)
     assert len(order) > 1  # after `LOST_S` a new search is started

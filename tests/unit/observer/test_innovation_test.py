@@ -11,20 +11,20 @@ from simulated import simulated
 from palmd import observer
 from palmd.events import PadSample, PalmSample
 from palmd.observer.bank_observer import BankObserver
-from palmd.observer.forgetting import SURPRISING_NIS
-from palmd.observer.innovation_test import LASTS_S, InnovationTest
+from palmd.observer.forgetting import HIGH_NIS
+from palmd.observer.innovation_test import DECAY_S, InnovationTest
 
 
 def test_the_worst_of_late_counts_and_fades() -> None:
     innovation_test = InnovationTest()
-    innovation_test.take(SURPRISING_NIS - 0.1, 1.0)
+    innovation_test.take(HIGH_NIS - 0.1, 1.0)
     assert innovation_test.factor == 1.0
-    innovation_test.take(SURPRISING_NIS + 0.5, 2.0)
+    innovation_test.take(HIGH_NIS + 0.5, 2.0)
     worst = innovation_test.factor
     assert worst > 3.0
-    innovation_test.take(1.0, 2.0 + LASTS_S)
+    innovation_test.take(1.0, 2.0 + DECAY_S)
     assert innovation_test.factor - 1.0 == pytest.approx((worst - 1.0) / math.e)
-    innovation_test.take(math.nan, 2.0 + 2.0 * LASTS_S)
+    innovation_test.take(math.nan, 2.0 + 2.0 * DECAY_S)
     assert 1.0 < innovation_test.factor < worst
     innovation_test.take(1e9, 9.0)
     assert innovation_test.factor < 20.0

@@ -38,7 +38,7 @@ def _answers(events: tuple[Event, ...]) -> list[Improvement | Unexplained | None
     for since in np.arange(0.0, SECONDS, 0.5):
         some = [e for e in events if since <= e.t_sample < since + 0.5]
         smoother.add(Session(1, begun), some)
-        told.append(smoother.said())
+        told.append(smoother.result())
     return told
 
 

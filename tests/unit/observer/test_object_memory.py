@@ -48,22 +48,22 @@ def test_the_orientations_begin_with_those_that_give_the_readings(psi: float) ->
 def test_an_outline_is_the_same_within_what_was_believed_of_it() -> None:
     known = _known()
     strayed = known.x.copy()
-    sd = math.sqrt(known.believed()[-1, -1])
+    sd = math.sqrt(known.prior_covariance()[-1, -1])
     assert sd > math.sqrt(INFLATION) * 2e-5
     strayed[-1] += 4 * sd
-    assert known.resembles(strayed)
+    assert known.matches_outline(strayed)
     strayed[-1] += 2 * sd
-    assert not known.resembles(strayed)
+    assert not known.matches_outline(strayed)
     strayed = known.x.copy()
     strayed[[Z.PSI, Z.OMEGA0, Z.MU]] += 1.0
-    assert known.resembles(strayed), "how it lies and moves is not the outline"
+    assert known.matches_outline(strayed), "how it lies and moves is not the outline"
 
 
 def test_it_is_weighed_by_the_forces_of_an_object_at_rest() -> None:
     known = _known(mass=0.2)
-    assert known.weighs(0.195)
-    assert not known.weighs(0.23)
-    assert known.weighs(math.nan)
+    assert known.matches_mass(0.195)
+    assert not known.matches_mass(0.23)
+    assert known.matches_mass(math.nan)
     f1, f2 = resting_forces(9.81, np.array([0.7, 1.5]))
     # balance in the world's axes: f1 n1 + f2 n2 carries the weight
     n1, n2 = (-math.sin(0.7), math.cos(0.7)), (math.sin(2.2), -math.cos(2.2))
@@ -115,6 +115,6 @@ def test_what_readings_have_said_of_a_ride_comes_back_with_the_object() -> None:
     """Else what was vouched for before would have to roll anew first."""
     rig, track = RigDescription(), MagicMock()
     before, hypotheses = FixedModeTest(rig), ReturningObject(rig, MagicMock())
-    hypotheses.candidate = replace(_known(), riding=before)
+    hypotheses.candidate = replace(_known(), flat_side_test=before)
     hypotheses.accept(track)
-    assert track.riding is before
+    assert track.flat_side_test is before

@@ -21,7 +21,7 @@ from palmd.rig.simulate import simulate_log
 from palmd.rig.world import default_config
 from palmd.system.description import RigDescription
 from palmd.system.vibration import AVERAGED
-from tools.wireless import Wireless
+from tools.closed_loop import TwoPalmsLoop
 
 SINE = {"phi1_deg": 25, "phi2_deg": 10}
 STEP_S = 5e-4
@@ -53,7 +53,7 @@ def test_nothing_told_is_zero_and_nonsense_is_nan() -> None:
 def test_it_falls_at_rest_and_recovers_with_motion(observer_name, seed, kind) -> None:
     segments = [{"sine": SINE, "frequency_hz": [0.41, 0.57], "duration_s": d} for d in (5.0, 20.0)]
     plan = PlanSpec.model_validate({"name": "p", "segments": [segments[0], {"hold_s": 3.0}, segments[1]]})
-    run = Wireless(default_config(), plan, seed, kind=kind, observer_name=observer_name)
+    run = TwoPalmsLoop(default_config(), plan, seed, kind=kind, observer_name=observer_name)
     run.start()
     t0 = run.t
     seen = [(i.t - t0, i.messages["palm/estimate"]["observability"]) for i in run.run(11.0)]

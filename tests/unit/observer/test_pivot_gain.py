@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palmd.observer.force_gain import BEHIND, DRIFT_S
+from palmd.observer.force_gain import DRIFT_S, HYSTERESIS
 from palmd.observer.pivot.arm_path import axis_path
 from palmd.observer.pivot.fit import gain_modes
 from palmd.observer.pivot.incremental import ACCEPTED_M, answer_of
@@ -33,7 +33,7 @@ def test_forces_near_in_time_are_off_by_the_same_share():
     t = np.linspace(0.0, 60.0, 61)
     modes = gain_modes(record_of(t, np.ones(61)))
     covariance = modes @ modes.T
-    assert covariance[0, 0] == pytest.approx(STD**2 + BEHIND**2)
+    assert covariance[0, 0] == pytest.approx(STD**2 + HYSTERESIS**2)
     assert covariance[0, 20] == pytest.approx(STD**2 * np.exp(-20.0 / DRIFT_S), rel=0.05)
 
 
@@ -41,8 +41,8 @@ def test_the_pad_falls_behind_a_force_that_rises_and_one_that_falls():
     t = np.linspace(0.0, 10.0, 101)
     force = 1.0 - 0.1 * np.abs(t - 5.0)
     behind = gain_modes(record_of(t, force), force)[:, -1]
-    assert behind[:50] == pytest.approx(-BEHIND)
-    assert behind[-40:] == pytest.approx(BEHIND)
+    assert behind[:50] == pytest.approx(-HYSTERESIS)
+    assert behind[-40:] == pytest.approx(HYSTERESIS)
 
 
 def test_an_arm_that_lags_and_rounds_its_corners_is_told_so():

@@ -59,7 +59,7 @@ def error_of(answer, truth):
     "off", [PivotImperfections(outliers=0.1), PivotImperfections(gaps=4), PivotImperfections(noise=2.0)], ids=repr
 )
 def test_spoilt_readings_spoil_no_outline(off):
-    lines, truth = simulate_pivot_log("tilt", SEED, off=off)
+    lines, truth = simulate_pivot_log("tilt", SEED, flaws=off)
     assert error_of(reconstruct(events_of(lines)[1], events_of(lines)[0]), truth) < 6e-5
 
 

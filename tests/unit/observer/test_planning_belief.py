@@ -85,8 +85,8 @@ def test_until_then_it_is_in_the_band_alone_and_the_next_object_begins_without_i
     mine, t = fed()
     filters = mine._fusion.filters
     _, before = filters.outline(0)
-    filters.left_open = np.zeros((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
-    filters.left_open[shape_map.Z.SHAPE, 0] = 3e-4  # of the mean radius
+    filters.provisional_spread = np.zeros((filters.bank.n + RIG_CONSTANTS, RIG_CONSTANTS))
+    filters.provisional_spread[shape_map.Z.SHAPE, 0] = 3e-4  # of the mean radius
     assert mine.planning_belief(t).rig_spread is None
     np.testing.assert_allclose(
         filters.outline(0)[1] - before, np.diag([3e-4**2, *[0.0] * (len(before) - 1)]), atol=1e-12
@@ -96,4 +96,4 @@ def test_until_then_it_is_in_the_band_alone_and_the_next_object_begins_without_i
     for event in simulated("nominal", 2, 5.0).events[:20]:
         mine.feed(event)
     assert mine.object_count == 1
-    assert filters.left_open is None
+    assert filters.provisional_spread is None

@@ -367,7 +367,7 @@ def test_a_window_that_ends_on_the_wrong_side_of_an_unstable_pose_is_seen_and_sh
 )
 def test_an_unlikely_object_is_looked_for_again_without_its_beginning(kind, seed, seconds, left_out):
     """Of those let go in haste one was four, one 2.7 of its one-sigmas off; another is as unlikely, and right."""
-    body, surface = sbc.believed(kind, seed)
+    body, surface = sbc.drawn_from_prior(kind, seed)
     log, told = calibrated_run(kind, seed, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < seconds], log.rig)
     assert answer.converged, answer.reason
@@ -377,7 +377,7 @@ def test_an_unlikely_object_is_looked_for_again_without_its_beginning(kind, seed
 
 def test_a_map_that_pads_may_have_hides_no_other_beginning():
     """Under the noise that a search takes a map for, an object let go in haste looks likely that is not the one."""
-    body, surface = sbc.believed("nominal", 60349)
+    body, surface = sbc.drawn_from_prior("nominal", 60349)
     log, told = calibrated_run("nominal", 60349, 10.0, body, "calibrated", surface)
     answer = reconstruct([event for event in log.events if event.t_sample < 3.0], log.rig.with_pads(map_sd=7e-5))
     assert answer.converged, answer.reason

@@ -27,7 +27,7 @@ from palmd.observer.incremental import IncrementalSmoother
 from palmd.observer.palms import PalmTracker
 from palmd.observer.smoother_link import MEMORY_S
 from palmd.observer.smoothing import Session, period
-from palmd.observer.validity import VAGUE_M, VOUCHED_M
+from palmd.observer.validity import CONFIRMED_M, CONTRADICTED_M
 from palmd.system.description import HingeMode, RigDescription
 
 Answers = Callable[[float], Improvement | None]
@@ -158,7 +158,7 @@ def test_what_no_outline_explains_or_none_for_sure_or_sharp_is_not_valid_until_o
     found, early = answer(run, 4.0), answer(run, 3.0)
     assert early is not None
     doubtful = replace(early, established=False, touched=np.zeros_like(early.touched))
-    widened = (1.1 * VOUCHED_M / outline_sd(early)) ** 2
+    widened = (1.1 * CONFIRMED_M / outline_sd(early)) ** 2
     vague = replace(early, established=False, P=widened * early.P)
     says = {"no outline": Unexplained(3.0), "none for sure": doubtful, "hardly any": vague}[word]
     alone = {t: estimate.valid for t, estimate in ticks(run, observer.make("shape", run.rig))}
@@ -198,8 +198,8 @@ def test_what_a_smoother_has_vouched_for_once_is_not_valid_while_it_surprises_mu
     """Seen with an ellipse: vouched for wrongly, then told to a millimetre and more, and valid."""
     watcher = observer.make("shape", run.rig, smoothing=Scripted(3.1, answer(run, 3.0)))
     told = [(t, e.valid, max(e.sd["r1"], e.sd["r2"])) for t, e in ticks(shaken(run, 0.4e-3, 4.0, 6.0), watcher)]
-    assert any(sd > VAGUE_M for t, _, sd in told if t > 4.0)
-    assert all(sd < VAGUE_M for t, valid, sd in told if t > 4.0 and valid)
+    assert any(sd > CONTRADICTED_M for t, _, sd in told if t > 4.0)
+    assert all(sd < CONTRADICTED_M for t, valid, sd in told if t > 4.0 and valid)
     assert all(valid for t, valid, _ in told if 3.2 < t < 4.0)
 
 
@@ -276,7 +276,7 @@ def test_a_newcomer_arrives_where_a_filter_that_had_always_been_there_stands(run
     delays = np.random.default_rng(5).uniform(0.0, 0.9 * LATEST_S, len(recent))  # of the wires
     came = sorted(zip(recent, delays, strict=True), key=lambda each: each[0].t_sample + each[1])
     newcomer.begin(improvement, deque(event for event, _ in came))
-    while not newcomer.follow(3):
+    while not newcomer.advance(3):
         assert newcomer.active
     x, P, nis = newcomer.state_at(until)
 

@@ -15,7 +15,7 @@ from palmd.cli import main
 from palmd.outlinefile import read_outline
 from palmd.record.outline_curves import SDS, curves_of
 from palmd.record.outline_files import SUFFIXES, as_csv, as_svg, writer_of
-from tools.studies.real_things import thing
+from tools.studies.real_objects import real_object
 
 A, B = 0.03, 0.02  # semi-axes of an ellipse (m): h² = a² cos² + b² sin²
 SVG = "{http://www.w3.org/2000/svg}"
@@ -148,7 +148,7 @@ def test_what_has_no_outline_is_told(tmp_path, capsys):
 
 def test_a_straight_part_is_drawn_dashed_and_said():
     theta = np.arange(360) * (math.tau / 360)
-    h = thing("D-profile", np.random.default_rng(3)).body.support.sample(theta)
+    h = real_object("D-profile", np.random.default_rng(3)).body.support.sample(theta)
     curves = curves_of("D", theta, h, np.full(360, 1e-4), np.ones(360, dtype=bool))
     root = ElementTree.fromstring(as_svg(curves))
     (path,) = [each for each in root.iter(f"{SVG}path") if each.get("id", "").startswith("chord")]

@@ -22,8 +22,8 @@ from palmd.rig.emulated import STEP_S
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_any_config, load_config, parse, read_document
+from tools.closed_loop import PivotLoop, ThreePalmsLoop, TwoPalmsLoop
 from tools.studies.silent_observer import SilentObserver
-from tools.wireless import PivotWireless, ThreePalmsWireless, Wireless
 
 TABLETOP = Path(__file__).parents[3] / "config/tabletop.yaml"
 
@@ -86,14 +86,14 @@ class Recorded:
             self.recorder.publish("rig/stall", {"t_s": self.t, "lasted_s": seconds, "count": 1}, self.t)
 
 
-class Rig(Recorded, Wireless):
+class Rig(Recorded, TwoPalmsLoop):
     """Two palms that know nothing of what is on them."""
 
     def __init__(self, folder, spec=SWING, config=None):
         super().__init__(recorded_in(folder, config or default_config()), spec, 3, estimator=Silent())
 
 
-class RigInSpace(Recorded, ThreePalmsWireless):
+class RigInSpace(Recorded, ThreePalmsLoop):
     """Three palms in space."""
 
     def __init__(self, folder):
@@ -101,7 +101,7 @@ class RigInSpace(Recorded, ThreePalmsWireless):
         super().__init__(recorded_in(folder, config), parse(read_document(config.plan), TiltPlanSpec), 3)
 
 
-class PivotingRig(Recorded, PivotWireless):
+class PivotingRig(Recorded, PivotLoop):
     """A pivoting grasp, whose smoother is never asked."""
 
     def __init__(self, folder):

@@ -28,8 +28,8 @@ from palmd.rig.world import World, default_config
 from palmd.score import WRONG_M
 from palmd.system.mechanism import PALMS
 from palmd.system.vibration import Vibration
+from tools.closed_loop import InlineExplorer, TwoPalmsLoop
 from tools.studies.engines.daemon import demo
-from tools.wireless import InlineExplorer, Wireless
 
 STEP_S = 5e-4
 MOST_PENETRATION_M = 2e-6
@@ -120,7 +120,7 @@ def test_without_vibration_contacts_stick_and_slip_as_in_palmds_own_plant(mujoco
 def test_the_daemon_finds_an_ellipse_that_mujoco_moves(mujoco_plant):
     config, plan = demo()
     rig = rig_description(config)
-    loop = Wireless(
+    loop = TwoPalmsLoop(
         config, plan, 2, kind="ellipse", options=IN_MUJOCO,
         smoothing=Simulated(rig), explorer=InlineExplorer(Decider(rig, 2)),
     )  # fmt: skip

@@ -10,13 +10,13 @@ import pytest
 
 from palmd.quantities import ESTIMATE, SHAPE
 from palmd.view.naming import NamingError, named
-from tools.studies.real_things import thing
+from tools.studies.real_objects import real_object
 
 THETA = np.arange(360) * (math.tau / 360)
 
 
 def latest(*, valid: bool = True, felt: float = 1.0) -> dict[str, bytes]:
-    h = thing("nut", np.random.default_rng(3)).body.support.sample(THETA)
+    h = real_object("nut", np.random.default_rng(3)).body.support.sample(THETA)
     shape = {"theta_rad": THETA.tolist(), "h_m": h.tolist(), "h_sd_m": [3e-5] * 360,
              "touched": (felt * math.tau > THETA).astype(int).tolist()}  # fmt: skip
     estimate = {"valid": valid, "object": 4}

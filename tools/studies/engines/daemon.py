@@ -25,11 +25,11 @@ from palmd.rig.plant import PHYSICS, Physics, PlantOptions
 from palmd.rig.shapes import Kind
 from palmd.rig.world import World
 from palmd.yamlfile import load_config, load_plan
+from tools.closed_loop import InlineExplorer, TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, count, errors, percent, quantiles, runs
 from tools.studies.harness import ALL, Goal, Study, result
 from tools.studies.scoring import FAR
-from tools.wireless import InlineExplorer, Wireless
 
 KIND: Kind = "ellipse"
 TOUCHED = 0.95  # of the normals: the goal that the demo's plan explores to
@@ -92,7 +92,7 @@ def run(task: DaemonTask) -> DaemonRow:
     (config, plan), options = demo(), PlantOptions(physics=task.physics)
     rig = rig_description(config)
     explorer = InlineExplorer(Decider(rig, task.seed))
-    loop = Wireless(
+    loop = TwoPalmsLoop(
         config, plan, task.seed, kind=KIND, options=options, smoothing=Simulated(rig), explorer=explorer
     )  # fmt: skip
     loop.start()

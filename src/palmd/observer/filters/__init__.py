@@ -1,1 +1,1 @@
-"""One file for each kind of filter that a bank can hold: its state, its prior, its kernels."""
+"""The kinds of filters that a bank can hold, one file each: state, prior, kernels."""

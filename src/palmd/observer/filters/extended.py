@@ -16,18 +16,18 @@ from palmd.observer.filters.base import (
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
     Overconfidence,
-    carry,
     curvature_rows,
     pad_update,
+    propagate,
 )
 from palmd.observer.palms import PLAN_RATE_SD, PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
 from palmd.system.description import RigDescription
 from palmd.system.mechanism import JOINT_RATES, JOINTS
 
-GUESSED_SLIDING_SD_M_S, GUESSED_ROLLING_SD_M_S = 1e-2, 3e-3  # m/s, of s and of r while the palms' motion is guessed
-OUTLINE_SD_M = 1e-4  # m, of an outline put together from radii, curvature and what both contacts say of its centre
-CONSISTENCY_SD_M = 1e-6  # m, to which r and s agree with the outline's coefficients at the start
+GUESSED_SLIDING_SD_M_S, GUESSED_ROLLING_SD_M_S = 1e-2, 3e-3  # 1σ of the rates of s and r while palm motion is guessed
+OUTLINE_SD_M = 1e-4  # 1σ added to an outline that is assembled from radii, curvature and both contacts
+CONSISTENCY_SD_M = 1e-6  # 1σ to which r and s agree with the outline's coefficients at the start
 
 
 class ExtendedFilters:
@@ -36,9 +36,9 @@ class ExtendedFilters:
     name = "extended"
     order = shape.HARMONICS
     fuses_palms = True
-    rolls_out = False
+    supports_rollout = False
     spread: FloatArray | None = None
-    left_open: FloatArray | None = None
+    provisional_spread: FloatArray | None = None
     overconfidence = Overconfidence(1.2, 3.0)
 
     def __init__(self, rig: RigDescription, size: int):
@@ -66,7 +66,7 @@ class ExtendedFilters:
     def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         X = extended.X
         phi1, phi2, omega1, omega2 = palms.at(t)[:4]
-        # r and s at the contacts and v along the outline all follow from one belief about the coefficients
+        # r and s at the contacts and v along the outline all follow from the coefficients
         linear = np.zeros((extended.N, shape.COEFFICIENTS))
         linear[[X.R1, X.R2]], linear[[X.S1, X.S2]] = shape.contact_rows(phi1, phi2)
         linear[X.CURVATURE :] = shape.curvature_rows()
@@ -90,17 +90,17 @@ class ExtendedFilters:
         sd = np.zeros(extended.N)
         sd[[X.R1, X.R2, X.S1, X.S2]] = CONSISTENCY_SD_M
         sd[[X.PHI1, X.PHI2]], sd[[X.OMEGA1, X.OMEGA2]] = angle_sd, rate_sd
-        for member, turn in enumerate(psi):
+        for member, angle in enumerate(psi):
             y = self.bank.x[member]
-            # the named state's gradient in the shape map's; contact_rows is for ψ = 0: turn the palms instead
+            # gradient of the named state by the shape map's; contact_rows assumes ψ = 0: the palms are turned instead
             J = np.zeros((extended.N, shape_map.N))
-            J[[X.R1, X.R2, X.S1, X.S2], Z.SHAPE :] = np.vstack(shape.contact_rows(phi1 - turn, phi2))
-            up, down = (np.vstack(shape.contact_rows(phi1 - turn - by, phi2)) for by in (1e-4, -1e-4))
+            J[[X.R1, X.R2, X.S1, X.S2], Z.SHAPE :] = np.vstack(shape.contact_rows(phi1 - angle, phi2))
+            up, down = (np.vstack(shape.contact_rows(phi1 - angle - step, phi2)) for step in (1e-4, -1e-4))
             J[[X.R1, X.R2, X.S1, X.S2], Z.PSI] = (up - down) @ x[Z.SHAPE :] / 2e-4
             J[X.CURVATURE :, Z.SHAPE :] = shape.curvature_rows()
             y[:] = J @ np.where(np.arange(shape_map.N) < Z.SHAPE, 0.0, x)
             y[[X.PHI1, X.PHI2, X.OMEGA1, X.OMEGA2]] = phi1, phi2, omega1, omega2
-            y[X.PSI], y[X.OMEGA0], y[X.RHO] = turn, 0.0, math.exp(x[Z.LN_RHO])
+            y[X.PSI], y[X.OMEGA0], y[X.RHO] = angle, 0.0, math.exp(x[Z.LN_RHO])
             y[X.MU], y[X.LN_DITHER], y[X.DAMPING] = x[Z.MU], x[Z.LN_DITHER], x[Z.DAMPING]
             J[X.PSI, Z.PSI] = J[X.OMEGA0, Z.OMEGA0] = 1.0
             J[X.RHO, Z.LN_RHO] = y[X.RHO]
@@ -119,8 +119,8 @@ class ExtendedFilters:
         sd[X.CURVATURE :] = np.abs(curvature) @ start.shape_sd
         return Belief(slice(X.RHO, extended.N), mean, sd)
 
-    def carry(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
-        carry(self, t, until, palms, repeated)
+    def propagate(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
+        propagate(self, t, until, palms, repeated)
 
     def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
         self.bank.predict(dt, palms.at(t)[4:], palms.jerk, self._rig)

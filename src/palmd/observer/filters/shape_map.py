@@ -1,4 +1,4 @@
-"""Filters on the whole outline (`model.shape_map`): kernels, prior, the rig's constants that they are corrected by."""
+"""Filters on the whole outline (`model.shape_map`): kernels, prior, correction by the rig's estimated constants."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from palmd.observer.filters.base import (
     GUESSED_ACCELERATION_SD,
     SMALLEST_RADIUS_M,
     Overconfidence,
-    carry,
     curvature_rows,
     pad_update,
+    propagate,
 )
 from palmd.observer.palms import PalmTracker, TrackedPalms
 from palmd.observer.prior import BlindStart
@@ -34,21 +34,21 @@ _LOW, _HIGH = slice(0, shape_map.N), slice(shape_map.N, None)
 
 
 def smoother_outline(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The belief (mean x, covariance P) about a shape map of more than `HARMONICS` harmonics, if it had no more.
+    """Condition a belief (mean x, covariance P) with more than `HARMONICS` harmonics on the higher ones being zero.
 
-    Where the outline has been felt it is much the same; merely leaving harmonics out would bend it there too.
+    The outline hardly changes where it has been touched; truncating the harmonics would change it there too.
     """
     gain = _gain(P)
     return x[_LOW] - gain @ x[_HIGH], P[_LOW, _LOW] - gain @ P[_HIGH, _LOW]
 
 
 def smoother_spread(P: FloatArray, spread: FloatArray) -> FloatArray:
-    """What the rig's constants leave open (n + constants, constants) of that belief, `P` (n, n) being the whole one."""
+    """`spread` (n + constants, constants) of a belief with covariance `P` (n, n), conditioned as `smoother_outline`."""
     return np.vstack([spread[_LOW] - _gain(P) @ spread[shape_map.N : len(P)], spread[len(P) :]])
 
 
 def _gain(P: FloatArray) -> FloatArray:
-    """How the shape map's states go with the harmonics that are left out."""
+    """Regression of the shape map's states on the higher harmonics."""
     return np.asarray(np.linalg.solve(P[_HIGH, _HIGH], P[_HIGH, _LOW]).T)
 
 
@@ -60,13 +60,13 @@ BLIND_OVERCONFIDENCE = Overconfidence(1.0, 0.7)
 class ShapeFilters:
     """Filters on the whole outline (`model.shape_map`), of `order` harmonics; the palms' angles are inputs.
 
-    Readings and angles are taken as `rig_error` corrects them. Beliefs are those of filters to which that is right;
-    what is told, `named` and `outline`, has the covariance spread·spreadᵀ besides, or left_open·left_openᵀ.
+    Readings and angles are corrected by `rig_error`. The filters' covariances assume that this is exact; the outputs
+    `named` and `outline` add spread·spreadᵀ, or provisional_spread·provisional_spreadᵀ, to them.
     """
 
     name = "shape"
     fuses_palms = False
-    rolls_out = True
+    supports_rollout = True
 
     def __init__(
         self,
@@ -78,19 +78,19 @@ class ShapeFilters:
         *,
         compiled: bool = True,
     ):
-        """Binds `size` filters' kernels; may compile C. `memory_s` as in `Bank`.
+        """Bind the kernels of `size` filters; may compile C. `memory_s` as in `Bank`.
 
-        Not `compiled`: what is done with the kernels is done by the twin in NumPy.
+        With `compiled` False the kernels are called from NumPy code, the twin of `model/fusion.c`.
         """
         self.overconfidence = overconfidence
         library = shape_map.library(order, rig.curved)
         inputs = (shape_map.PREDICTION_INPUTS, shape_map.PALM_INPUTS + RIG_INPUTS, len(NAMED))
         n = shape_map.size(order)
-        # variances, before a smoother has estimated the rig's constants, and after
-        self._besides = np.zeros((2, len(NAMED)))
-        self._besides[:, _JOINTS_AT] = np.ravel(rig.rounding_sd) ** 2
-        self._besides[:, _ANGLES[0]] += rig.gravity_sd**2  # readings tell φ1 about gravity, not about the rig
-        self._besides[0, _ANGLES] += rig.angle_sd**2
+        # variances added to those of NAMED before a smoother has estimated the rig's constants, and after
+        self._added_variances = np.zeros((2, len(NAMED)))
+        self._added_variances[:, _JOINTS_AT] = np.ravel(rig.rounding_sd) ** 2
+        self._added_variances[:, _ANGLES[0]] += rig.gravity_sd**2  # readings give φ1 relative to gravity, not the rig
+        self._added_variances[0, _ANGLES] += rig.angle_sd**2
         self._rig, self._curvatures = rig_inputs(rig), rig.curvatures if rig.curved else ()
         update_inputs = shape_map.UPDATE_INPUTS + len(self._curvatures)
         self.bank = Bank(library, size, n, dict.fromkeys(shape_map.UPDATES, update_inputs), inputs, memory_s)
@@ -106,17 +106,19 @@ class ShapeFilters:
         self.curvature[:, shape_map.Z.SHAPE :] = curvature_rows(order)
         self._routines = Routines(library) if compiled and library.path is not None else None
         self.compiled = (
-            None if self._routines is None else CompiledBank(self._routines, self.bank, self._rig, tuple(self._besides))
+            None
+            if self._routines is None
+            else CompiledBank(self._routines, self.bank, self._rig, tuple(self._added_variances))
         )
         self.bank.compiled = self.compiled
         self.rig_error = RigError(tuple(pad.length for pad in rig.pads), rig.curvatures)
         self.spread: FloatArray | None = None
-        self.left_open: FloatArray | None = None
-        self._start: BlindStart | None = None  # that `_believed` is of
+        self.provisional_spread: FloatArray | None = None
+        self._start: BlindStart | None = None  # the start for which `_prior` was computed
 
     @property
     def rig_error(self) -> RigError:
-        """What readings and angles are corrected by; may be shared with other filters."""
+        """Correction of readings and angles; may be shared with other filters."""
         return self._rig_error
 
     @rig_error.setter
@@ -128,7 +130,7 @@ class ShapeFilters:
 
     def start(self, start: BlindStart, palms: TrackedPalms, t: float) -> None:
         del palms, t  # the palms are not part of the state
-        self.left_open = None
+        self.provisional_spread = None
         Z = shape_map.Z
         x, P = self.bank.x, self.bank.P
         x[:] = 0.0
@@ -154,14 +156,14 @@ class ShapeFilters:
     def constants(self, start: BlindStart) -> Belief:
         Z = shape_map.Z
         if start is not self._start:
-            self._start, self._believed = start, self._constants(start)
-        believed, ln_ratio = self._believed, math.log(prior.GYRATION)
-        mean = believed.mean[: self.bank.size]
+            self._start, self._prior = start, self._constants(start)
+        cached, ln_ratio = self._prior, math.log(prior.GYRATION)
+        mean = cached.mean[: self.bank.size]
         mean[:, Z.LN_RHO] = np.log(np.maximum(self.bank.x[:, Z.SHAPE], SMALLEST_RADIUS_M)) + ln_ratio
-        return Belief(believed.which, mean, believed.sd)
+        return Belief(cached.which, mean, cached.sd)
 
     def _constants(self, start: BlindStart) -> Belief:
-        """But for ρ, of which each filter's goes with its mean radius."""
+        """The prior, except the mean of ln ρ, which depends on each filter's mean radius."""
         Z = shape_map.Z
         mean, sd = np.zeros((self.bank.full_size, self.bank.n)), np.zeros(self.bank.n)
         mean[:, Z.MU], mean[:, Z.LN_DITHER] = prior.FRICTION, start.ln_dither[0]
@@ -171,40 +173,40 @@ class ShapeFilters:
         sd[Z.SHAPE :] = start.shape_sd
         return Belief(slice(Z.LN_RHO, self.bank.n), mean, sd)
 
-    def carry(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
+    def propagate(self, t: float, until: float, palms: TrackedPalms, repeated: float) -> None:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            self.compiled.carry(self.compiled_rig, palms, t, until, repeated)
+            self.compiled.propagate(self.compiled_rig, palms, t, until, repeated)
         else:
-            carry(self, t, until, palms, repeated)
+            propagate(self, t, until, palms, repeated)
 
     def predict(self, t: float, dt: float, palms: TrackedPalms) -> None:
-        """Move the bank from `t` to `t + dt`."""
+        """Propagate the bank from `t` to `t + dt`."""
         self.bank.predict(dt, self._palms_at(t, palms), palms.jerk, self._rig_now())
 
     def fuse_pad(self, sample: PadSample, variance: float, palms: TrackedPalms, repeated: float) -> None:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            self.compiled.read(self.compiled_rig, palms, sample, variance, repeated)
+            self.compiled.fuse_pad(self.compiled_rig, palms, sample, variance, repeated)
             return
         angles = self._palms_at(sample.t_sample, palms)[: len(JOINTS)]
         s = self.rig_error.corrected(sample, angles[OPENING], float(self.bank.x[0, shape_map.Z.SHAPE]))
         self.bank.update(pad_update(sample.pad), s, variance, *angles, *self._curvatures, repeated=repeated)
 
-    def follow(
+    def fuse_events(
         self, events: Sequence[Event], t: float, palms: TrackedPalms, variances: FloatArray
     ) -> tuple[float, int]:
-        """Fuse events one after the other, as the rig's constants have them in time, from `t` (s) on.
+        """Fuse events in their order from `t` (s) on, at times corrected by the pads' estimated lags.
 
-        When the last was read, and how many readings were: one from before what has been fused is left out.
-        `variances` of each pad's readings (m²).
+        Readings from before the last fused one are skipped. `variances`: of each pad's readings (m²). Returns the time
+        of the last fused reading (s) and the number of readings fused.
         """
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            return self.compiled.follow(self.compiled_rig, palms, events, variances, t)
+            return self.compiled.fuse_events(self.compiled_rig, palms, events, variances, t)
         read = 0
         for event in events:
             if isinstance(event, PalmSample):
                 palms.feed(event)
             elif isinstance(event, PadSample) and (sample := self.rig_error.on_time(event)).t_sample >= t:
-                self.carry(t, sample.t_sample, palms, math.inf)
+                self.propagate(t, sample.t_sample, palms, math.inf)
                 t = sample.t_sample
                 self.fuse_pad(sample, float(variances[sample.pad - 1]), palms, palms.repeated)
                 read += 1
@@ -222,29 +224,31 @@ class ShapeFilters:
 
     def named(self, member: int, t: float, dt: float, palms: TrackedPalms) -> tuple[list[float], list[float]]:
         if self.compiled is not None and isinstance(palms, CompiledPalms):
-            return self.compiled.named(self.compiled_rig, palms, member, t, dt, self._open())
+            return self.compiled.named(self.compiled_rig, palms, member, t, dt, self._present_spread())
         self._x[:], self._P[:] = self.bank.x[member], self.bank.P[member]
         self._u[0], self._u[1:7], self._u[7:9] = dt, self._palms_at(t, palms), palms.jerk
         self._u[9:] = self._v[shape_map.PALM_INPUTS :] = self._rig_now()
         self._predict()
         self._v[: shape_map.PALM_INPUTS] = self._palms_at(t + dt, palms)
         self._named()
-        n, error, y, spread = self.bank.n, self.rig_error, self._y, self._open()
+        n, error, y, spread = self.bank.n, self.rig_error, self._y, self._present_spread()
         J, by_angles = self._J[:n], self._J[n:]
         variance = ((self._P_next @ J) * J).sum(axis=0)
         variance[_JOINTS_AT] += np.ravel(palms.sd(t + dt)) ** 2
-        variance += self._besides[int(spread is not None)]
-        by = np.array([error.lifts(k, y[_ANGLES[1]], self._x_next[shape_map.Z.SHAPE]) for k in range(len(PALMS))])
-        y[_CONTACTS] += by @ error.heights(error.values)
-        y[_ANGLES] -= error.bows(error.values)  # a palm's, not its surface's where it is touched
+        variance += self._added_variances[int(spread is not None)]
+        by_height = np.array(
+            [error.lifts(k, y[_ANGLES[1]], self._x_next[shape_map.Z.SHAPE]) for k in range(len(PALMS))]
+        )
+        y[_CONTACTS] += by_height @ error.heights(error.values)
+        y[_ANGLES] -= error.bows(error.values)  # angles of the palms, not of their bowed surfaces at the contacts
         if spread is not None:
-            left = J.T @ spread[:n]
-            if len(own := spread[n:]):
-                bows = error.bows(own)
-                left += by_angles.T @ (own[[R.TILT, R.TURN]] + bows)
-                left[_ANGLES] -= bows
-                left[_CONTACTS] += by @ error.heights(own)
-            variance += (left**2).sum(axis=1)
+            steps = J.T @ spread[:n]
+            if len(rig_steps := spread[n:]):
+                bows = error.bows(rig_steps)
+                steps += by_angles.T @ (rig_steps[[R.TILT, R.TURN]] + bows)
+                steps[_ANGLES] -= bows
+                steps[_CONTACTS] += by_height @ error.heights(rig_steps)
+            variance += (steps**2).sum(axis=1)
         return y.tolist(), variance.tolist()
 
     def all_named(self, t: float, palms: TrackedPalms) -> FloatArray:
@@ -252,7 +256,7 @@ class ShapeFilters:
 
     def outline(self, member: int) -> tuple[FloatArray, FloatArray]:
         at = shape_map.Z.SHAPE
-        return self.bank.x[member, at:].copy(), self._whole(member)[at:, at:].copy()
+        return self.bank.x[member, at:].copy(), self._total_covariance(member)[at:, at:].copy()
 
     def as_shape_map(self, member: int) -> FloatArray:
         x, P = self.bank.x[member], self.bank.P[member]
@@ -272,14 +276,14 @@ class ShapeFilters:
         motion[:2] += self.rig_error.angles()
         return motion
 
-    def _whole(self, member: int) -> FloatArray:
+    def _total_covariance(self, member: int) -> FloatArray:
         P: FloatArray = self.bank.P[member]
-        steps = self._open()
+        steps = self._present_spread()
         if steps is not None:
             steps = steps[: self.bank.n]
             P = P + steps @ steps.T
         return P
 
-    def _open(self) -> FloatArray | None:
-        """What the rig's constants leave open in one-sigma steps: n rows of the state, and perhaps their own."""
-        return self.left_open if self.spread is None else self.spread
+    def _present_spread(self) -> FloatArray | None:
+        """1σ steps of the rig's constants: n rows of their effect on the state, then perhaps the constants' own."""
+        return self.provisional_spread if self.spread is None else self.spread

@@ -16,20 +16,19 @@ from palmd.events import FloatArray
 from palmd.model import shape
 from palmd.model.compiled import Library
 from palmd.model.pivot import BATCH, CONSTANTS, MOTION, ORDER, P, U
-from palmd.observer.force_gain import BEHIND, modes_at, place_in_play
+from palmd.observer.force_gain import HYSTERESIS, hysteresis_position, modes_at
 from palmd.observer.pivot.record import TAPS, PivotRecord, Rows
 from palmd.system.pivot import normal_of
 
 MAX_ITERATIONS = 60
-NEGLIGIBLE = 0.02  # decrease of the cost below which the iteration has converged
+NEGLIGIBLE = 0.02
 FIRST_DAMPING, LEAST_DAMPING, MAX_DAMPING = 1e-3, 1e-10, 1e8
-CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # most extra steps of the splines alone; none if the cost falls by a tenth at once
-GATE = 16.0  # squared normalised residual above which a row's weight falls off: 4σ
-WIDE, NARROWER = 1.5, 0.7  # spread of the residuals above which the gate is wider; factor by which it must narrow
-# Prior of a body: 1σ of the centre of mass from the outline's middle; radius of gyration in mean radii and its relative
-# 1σ (a uniform convex body has 0.70 to 0.72, a ring 1).
+CORRECTIONS, GOOD_ENOUGH = 4, 0.9  # of the splines alone, unless the cost falls by a tenth at once
+GATE = 16.0  # squared normalised residual beyond which a reading's pull falls off: 4 sigma
+WIDE, NARROWER = 1.5, 0.7  # spread of residuals from which the gate is wider, and how much narrower it must come
+# What most bodies are like: how far the centre of mass is off the outline's middle, and the radius of gyration in mean
+# radii with its relative one-sigma (a uniform convex body has 0.70 to 0.72, a ring 1).
 CENTRE_SD_M, GYRATION, GYRATION_SD = 1e-3, 0.707, 0.1
-# 1σ of a rigid gripper's height error, number of readings that share it, least e² in its effect on the force
 HEIGHT_ERROR_M, HEIGHT_ERROR_READINGS, LEAST_LEVER_SQUARE_M2 = 2.5e-6, 60, 1e-8
 _READINGS, _HEIGHTS, _FORCES = range(3)  # kinds of rows, in the order of the kernels
 _PSI_SCALE = 0.05
@@ -134,7 +133,7 @@ class Problem:
                 break
             trial = c + step[0], x + step[1]
             then = self.linearised(*trial, soft) if _sane(trial[1]) else None
-            for _ in range(CORRECTIONS):  # the splines are non-linear along a step of the constants
+            for _ in range(CORRECTIONS):  # the splines bend where the constants go straight
                 if then is None or not math.isfinite(then.cost) or then.cost < GOOD_ENOUGH * now.cost:
                     break
                 better = self._resolve_splines(then, trial, soft)
@@ -207,7 +206,7 @@ class Problem:
         banded = np.zeros((TAPS, len(c)))
         for k in range(TAPS):
             banded[k, : len(c) - k] = normal.diagonal(-k)
-        banded[0] += 1e-9  # fixes coefficients that no row depends on
+        banded[0] += 1e-9  # what no reading sees stays where it is
         for k in range(TAPS):
             banded[k, : TAPS - k] += gauge_c[k:] * gauge_c[: TAPS - k]
         c_side = across @ residual
@@ -312,7 +311,7 @@ def gain_modes(record: PivotRecord, forces: FloatArray | None = None) -> FloatAr
     if not std or not len(rows.t):
         return np.zeros((len(rows.t), 0))
     modes = modes_at(rows.t, [(touch.begin, touch.end) for touch in record.touches], std)
-    return modes if forces is None else np.column_stack([modes, BEHIND * _play_state(record, forces)])
+    return modes if forces is None else np.column_stack([modes, HYSTERESIS * _play_state(record, forces)])
 
 
 def _play_state(record: PivotRecord, forces: FloatArray) -> FloatArray:
@@ -320,7 +319,7 @@ def _play_state(record: PivotRecord, forces: FloatArray) -> FloatArray:
     state: FloatArray = np.zeros(len(forces))
     for touch in record.touches:
         mine = (record.forces.t >= touch.begin) & (record.forces.t <= touch.end)
-        state[mine] = place_in_play(forces[mine])
+        state[mine] = hysteresis_position(forces[mine])
     return state
 
 
@@ -370,7 +369,7 @@ class _Kernel:
         residual = rows.value - value
         variance = rows.variance * soft**2
         nis = residual**2 / variance
-        # far from the minimum all residuals are large; outliers are those that exceed the others by far
+        # far from the answer all residuals are large: only what stands out from the others is an outlier
         spread = float(np.median(nis)) / 0.455
         self.wanted_gate = GATE * spread if spread > WIDE else GATE
         gate = self.gate

@@ -29,10 +29,10 @@ from palmd.observer.smoothing import SmoothingOfOne
 from palmd.system.pivot import PivotAnswer, PivotEstimate, PivotRig, Touching
 
 NAME = "pivot"
-RECENT_S = 0.06  # length of the readings whose mean is published
-NIS_S, NIS_LIMIT, NIS_INITIAL = 0.5, 3.0, 1.0  # time constant of the mean NIS, its limit and initial value
-LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # 1σ of the arm's lag behind its plan, and of its velocity
-OUTLINE_SD_LIMIT_M = 1e-4  # largest 1σ of the outline at the contact for a valid orientation
+RECENT_S = 0.06  # of readings that what is felt is the mean of
+NIS_S, NIS_LIMIT, NIS_INITIAL = 0.5, 3.0, 1.0
+LAG_SD_S, RATE_SD_M_S = 4e-3, 1e-4  # of how late the arm does what is planned, and of how even it runs
+OUTLINE_SD_LIMIT_M = 1e-4  # one-sigma of the outline at the contact, above which the orientation is not claimed
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +68,11 @@ class PivotObserver:
         self._body: AcceptedOutline | None = None
         self._gripper: Gripper | None = None
         self._recent: deque[PadSample] = deque()
-        self._levers: deque[float] = deque()  # e of each reading in `_recent`
+        self._levers: deque[float] = deque()  # of each that is in `_felt`
         self._touching = False
         self._psi: float | None = None
         self._nis = NIS_INITIAL
-        self._contact_start = math.inf  # start of the contact
+        self._contact_start = math.inf  # since when it is
 
     def warm_up(self) -> None:
         """Nothing to do."""
@@ -156,7 +156,7 @@ class PivotObserver:
         return ShapeEstimate(t, body.theta, body.h, body.answer.h_sd, body.answer.touched > 0)
 
     @property
-    def foresees(self) -> bool:
+    def has_planning_belief(self) -> bool:
         """Whether the gripper's position is known."""
         return self._gripper is not None
 
@@ -290,7 +290,7 @@ class PivotObserver:
         if self._gripper is None or not self._recent:
             return
         (x, _, _), (z, _, _) = self._gripper.at(self._recent[-1].t_sample)
-        if answer.t >= self._contact_start:  # the same contact: follow the outline from the answer's orientation
+        if answer.t >= self._contact_start:  # the same touch: from where the body was then along the outline
             self._psi = self._body.orientation_by_steps(answer.psi, x, z)
         else:
             self._psi = self._body.locate(x, z, [each.s for each in self._recent], near=answer.psi)

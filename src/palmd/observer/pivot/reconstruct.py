@@ -264,7 +264,10 @@ def _answer(problem: Problem, fits: Sequence[PivotFit]) -> PivotReconstruction:
     except np.linalg.LinAlgError:
         raise TooLittleError("the fit is not a minimum") from None
     sd_known_rig = gauge_free_sd(
-        theta, theta[touched], coefficients, conditional_covariance(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None))
+        theta,
+        theta[touched],
+        coefficients,
+        conditional_covariance(covariance, slice(P.ZERO, P.SHAPE), slice(P.SHAPE, None)),
     )
     covariance = covariance + moves @ moves.T
     h_sd = gauge_free_sd(theta, theta[touched], coefficients, covariance[P.SHAPE :, P.SHAPE :])

@@ -26,18 +26,18 @@ from palmd.system.three_palms import GAP_S, JOINTS, PALMS, BodyAnswer, BodyEstim
 from palmd.three_palms_quantities import INERTIA_ENTRIES, WORLD_AXES
 
 NAME = "space"
-FUSION_DELAY_S = 0.02  # delay with which readings are fused
-KEPT_S = 20.0  # readings kept for late answers; the first takes up to 14 s
-MOST_KEPT = 8192  # number of readings from which older ones are dropped: some 27 s
-CATCH_UP_READINGS = 12  # old readings per tick that a filter fuses while it catches up
-NIS_LIMIT = 1.35  # mean NIS up to which an estimate is valid: 1 and six standard deviations
-NIS_PREDICTIVE = 4.0  # mean NIS up to which the estimate is good enough for predictions
-CONTACT_SD_LIMIT_M = 3e-4  # largest 1σ of a contact of a valid estimate
-NEW_OBJECT_S = 0.5  # time without any contact after which a new object begins
-LONGEST_S = 1e-2  # step of a prediction beyond the last reading
-TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # least 1σ of contacts and spin from truncated harmonics
-FORCE_SHARE = 0.03  # relative 1σ of a force per mass
-NORMALS_EVERY_S = 0.02  # interval at which contact normals are stored
+FUSION_DELAY_S = 0.02  # how late readings are fused
+KEPT_S = 20.0  # of readings, for an answer that is as old: the first takes up to 14 s
+MOST_KEPT = 8192  # of readings, before older ones are let go: some 27 s
+CATCH_UP_READINGS = 12  # readings that a filter which catches up takes beyond the new ones
+NIS_LIMIT = 1.35  # six of the standard deviations that it has where all is as believed
+NIS_PREDICTIVE = 4.0  # up to which what is believed still tells where the body goes
+CONTACT_SD_LIMIT_M = 3e-4  # one-sigma of a contact, above which it is not known where the body is
+NEW_OBJECT_S = 0.5  # without any contact, after which it is another object
+LONGEST_S = 1e-2  # of a step ahead of the last reading
+TRUNCATED_M, TRUNCATED_RAD_S = 3e-5, 0.01  # what harmonics beyond the last leave open of contacts and spin, at least
+FORCE_SHARE = 0.03
+NORMALS_EVERY_S = 0.02  # how often it is kept where the palms touch the body
 
 
 class BodyObserver:
@@ -50,23 +50,24 @@ class BodyObserver:
         self._rig, self._smoothing = rig, smoothing
         self._unsent: list[Event] = []
         self._joints: JointTrack | None = None
-        self._pending: list[PlaneReading] = []  # not fused yet, ordered by time
-        self._fused: list[PlaneReading] = []  # fused, ordered by time
+        self._pending: list[PlaneReading] = []  # not fused yet, by their times
+        self._fused: list[PlaneReading] = []  # fused, by their times
         self._fused_until = -math.inf
         self._contact_times = [-math.inf] * len(PALMS)
-        self._lifted: set[int] = set()  # palms whose pads report that nothing touches them
-        self._contact_start = -math.inf  # start of the contact; answers about older records are ignored
+        self._lifted: set[int] = set()  # palms whose pads say that nothing touches them
+        self._contact_start = -math.inf  # of what is on the palms: answers about what was there before are of no use
         self._answer: BodyAnswer | None = None
         self._filter: BodyFilter | None = None
-        self._catching_up: BodyFilter | None = None  # started from a new answer, catching up with the present
-        self._previous: BodyFilter | None = None  # of the previous record; relates its frame to the next one's
-        # number of the frame, the record that it is known for, rotation from that record's frame to it
+        self._catching_up: BodyFilter | None = None  # catches up
+        self._previous: BodyFilter | None = None  # of a record that was given up: by it the next one's frame is known
+        # Which frame, of which record, and from that record's own into that of the first one in it.
         self._frame, self._frame_of, self._turn = 0, -math.inf, np.eye(3)
         self._published_shape_of: BodyAnswer | None = None
         self._predictive = False
         self._invalid_because = ""
-        # (time, contact normals in the body's frame)
-        self._normals: deque[tuple[float, FloatArray]] = deque(maxlen=round(KEPT_S / NORMALS_EVERY_S))
+        self._normals: deque[tuple[float, FloatArray]] = deque(
+            maxlen=round(KEPT_S / NORMALS_EVERY_S)
+        )  # normals in the body
 
     @property
     def backend(self) -> str:
@@ -147,7 +148,7 @@ class BodyObserver:
         return ShapeEstimate(t, icosphere()[0], answer.h, answer.h_sd, answer.touched > 0)
 
     @property
-    def foresees(self) -> bool:
+    def has_planning_belief(self) -> bool:
         """Whether the estimate, valid or not, is good enough for predictions."""
         return self._predictive
 
@@ -173,9 +174,8 @@ class BodyObserver:
         now = self._predicted(filtered, t)
         normals_since = [normals for at, normals in self._normals if at > answer.t]
         return BodyPlanningBelief(
-            t, self.object_count, answer.record_start, not self._invalid_reason(t), answer.mass, now.R, now.omega,
-            now.p, now.P, answer.touched > 0, np.array(normals_since).reshape(-1, len(PALMS), 3), self._frame,
-            self._turn,
+            t, self.object_count, answer.record_start, not self._invalid_reason(t), answer.mass, now.R, now.omega, now.p, now.P,
+            answer.touched > 0, np.array(normals_since).reshape(-1, len(PALMS), 3), self._frame, self._turn,
         )  # fmt: skip
 
     def identify(self, t: float) -> None:
@@ -306,7 +306,7 @@ class BodyObserver:
         assert self._joints is not None
         outputs = now.outputs(self._joints, t)
         diagonal = np.sqrt(np.maximum(np.diagonal(now.P), 0.0))
-        truncation_sd = math.hypot(TRUNCATED_M, answer.unexplained_sd)  # 1σ from truncated harmonics
+        truncation_sd = math.hypot(TRUNCATED_M, answer.unexplained_sd)  # open, by what harmonics leave out
         spin_truncation_sd = TRUNCATED_RAD_S * truncation_sd / TRUNCATED_M
         body_inertia, inertia_sd = inertia(now.p), answer.inertia_sd.reshape(3, 3)
         values: dict[str, float] = {}

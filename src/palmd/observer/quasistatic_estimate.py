@@ -1,4 +1,4 @@
-"""From a set of quasistatic trajectories to values and one-sigmas of the named state. Pure."""
+"""Values and standard deviations of the named state from a set of quasistatic trajectories. Pure."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ from palmd.system.mechanism import (
     hinge_position,
 )
 
-# What remains about the best initial condition, from the emulated rig: friction and inertia are not in the model.
-RADIUS_OFF_M, TURN_OFF_RAD, SPIN_OFF_RAD_S = 1.0e-3, 0.35, 0.5
-FITTED = 0.6  # of a reading's one-sigma that is left in the smoothed value at the end of the record
+# 1σ model errors of radii, ψ and ψ̇ about the best initial condition, from the emulated rig: friction and inertia are
+# not in the model.
+RADIUS_MODEL_SD_M, TURN_MODEL_SD_RAD, SPIN_MODEL_SD_RAD_S = 1.0e-3, 0.35, 0.5
+FITTED = 0.6  # 1σ of a smoothed value at the end of the record, relative to a reading's
 PALM_RATE_SD = 5e-3  # rad/s
 
 
 @dataclass(frozen=True, slots=True)
-class Leading:
-    """A set at its last node: mean and one-sigma of r1, r2, ψ and ψ̇; errors and number of its likeliest member."""
+class LeadingSet:
+    """The leading set at its last node: mean and 1σ of r1, r2, ψ and ψ̇; errors and index of its likeliest member."""
 
     values: FloatArray
     sds: FloatArray
@@ -44,30 +45,30 @@ class Leading:
     best: int
 
 
-def read_off(leader: MultiStart, felt: qs.QuasistaticReadings, weights: FloatArray) -> Leading:
-    """The leading set, of which each initial condition has its weight, where this is `felt`."""
-    rates = qs.rates(felt, leader.state, leader.softening)
+def summarise(leader: MultiStart, readings: qs.QuasistaticReadings, weights: FloatArray) -> LeadingSet:
+    """Weighted statistics of the leading set at a node with these smoothed `readings`."""
+    rates = qs.rates(readings, leader.state, leader.softening)
     each = np.concatenate([leader.state[:3], rates[2:3]])
     mean = each @ weights
     sd = np.sqrt(((each - mean[:, None]) ** 2) @ weights)
     best = int(np.argmax(weights))
-    e_c = np.hypot(*qs.closure_error(felt, leader.state[:, best]))
-    e_f = qs.balance_error(felt, *leader.state[:2, best].tolist())
-    return Leading(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
+    e_c = np.hypot(*qs.closure_error(readings, leader.state[:, best]))
+    e_f = qs.balance_error(readings, *leader.state[:2, best].tolist())
+    return LeadingSet(mean, sd, float(e_f), float(e_c), float(leader.conflict[best]), best)
 
 
 def named(
-    rig: RigDescription, node: qs.QuasistaticReadings, found: Leading, now: qs.QuasistaticReadings, ahead: float
+    rig: RigDescription, node: qs.QuasistaticReadings, found: LeadingSet, now: qs.QuasistaticReadings, ahead: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Values and one-sigmas of `NAMED` when `now` is felt, `ahead` s after the last `node`, at that node's rates."""
-    *begun, psi, omega0 = found.values.tolist()
+    """Values and 1σ of `NAMED` at readings `now`, extrapolated by `ahead` (s) from the last `node` at its rates."""
+    *node_radii, psi, omega0 = found.values.tolist()
     turning = directions(node.joint_rates)
     radii = [
         r - float(d * (rate - omega0)) * ahead  # (3.33), (3.34)
-        for r, d, rate in zip(begun, qs.offsets(node, *begun), turning, strict=True)
+        for r, d, rate in zip(node_radii, qs.offsets(node, *node_radii), turning, strict=True)
     ]
     psi += omega0 * ahead
-    radius_sd = np.hypot(found.sds[:2], RADIUS_OFF_M)
+    radius_sd = np.hypot(found.sds[:2], RADIUS_MODEL_SD_M)
     mean, mean_sd = sum(radii) / 2, float(radius_sd.mean())
     rho = GYRATION * mean
     com_x, com_y = _centre(rig, [float(angle) for angle in now.joints], radii)
@@ -81,15 +82,15 @@ def named(
         **dict(zip(RADII, radius_sd, strict=True)),
         **{name: FITTED * math.sqrt(pad.reading_variance) for name, pad in zip(CONTACTS, rig.pads, strict=True)},
         **dict.fromkeys(JOINTS, FITTED * rig.palm_angle_noise), **dict.fromkeys(JOINT_RATES, PALM_RATE_SD),
-        "omega0": math.hypot(found.sds[3], SPIN_OFF_RAD_S),
-        "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_OFF_RAD),
+        "omega0": math.hypot(found.sds[3], SPIN_MODEL_SD_RAD_S),
+        "rho": math.hypot(GYRATION_SD * rho, GYRATION * mean_sd), "psi": math.hypot(found.sds[2], TURN_MODEL_SD_RAD),
     }  # fmt: skip
     y = np.array([values.get(name, math.nan) for name in NAMED])
     return y, np.array([sds.get(name, math.nan) for name in NAMED])
 
 
 def _centre(rig: RigDescription, joints: Sequence[float], radii: Sequence[float]) -> tuple[float, float]:
-    """The centre of mass (m, world frame): n_i·c = r_i from the hinge, itself on an arc or fixed."""
+    """The centre of mass (m, world frame) from n_i·c = r_i about the hinge, which is fixed or moves on an arc."""
     (first, second), (one, two) = directions(joints), radii
     x = (one * math.cos(second) + two * math.cos(first)) / math.sin(joints[OPENING])
     y = (one * math.sin(second) + two * math.sin(first)) / math.sin(joints[OPENING])

@@ -7,7 +7,7 @@ import pytest
 
 from palmd.events import Estimate
 from palmd.model.outputs import NAMED
-from palmd.observer.answer import answer
+from palmd.observer.estimates import make_estimate
 
 VALUES = [0.1 * i for i in range(1, len(NAMED) + 1)]
 SDS = [0.01 * i for i in range(1, len(NAMED) + 1)]
@@ -15,7 +15,7 @@ SDS = [0.01 * i for i in range(1, len(NAMED) + 1)]
 
 def told():
     mass = SimpleNamespace(value=0.2, sd=0.01)
-    return answer(1.5, True, "shape", 2, VALUES, SDS, mass, 1.1, 2.2, 0.3, ("diverged",))
+    return make_estimate(1.5, True, "shape", 2, VALUES, SDS, mass, 1.1, 2.2, 0.3, ("diverged",))
 
 
 def test_every_field_is_there():

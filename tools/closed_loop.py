@@ -1,7 +1,7 @@
-"""The daemon's pure core and the emulated rig in one process: closed loop without wires, faster than real time.
+"""Simulated closed loop: the daemon's pure core and the emulated rig in one process, faster than real time.
 
 The bytes of the pads and the arm go through the real codecs and arrive when a serial line would deliver them; a
-client's commands go through the real parser. No clock is read: the same seed gives the same bits.
+client's commands go through the real parser. No clock is read: the same seed gives identical results.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ from palmd.rig.three_palms.world import ThreePalmsWorld
 from palmd.rig.world import World
 from palmd.system.three_palms import BodyAnswer
 
-ANSWER_S = 2.0
-LATENCY_S = 0.3  # of a decision
-READY_S = 5.0
+ANSWER_S = 2.0  # longest time to an answer
+LATENCY_S = 0.3  # of a decision of the explorer
+READY_S = 5.0  # longest time until the daemon is ready
 
 P = ParamSpec("P")
 T = TypeVar("T")
 Rig = TypeVar("Rig", bound=EmulatedRig[Any])
 
 
-class WirelessError(Exception):
-    """The daemon refused a command or did not get ready; says what it said."""
+class ClosedLoopError(Exception):
+    """The daemon refused a command or did not become ready; with its message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """One tick at `t` (s): what the daemon published, by topic, beside `rig/truth` of the same instant."""
+    """One tick at `t` (s): the daemon's messages by topic, and `rig/truth` at the same time."""
 
     t: float
     messages: dict[str, Fields]
@@ -67,7 +67,7 @@ class Instant:
 
 
 class _ToPad(NamedTuple):
-    """What a pad's driver writes to: the far end of its line."""
+    """The far end of a pad's line, to which its driver writes."""
 
     world: EmulatedRig[Any]
     end: str
@@ -79,11 +79,11 @@ class _ToPad(NamedTuple):
 class ClosedLoop(Generic[Rig]):
     """One rig with one object, and one daemon; see the module. Times are seconds from 0.
 
-    `world` and `core` may be looked at between ticks, and mischief played on the world.
+    `world` and `core` may be inspected between ticks, and faults injected into the world.
     """
 
     def __init__(self, world: Rig, core: Core, rate_hz: float) -> None:
-        """The daemon's `core` has just found its ports; it ticks at `rate_hz`."""
+        """Connect the daemon's `core`, which ticks at `rate_hz`, to the rig's ports."""
         self.world, self.core = world, core
         self._steps, self._steps_per_tick = 0, round(1.0 / (rate_hz * STEP_S))
         for end in core.ports():
@@ -91,11 +91,11 @@ class ClosedLoop(Generic[Rig]):
 
     @property
     def t(self) -> float:
-        """The time both stand at (s)."""
+        """The present time of rig and daemon (s)."""
         return self._steps * STEP_S
 
     def tick(self) -> Instant:
-        """Live through one period of the loop and take stock at its end."""
+        """Simulate one period of the daemon's loop; returns the messages at its end."""
         for _ in range(self._steps_per_tick):
             self._step()
         for end, pad in self.core.pads.items():
@@ -104,28 +104,28 @@ class ClosedLoop(Generic[Rig]):
         return Instant(self.t, {topic.name: fields for topic, fields in published}, self.world.truth())
 
     def ask(self, command: str, **args: Any) -> dict[str, Any]:
-        """Give a command as a client would and let time pass until it is answered; raises WirelessError."""
+        """Send a command as a client and simulate until its result arrives; raises ClosedLoopError if it is refused."""
         self.core.handle(parse(msgpack.packb({"id": command, "cmd": command, "args": args})), self.t)
         t_end = self.t + ANSWER_S
         while self.t < t_end:
             for reply in self.core.replies():
                 if reply.error is not None:
-                    raise WirelessError(reply.error)
+                    raise ClosedLoopError(reply.error)
                 return reply.result or {}
             self.tick()
-        raise WirelessError(f"{command} was not answered within {ANSWER_S:g} s")
+        raise ClosedLoopError(f"{command} was not answered within {ANSWER_S:g} s")
 
     def start(self) -> None:
-        """Wait until the daemon is ready, arm it and start the plan; raises WirelessError."""
+        """Simulate until the daemon is ready, arm it and start the plan; raises ClosedLoopError."""
         while self.core.state is not State.READY:
             if self.t > READY_S:
-                raise WirelessError(f"not ready within {READY_S:g} s, but {self.core.state}: {self._faults()}")
+                raise ClosedLoopError(f"not ready within {READY_S:g} s, but {self.core.state}: {self._faults()}")
             self.tick()
         self.ask("arm")
         self.ask("start")
 
     def run(self, duration_s: float) -> Iterator[Instant]:
-        """Go on for so many seconds, tick by tick; after a hold, start again once its cause is gone."""
+        """Simulate so many seconds, tick by tick; after a hold, start again once its cause has cleared."""
         t_end = self.t + duration_s
         while self.t < t_end - STEP_S / 2:
             if self.core.state is State.HOLD and not self.core.faults.standing(Severity.HOLD):
@@ -133,16 +133,16 @@ class ClosedLoop(Generic[Rig]):
             yield self.tick()
 
     def stop(self) -> None:
-        """A planned stop, until the arm is known to stand; raises WirelessError."""
+        """Stop as planned and simulate until the arm is known to be at rest; raises ClosedLoopError."""
         self.ask("stop")
         t_end = self.t + ANSWER_S
         while not self.core.at_rest:
             if self.t > t_end:
-                raise WirelessError(f"the arm did not come to rest: {self._faults()}")
+                raise ClosedLoopError(f"the arm did not come to rest: {self._faults()}")
             self.tick()
 
     def _step(self) -> None:
-        """Half a millisecond: what has arrived is read, what has fallen due is written."""
+        """Simulate half a millisecond: deliver arrived bytes, and write what is due."""
         self._steps += 1
         t = self.t
         for port, data in self.world.advance(t).items():
@@ -155,8 +155,8 @@ class ClosedLoop(Generic[Rig]):
         return ", ".join(fault.code for fault in self.core.faults.active) or "no faults"
 
 
-class Wireless(ClosedLoop[World]):
-    """Of two palms."""
+class TwoPalmsLoop(ClosedLoop[World]):
+    """The closed loop of two palms."""
 
     def __init__(
         self,
@@ -174,13 +174,11 @@ class Wireless(ClosedLoop[World]):
         body: Body | None = None,
         surface: FrictionSurface | None = None,
     ) -> None:
-        """`seed` draws the object and its friction, unless it is this `body` on this `surface`, noise, and the
+        """`seed`: of the object and its friction, unless `body` and `surface` are given, of noise, and of the
         observer's samples of the prior.
 
-        `explorer` decides explorations. Without one, a shape observer has the daemon's own, whose answers come some
-        time after the questions. Without `smoothing` the observer has no smoother at its side. An `estimator` takes the
-        place of the one that is named.
-
+        `explorer` decides explorations; by default a shape observer has the daemon's explorer, with a fixed latency.
+        Without `smoothing` the observer has no smoother. `estimator` replaces the observer named by `observer_name`.
         Raises PlanError for a plan that cannot be run.
         """
         limits = motion_limits(config)
@@ -194,13 +192,13 @@ class Wireless(ClosedLoop[World]):
         super().__init__(world, Core(config, estimator, AtOnce(), plan, explorer=explorer), config.loop.rate_hz)
 
 
-class PivotWireless(ClosedLoop[PivotWorld]):
-    """Of a pivoting grasp."""
+class PivotLoop(ClosedLoop[PivotWorld]):
+    """The closed loop of a pivoting grasp."""
 
     def __init__(
         self, config: PivotConfig, spec: PivotPlanSpec, seed: int, *, kind: Kind = "rig", period_s: float = PERIOD_S
     ) -> None:
-        """`seed` draws body and noise; `period_s` is how often the smoother is begun."""
+        """`seed`: of body and noise; `period_s`: period of the smoother."""
         limits, rig = PivotLimits.of(config), pivot_rig(config)
         plan = Plan(spec, compile_pivot_plan(spec, limits), limits, None)
         observer = pivot_observer(rig, SimulatedSmoothing(rig, period_s))
@@ -208,8 +206,8 @@ class PivotWireless(ClosedLoop[PivotWorld]):
         super().__init__(PivotWorld(config, seed, kind=kind), core, config.loop.rate_hz)
 
 
-class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
-    """Of three palms in space."""
+class ThreePalmsLoop(ClosedLoop[ThreePalmsWorld]):
+    """The closed loop of three palms in space."""
 
     def __init__(
         self,
@@ -219,8 +217,8 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
         smoothing: SmoothingOfOne[BodyAnswer] | None = None,
         explorer: DecisionSource | None = None,
     ) -> None:
-        """`seed` draws body and noise. `smoothing` takes the place of the smoother that knows nothing beforehand, and
-        `explorer` of the one whose decisions come after a fixed time.
+        """`seed`: of body and noise. `smoothing` replaces the default smoother without prior knowledge, and `explorer`
+        the default one with a fixed latency.
         """
         limits, rig = TiltLimits.of(config), three_palms_rig(config)
         plan = Plan(spec, compile_tilt_plan(spec, limits), limits, None)
@@ -232,7 +230,7 @@ class ThreePalmsWireless(ClosedLoop[ThreePalmsWorld]):
 
 
 class AtOnce(Executor):
-    """Does the work when it is asked for, so that nothing depends on how long it takes."""
+    """An executor that does the work within `submit`, so that nothing depends on its duration."""
 
     def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         future: Future[T] = Future()
@@ -244,9 +242,9 @@ class AtOnce(Executor):
 
 
 class InlineExplorer:
-    """Decisions that come a fixed time after their questions: deterministic, for runs without wires.
+    """An explorer whose decisions have a fixed latency, for deterministic simulations.
 
-    A question that comes while another is being answered is dropped.
+    A question is dropped while another one is pending.
     """
 
     def __init__(self, decider: ExplorationDecider, latency_s: float = LATENCY_S) -> None:
@@ -258,12 +256,12 @@ class InlineExplorer:
         """Nothing to do."""
 
     def ask(self, question: Question) -> None:
-        """Decide at once, and keep the answer back."""
+        """Decide at once; the answer is returned after the latency."""
         if self._ready is None:
             self._ready = self._decider.answer(question)
 
     def collect(self, t: float) -> ExplorationAnswer | None:
-        """The answer to what was asked at least the latency ago."""
+        """The answer to a question that is at least as old as the latency."""
         ready = self._ready
         if ready is None or t < ready.t + self._latency:
             return None

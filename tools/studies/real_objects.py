@@ -1,7 +1,7 @@
-"""Things that people put on the palms first, as bodies for the emulated rig: a die, a nut, a coin, a block. Pure.
+"""Everyday objects as bodies for the emulated rig: die, nut, coin, block and others. Pure.
 
-Sizes are drawn within what is sold. What a palm feels of each is its hull; mass and inertia are those of the thing
-itself. On request a weight that does not show moves the centre of mass.
+Sizes are drawn from commercial ranges. A palm touches the convex hull of each; mass and inertia are those of the object
+itself. On request a hidden weight moves the centre of mass.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ _ELLIPSE_ORDER = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Thing:
-    """What is put on the palms, and what it is called; `size_m` are the lengths that its name promises, if any."""
+class RealObject:
+    """A body with its name; `size_m`: the lengths that its shape classification reports, if any (m)."""
 
     body: Body
     name: str
     size_m: tuple[float, ...] = ()
 
 
-def thing(name: str, random: Random, off_centre_m: float = 0.0) -> Thing:
-    """One of `THINGS` of a random size and mass, its centre of mass moved by so much (m) in a random direction."""
-    body, size = THINGS[name](random, float(random.uniform(0.04, 0.2)))
+def real_object(name: str, random: Random, off_centre_m: float = 0.0) -> RealObject:
+    """One of `REAL_OBJECTS` of random size and mass, its centre of mass moved in a random direction."""
+    body, size = REAL_OBJECTS[name](random, float(random.uniform(0.04, 0.2)))
     angle = float(random.uniform(0.0, math.tau))
     if off_centre_m:
         body = _weighted(body, off_centre_m, angle)
-    return Thing(body, name, size)
+    return RealObject(body, name, size)
 
 
 def _die(random: Random, mass: float) -> tuple[Body, tuple[float, ...]]:
@@ -103,7 +103,7 @@ def _gear(random: Random, mass: float) -> tuple[Body, tuple[float, ...]]:
     return uniform_body("gear", rounded_polygon(_regular(teeth, radius - tip), tip), mass), (2 * radius,)
 
 
-THINGS: Mapping[str, Callable[[Random, float], tuple[Body, tuple[float, ...]]]] = {
+REAL_OBJECTS: Mapping[str, Callable[[Random, float], tuple[Body, tuple[float, ...]]]] = {
     "die": _die,
     "nut": _nut,
     "coin": _coin,
@@ -114,17 +114,17 @@ THINGS: Mapping[str, Callable[[Random, float], tuple[Body, tuple[float, ...]]]] 
     "L-profile": _l_profile,
     "gear": _gear,
 }
-"""What is drawn for each name: the body, and the lengths that a name would tell (m)."""
+"""For each name a function that draws the body and its characteristic lengths (m)."""
 
 
-def _weighted(body: Body, off: float, angle: float) -> Body:
-    """The body with a heavy point at ρ from its centre of mass that moves the centre of mass by `off` (m).
+def _weighted(body: Body, shift: float, angle: float) -> Body:
+    """The body with a point mass at ρ from its centre of mass that moves the centre of mass by `shift` (m).
 
-    With a share β of the mass at p = ρ: off = βρ, and ρ² = (1 − β)(ρ² + βρ²).
+    With a share β of the mass at p = ρ: shift = βρ, and ρ² = (1 − β)(ρ² + βρ²).
     """
-    share = off / body.rho
+    share = shift / body.rho
     rho = body.rho * math.sqrt((1.0 - share) * (1.0 + share))
-    moved = body.support.moved(-off * math.cos(angle), -off * math.sin(angle))
+    moved = body.support.moved(-shift * math.cos(angle), -shift * math.sin(angle))
     return Body(f"{body.shape}, off-centre mass", moved, rho, body.mass)
 
 

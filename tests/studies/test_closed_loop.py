@@ -16,8 +16,8 @@ from palmd.motion.segments import Move
 from palmd.observer import Simulated
 from palmd.rig.fault_injection import order
 from palmd.rig.world import default_config
-from tools.studies.real_things import thing
-from tools.wireless import InlineExplorer, Wireless, WirelessError
+from tools.closed_loop import ClosedLoopError, InlineExplorer, TwoPalmsLoop
+from tools.studies.real_objects import real_object
 
 ROCK = PlanSpec.model_validate(
     {
@@ -31,7 +31,7 @@ RATE_LIMIT = math.radians(120.0)
 
 
 def wireless(seed, **how):
-    return Wireless(default_config(), ROCK, seed, **how)
+    return TwoPalmsLoop(default_config(), ROCK, seed, **how)
 
 
 def light(seed=5):
@@ -85,7 +85,7 @@ def test_ticks_are_the_loops_own_and_truth_is_of_the_same_instant():
 
 def test_commands_go_the_way_of_a_client():
     run = light()
-    with pytest.raises(WirelessError, match="it must be tracking or hold"):
+    with pytest.raises(ClosedLoopError, match="it must be tracking or hold"):
         run.ask("start")
     run.start()
     assert run.ask("status")["plan"] == "rock"
@@ -99,7 +99,7 @@ def test_commands_go_the_way_of_a_client():
 def test_a_rig_that_does_not_get_ready_is_told():
     run = light()
     run.world.fault_injector.add(order("mute", 0.0, port="arm"))
-    with pytest.raises(WirelessError, match="not ready within 5 s, but idle: "):
+    with pytest.raises(ClosedLoopError, match="not ready within 5 s, but idle: "):
         run.start()
 
 
@@ -134,7 +134,7 @@ class ToAndFro(Decider):
 
 def exploring(seed=3):
     decider = ToAndFro(rig_description(default_config()))
-    run = Wireless(default_config(), EXPLORE, seed, explorer=InlineExplorer(decider))
+    run = TwoPalmsLoop(default_config(), EXPLORE, seed, explorer=InlineExplorer(decider))
     run.start()
     return run
 
@@ -225,8 +225,8 @@ def test_what_never_settled_has_no_numbers():
 
 def test_what_is_felt_to_have_a_corner_is_tipped():
     config = default_config()
-    body = thing("nut", np.random.default_rng(1)).body
-    run = Wireless(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)
+    body = real_object("nut", np.random.default_rng(1)).body
+    run = TwoPalmsLoop(config, EXPLORE, 1, smoothing=Simulated(rig_description(config)), body=body)
     run.start()
     list(run.run(4.0))
     assert "corners" in run.core.exploring.reason

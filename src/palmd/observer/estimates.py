@@ -1,4 +1,4 @@
-"""From a filter's numbers to what is published: estimate, outline, outlook. Pure, safe inside the loop."""
+"""Published estimates from a filter's state: estimate, outline, belief for planning. Pure, safe inside the loop."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from palmd.observer.mass import MassEstimator
 from palmd.observer.outline import sd_of
 from palmd.system.mechanism import FORCES, JOINT_RATES, JOINTS
 
-DIRECTIONS = 180  # of the published outline
+DIRECTIONS = 180  # normals of the published outline
 THETA: FloatArray = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
 BIN_OF_THETA = (THETA / (2 * np.pi) * NORMAL_BINS).astype(np.intp)
-SAMPLES, RIVALS = 6, 3  # in an outlook: of what the object may be besides, and how many of them rivals at most
+SAMPLES, RIVALS = 6, 3  # alternative states in a planning belief, and how many of them at most are rival filters
 _BINS = np.linspace(0.0, 2 * np.pi, NORMAL_BINS, endpoint=False) + np.pi / NORMAL_BINS
 _SHAPE = slice(shape_map.Z.SHAPE, None)
 
@@ -29,28 +29,28 @@ _UNKNOWN: dict[str, Any] = dict.fromkeys((*NAMED, "mass", "nis", "observability"
 _UNKNOWN_SD = dict.fromkeys((*NAMED, "mass"), math.nan)
 
 
-def answer(
+def make_estimate(
     t: float, valid: bool, observer: str, object_count: int,
     y: list[float], sd: list[float], mass: MassEstimator, nis: float, observability: float, touched: float,
     invalid_reasons: tuple[str, ...],
 ) -> Estimate:  # fmt: skip
-    """The estimate with values `y` and one-sigmas `sd` of `NAMED` (SI); forces become newtons by F = m f."""
+    """The estimate with values `y` and standard deviations `sd` of `NAMED` (SI); forces become newtons by F = m f."""
     values, sds = dict(zip(NAMED, y, strict=True)), dict(zip(NAMED, sd, strict=True))
     m, m_sd = mass.value, mass.sd
     for name in FORCES:
         f = values[name]
         values[name], sds[name] = m * f, math.hypot(m * sds[name], m_sd * f)
     sds["mass"] = m_sd
-    told = {
+    fields = {
         "t": t, "valid": valid, "observer": observer, "object_count": object_count,
         "mass": m, "nis": nis, "observability": observability, "touched": touched, "sd": sds,
         "invalid_reasons": invalid_reasons,
     }  # fmt: skip
-    return Estimate.of(told | values)
+    return Estimate.of(fields | values)
 
 
-def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:
-    """The estimate when nothing is known but, perhaps, the palms; NaN elsewhere."""
+def empty_estimate(t: float, observer: str, object_count: int, palms: PalmMotion | None) -> Estimate:
+    """The estimate without an object: the palms' motion if it is known, NaN elsewhere."""
     known: dict[str, Any] = (
         {} if palms is None else dict(zip((*JOINTS, *JOINT_RATES), (*palms.angles, *palms.rates), strict=True))
     )
@@ -60,12 +60,13 @@ def no_answer(t: float, observer: str, object_count: int, palms: PalmMotion | No
     )  # fmt: skip
 
 
-def outline_answer(
+def outline_estimate(
     t: float, coefficients: FloatArray, cov: FloatArray, marks: Marks, inflation: float, radius_sd: float
 ) -> ShapeEstimate:
-    """The outline of coefficients (m) with their covariance (m²) on `DIRECTIONS` normals.
+    """The outline on `DIRECTIONS` normals, from its coefficients (m) and their covariance (m²).
 
-    `inflation` multiplies its one-sigma; `radius_sd` (m) is added, unknown on every normal alike.
+    `inflation` multiplies its standard deviation; `radius_sd` (m), an error common to all normals, is added in
+    quadrature.
     """
     touched = marks[BIN_OF_THETA]
     h, d = _direction_rows(len(coefficients))
@@ -78,11 +79,12 @@ def planning_belief(
     t: float, filters: Filters, rivals: npt.NDArray[np.intp], marks: Marks, inflation: float,
     random: np.random.Generator, object_count: int, rig: FloatArray | None, mass: MassEstimator,
 ) -> PlanningBelief | None:  # fmt: skip
-    """The leader's state, its plausible `rivals`', and draws from its belief; takes a fraction of a millisecond.
+    """The best filter's state, the states of its plausible `rivals`, and samples of its posterior.
 
-    None where the filters' state is none that motions are foretold with, or the belief cannot be drawn from.
+    None if the filters do not support rollouts or the covariance is not positive definite. Takes a fraction of a
+    millisecond.
     """
-    if not filters.rolls_out:
+    if not filters.supports_rollout:
         return None
     bank, best = filters.bank, filters.bank.best()
     state, P = filters.as_shape_map(best), bank.P[best]
@@ -90,7 +92,7 @@ def planning_belief(
         root = np.linalg.cholesky(P + np.diag(np.full(len(P), 1e-16)))[: shape_map.N, : shape_map.N]
     except np.linalg.LinAlgError:
         return None
-    others = [number for number in rivals if number != best][:RIVALS]
+    others = [member for member in rivals if member != best][:RIVALS]
     drawn = state + inflation * random.standard_normal((SAMPLES - len(others), len(state))) @ root.T
     samples = np.vstack([*(filters.as_shape_map(other) for other in others), drawn])
     for constant in (shape_map.Z.MU, shape_map.Z.DAMPING):
@@ -105,12 +107,12 @@ def planning_belief(
 
 @cache
 def _direction_rows(coefficients: int) -> tuple[FloatArray, FloatArray]:
-    """Values of the outline's harmonics on the published directions, and of what maps them to −h′ there."""
+    """Rows that map the coefficients to h and to −h′ in the published directions."""
     order = (coefficients - 1) // 2
     return shape.basis(THETA, order), shape.tangential_basis(THETA, order)
 
 
 @cache
 def bin_rows(coefficients: int) -> FloatArray:
-    """Values of the outline's harmonics in the middles of the bins of normals."""
+    """Rows that map the coefficients to h in the middles of the bins of normals."""
     return shape.basis(_BINS, (coefficients - 1) // 2)

@@ -1,8 +1,8 @@
-"""Logs of bodies with corners, flat sides and dents, and of dry friction: how many `reconstruct` is right about.
+"""Logs of bodies with corners, flat sides and dents, and with dry friction: how many `reconstruct` gets right.
 
-Simulated, each from its kind and seed, on rocking palms or moved by a plan in the emulated rig, and reconstructed
-blind, as `palmd reconstruct` does. What lies in a dent no palm feels: the truth of a dented body is its hull. `run`
-gives the same row in any process and in any order.
+Each log is simulated from its kind and seed, on rocking palms or moved by a plan in the emulated rig, and reconstructed
+blind, as by `palmd reconstruct`. A palm cannot touch the inside of a dent: the truth of a dented body is its hull.
+`run` gives the same row in any process and in any order.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from palmd.rig.world import default_config
 from palmd.score import score_outline
 from palmd.system import vibration
 from palmd.yamlfile import ConfigError, load_plan
+from tools.closed_loop import TwoPalmsLoop
 from tools.studies import harness
 from tools.studies.cells import Cell, among, count_of, most, quantiles
 from tools.studies.exploring_plans import plan
 from tools.studies.exploring_watch import ExplorationWatch
 from tools.studies.harness import Study, result
-from tools.studies.real_things import Random, thing
+from tools.studies.real_objects import Random, real_object
 from tools.studies.scoring import FAR, RIGHT_M
 from tools.studies.sharp_shapes import FLAT_RAD, ChordSupport, rounded_polygon, uniform_body
 from tools.studies.silent_observer import SilentObserver
 from tools.studies.simulated import written
-from tools.wireless import Wireless
 
-_STREAM = 31  # keeps the bodies' random numbers apart from those of the motion
+_STREAM = 31  # random stream of the bodies, distinct from the motion's
 
 
 def _polygon(random: Random, radius: float) -> Body:
-    """Five to seven corners of this radius (m), about evenly spread, 14 to 21 mm from the middle."""
+    """A polygon with five to seven corners of this radius (m), nearly evenly spaced, 14 to 21 mm from the middle."""
     mass, corners = float(random.uniform(0.05, 0.25)), int(random.integers(5, 8))
     angles = (np.arange(corners) + random.uniform(-0.25, 0.25, corners)) * (math.tau / corners)
     reach = random.uniform(15e-3, 20e-3) * random.uniform(0.92, 1.08, corners) - radius
@@ -62,7 +62,7 @@ def _polygon(random: Random, radius: float) -> Body:
 
 
 def _dented(random: Random, chord: float) -> Body:
-    """The hull of an ellipse with a dent in its long side, on which it comes to rest: a chord of this length (m)."""
+    """The hull of an ellipse with a dent in its long side, on which it can rest: a chord of this length (m)."""
     mean, flat = float(random.uniform(17e-3, 21e-3)), float(random.uniform(0.5e-3, 1.2e-3))
     lump = Support.from_coefficients((complex(mean), 0j, complex(flat), complex(random.uniform(0.0, 3e-4))))
     hull = ChordSupport(lump, math.pi / 2 + float(random.uniform(-0.15, 0.15)), chord, FLAT_RAD)
@@ -73,8 +73,8 @@ def _lump(random: Random) -> Body:
     return random_body("friction", random)
 
 
-def _thing(name: str) -> Callable[[Random], Body]:
-    return lambda random: thing(name, random).body
+def _real_object(name: str) -> Callable[[Random], Body]:
+    return lambda random: real_object(name, random).body
 
 
 BODIES: Mapping[str, Callable[[Random], Body]] = {
@@ -83,9 +83,9 @@ BODIES: Mapping[str, Callable[[Random], Body]] = {
     "dent of 4 mm": lambda random: _dented(random, 4e-3),
     "dent of 10 mm": lambda random: _dented(random, 10e-3),
     "dry lump": _lump,
-    **{name: _thing(name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
+    **{name: _real_object(name) for name in ("die", "nut", "triangle", "block", "D-profile", "L-profile")},
 }
-"""What is drawn for each kind. A dry one is rubbed by Coulomb's friction, with no dither."""
+"""For each kind a function that draws its body. Dry kinds have Coulomb friction without dither."""
 
 KINDS: tuple[str, ...] = tuple(BODIES)
 _DRY = "dry"
@@ -93,9 +93,9 @@ _DRY = "dry"
 
 @dataclass(frozen=True, slots=True)
 class SharpTask:
-    """One log to make and to reconstruct: what lies on the palms, the seed, how long (s).
+    """One log: kind of object, seed, duration (s).
 
-    plan: what the palms do in the emulated rig; None: they rock, and scenes in which a contact is lost are drawn again.
+    plan: of the palms in the emulated rig; None: they rock, and scenes in which a contact is lost are drawn again.
     """
 
     kind: str
@@ -107,12 +107,11 @@ class SharpTask:
 
 @dataclass(frozen=True, slots=True)
 class SharpRow(SharpTask):
-    """What came of it; NaN for what there is not.
+    """The results of one log; NaN for missing values. claimed: whether the reconstruction is accepted.
 
-    e_h, most, sd: RMS and largest error, and RMS of the one-sigma, over the touched normals (m). touched: their share.
-    shown: the share that a recording's object was really touched by.
-    explained_s: how much of the log the answer explains; mass_z: by how many one-sigmas the mass is too large.
-    took_s: of the processor.
+    e_h_m, most_m, sd_m: RMS and largest error, and RMS of 1σ, over the touched normals. touched: their share. shown:
+    the true coverage in a recording. explained_s: explained duration of the log; mass_z: error of the mass in 1σ.
+    took_s: processor time.
     """
 
     error: str = ""
@@ -131,26 +130,26 @@ class SharpRow(SharpTask):
 
     @property
     def right(self) -> bool:
-        """Whether what is claimed is right to `RIGHT_M`."""
+        """Whether the estimate is accepted and its RMS error is below `RIGHT_M`."""
         return self.claimed and self.e_h_m < RIGHT_M
 
     @property
     def rough(self) -> bool:
-        """Whether it is not, but no farther off than its band allows on a rig that is not as described."""
+        """Whether it is accepted and not right, but within `FAR` 1σ on a rig with imperfections."""
         return self.claimed and not self.right and self.imperfections != "none" and self.e_h_m < FAR * self.sd_m
 
     @property
     def wrong(self) -> bool:
-        """Whether what is claimed is neither."""
+        """Whether it is accepted and neither right nor rough."""
         return self.claimed and not self.right and not self.rough
 
 
 def run(task: SharpTask) -> SharpRow:
     """Simulate, reconstruct, compare."""
     log, truth, shown = simulated(task)
-    begun = time.process_time()
+    t_cpu = time.process_time()
     answer = reconstruct(log.events, log.rig)
-    row = result(SharpRow, task, reason=answer.reason, took_s=time.process_time() - begun, shown=shown)
+    row = result(SharpRow, task, reason=answer.reason, took_s=time.process_time() - t_cpu, shown=shown)
     if not answer.converged or answer.h is None or answer.h_sd is None or answer.touched is None:
         return row
     score = score_outline(answer.theta, answer.h, answer.touched, np.array(truth["h_m"]))
@@ -168,8 +167,8 @@ def run(task: SharpTask) -> SharpRow:
     )
 
 
-def simulated(task: SharpTask) -> ThingRecording:
-    """The task's log, as it is read from a file, or its recording, and the truth."""
+def simulated(task: SharpTask) -> ObjectRecording:
+    """The task's log as read from a file, or its recording, with the truth."""
     body = BODIES[task.kind](np.random.default_rng([_STREAM, KINDS.index(task.kind), task.seed]))
     dry = task.kind.startswith(_DRY)
     options, surface = PlantOptions(friction_law="coulomb" if dry else None), DRY if dry else None
@@ -181,14 +180,14 @@ def simulated(task: SharpTask) -> ThingRecording:
         surface=surface, calibration_sd=sds, vibration=vibration.DRY if dry else vibration.INDEPENDENT,
     )  # fmt: skip
     with written(lines) as path:
-        return ThingRecording(read_log(path), truth, math.nan)
+        return ObjectRecording(read_log(path), truth, math.nan)
 
 
-LOG_S = 20.0  # how long each lasts
+LOG_S = 20.0  # duration of a log
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[SharpTask]:
-    """So many of each kind, all with the same seeds; CliError with all that is wrong with a plan."""
+    """The requested number of logs of each kind, all kinds with the same seeds; CliError for a bad plan."""
     seconds = arguments.seconds or LOG_S
     moves = _moves(arguments.plan, seconds) if arguments.explored or arguments.plan is not None else None
     return [
@@ -199,7 +198,7 @@ def draw(arguments: argparse.Namespace) -> Sequence[SharpTask]:
 
 
 def _moves(path: Path | None, seconds: float) -> PlanSpec:
-    """The plan in a file, None: an exploration that takes so long."""
+    """The plan in a file; for None an exploration of so many seconds."""
     config = default_config()
     if path is None:
         return plan("explore", config, ExploreGoal(coverage=1.0, time_limit_s=seconds), seed=0)
@@ -211,34 +210,34 @@ def _moves(path: Path | None, seconds: float) -> PlanSpec:
 
 
 def verdict(row: SharpRow) -> str:
-    """Right, in its band, wrong, or rejected."""
+    """`right`, `in its band`, `wrong` or `rejected`."""
     if not row.claimed:
         return "rejected"
     return "right" if row.right else "in its band" if row.rough else "wrong"
 
 
 def remarks(rows: Sequence[SharpRow]) -> list[str]:
-    """A line for each log: what came of it, and what it looks like."""
-    said = []
+    """A line for each log with its results and shape classification."""
+    lines = []
     for row in rows:
         shown = "" if math.isnan(row.shown) else f" ({row.shown:.0%} shown)"
         name = f"{row.kind} {row.seed}"
         if row.error or not row.claimed:
-            said.append(f"{name}: {row.error or 'rejected: ' + row.reason}{shown}")
+            lines.append(f"{name}: {row.error or 'rejected: ' + row.reason}{shown}")
         else:
-            said.append(
+            lines.append(
                 f"{name}: {verdict(row)}, {1e6 * row.e_h_m:.0f} µm (largest {1e6 * row.most_m:.0f}), sd"
                 f" {1e6 * row.sd_m:.0f} µm, {row.touched:.0%} touched{shown}, {row.explained_s:.1f} s explained, sides:"
                 f" {row.sides}, mass {row.mass_z:+.1f} sd, {row.took_s:.0f} s; {row.looks_like}"
             )
-    return said
+    return lines
 
 
 def _verdict(which: str) -> tuple[str, Cell]:
     return which, count_of(lambda row: verdict(row) == which)
 
 
-def _claimed(cell: Cell) -> Cell:
+def _accepted(cell: Cell) -> Cell:
     return among(lambda row: row.claimed, cell)
 
 
@@ -251,11 +250,11 @@ OFFLINE = Study(
     by=lambda row: row.kind,
     columns=[
         *map(_verdict, ("right", "in its band", "wrong", "rejected")),
-        ("µm", _claimed(quantiles(lambda row: row.e_h_m, 1e6))),
-        ("largest", _claimed(most(lambda row: row.most_m, 1e6))),
-        ("error / sd: median, most", _claimed(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
-        ("touched %", _claimed(quantiles(lambda row: row.touched, 100.0))),
-        ("explained (s)", _claimed(quantiles(lambda row: row.explained_s))),
+        ("µm", _accepted(quantiles(lambda row: row.e_h_m, 1e6))),
+        ("largest", _accepted(most(lambda row: row.most_m, 1e6))),
+        ("error / sd: median, most", _accepted(quantiles(lambda row: row.e_h_m / row.sd_m, 1.0, (0.5, 1.0)))),
+        ("touched %", _accepted(quantiles(lambda row: row.touched, 100.0))),
+        ("explained (s)", _accepted(quantiles(lambda row: row.explained_s))),
         ("processor (s): median, most", quantiles(lambda row: row.took_s, 1.0, (0.5, 1.0))),
     ],
     remarks=remarks,
@@ -263,8 +262,8 @@ OFFLINE = Study(
 )
 
 
-class ThingRecording(NamedTuple):
-    """What the daemon was fed, the body as `rig/object` tells it, and the share of its normals that were touched."""
+class ObjectRecording(NamedTuple):
+    """The daemon's input events, the body as in `rig/object`, and the share of its normals that was touched."""
 
     log: EventLog
     truth: Line
@@ -279,22 +278,22 @@ def recorded(
     imperfections: Drawn,
     options: PlantOptions,
     surface: FrictionSurface | None = None,
-) -> ThingRecording:
-    """So many seconds of the plan. One that explores does so by what the observer and its smoother find.
+) -> ObjectRecording:
+    """Record so many seconds of a plan; an exploration uses the observer and its smoother.
 
-    Against `surface`, by default a random one. The same arguments, the same bits. Raises PlanError for a plan that
-    leaves the default limits, WirelessError where the daemon does not get ready.
+    `surface`: friction, by default a random one. The same arguments give identical results. Raises PlanError for a plan
+    that leaves the default limits, ClosedLoopError if the daemon does not become ready.
     """
     config = default_config(imperfections)
     rig = rig_description(config)
     explores = any(isinstance(segment, ExploreSpec) for segment in plan.segments)
-    found_by = {"smoothing": Simulated(rig)} if explores else {"estimator": SilentObserver()}
-    wireless = Wireless(config, plan, seed, options=options, body=body, surface=surface, **found_by)
-    wireless.start()
+    estimated_by = {"smoothing": Simulated(rig)} if explores else {"estimator": SilentObserver()}
+    loop = TwoPalmsLoop(config, plan, seed, options=options, body=body, surface=surface, **estimated_by)
+    loop.start()
     pads = tuple(pad.length for pad in rig.pads)
-    fed = list[Event]()
-    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, wireless.t)
-    for instant in wireless.run(seconds):
+    events = list[Event]()
+    watch = ExplorationWatch(np.ones(BINS, dtype=np.bool_), pads, loop.t)
+    for instant in loop.run(seconds):
         watch.take(instant)
-        fed += events_of(instant.messages[EVENTS.name])
-    return ThingRecording(EventLog(rig, tuple(fed)), wireless.world.object_truth(), watch.coverage)
+        events += events_of(instant.messages[EVENTS.name])
+    return ObjectRecording(EventLog(rig, tuple(events)), loop.world.object_truth(), watch.coverage)

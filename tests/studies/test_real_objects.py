@@ -9,7 +9,7 @@ import pytest
 
 from palmd.events import FloatArray
 from palmd.rig.shapes import Body
-from tools.studies.real_things import THINGS, thing
+from tools.studies.real_objects import REAL_OBJECTS, real_object
 from tools.studies.sharp_shapes import hull_of_discs
 
 THETA = np.linspace(0.0, math.tau, 7200, endpoint=False)
@@ -21,9 +21,9 @@ def _points(body: Body) -> FloatArray:
     return np.stack([h * c - h1 * s, h * s + h1 * c])
 
 
-@pytest.mark.parametrize("kind", sorted(THINGS))
+@pytest.mark.parametrize("kind", sorted(REAL_OBJECTS))
 def test_each_is_convex_closed_and_as_wide_as_it_says(kind: str) -> None:
-    true = thing(kind, np.random.default_rng(3))
+    true = real_object(kind, np.random.default_rng(3))
     support = true.body.support
     assert (support.sample(THETA) + support.sample(THETA, 2)).min() > 0.2e-3
     at = _points(true.body)
@@ -37,7 +37,7 @@ def test_each_is_convex_closed_and_as_wide_as_it_says(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["die", "coin", "L-profile"])
 def test_a_weight_moves_the_centre_of_mass_and_the_inertia_with_it(kind: str) -> None:
-    plain, weighted = (thing(kind, np.random.default_rng(4), off) for off in (0.0, 1e-3))
+    plain, weighted = (real_object(kind, np.random.default_rng(4), off) for off in (0.0, 1e-3))
     difference = weighted.body.support.sample(THETA) - plain.body.support.sample(THETA)
     assert difference.max() == pytest.approx(1e-3, rel=1e-4)
     assert difference.mean() == pytest.approx(0.0, abs=1e-9)
@@ -45,7 +45,7 @@ def test_a_weight_moves_the_centre_of_mass_and_the_inertia_with_it(kind: str) ->
 
 
 def test_the_inertia_of_an_angle_profile_is_its_own_not_its_hulls() -> None:
-    body = thing("L-profile", np.random.default_rng(5)).body
+    body = real_object("L-profile", np.random.default_rng(5)).body
     leg = max(body.support.sample(THETA) + body.support.sample(THETA + math.pi)) / math.sqrt(2.0)
     assert body.support.sample(THETA).min() > 0.0  # its centre of mass is in the hull
     corner = _points(body)[:, int(np.argmin(np.abs(THETA - 1.25 * math.pi)))]

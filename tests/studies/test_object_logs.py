@@ -16,10 +16,10 @@ from palmd.events import PadSample, PalmSample
 from palmd.rig.dry_plant import DRY
 from palmd.rig.world import default_config
 from palmd.yamlfile import load_plan
-from tools.studies import thing_logs
+from tools.studies import object_logs
 from tools.studies.commands import main
 from tools.studies.exploring_plans import plan
-from tools.studies.thing_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw, simulated
+from tools.studies.object_logs import KINDS, OFFLINE, SharpRow, SharpTask, draw, simulated
 
 
 def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
@@ -33,7 +33,7 @@ def test_a_task_is_one_log_and_its_truth_is_of_the_hull() -> None:
 def test_what_raises_becomes_a_row_that_says_so() -> None:
     row = OFFLINE.attempted(SharpTask("teapot", 0))
     assert row.error.startswith("KeyError")
-    assert thing_logs.remarks([row]) == [f"teapot 0: {row.error}"]
+    assert object_logs.remarks([row]) == [f"teapot 0: {row.error}"]
 
 
 def test_right_wrong_and_refused_are_counted_apart() -> None:
@@ -49,13 +49,13 @@ def test_right_wrong_and_refused_are_counted_apart() -> None:
     assert told.split("  ")[0] == kind
     assert re.findall(r"(\d) of 3", told) == ["1", "0", "1", "1"]
     assert "6.5 / 10" in told
-    said = thing_logs.remarks(rows)
+    said = object_logs.remarks(rows)
     assert ": right, 90 µm" in said[0]
     assert ": wrong, 200 µm" in said[1]
     assert said[2] == f"{kind} 2: rejected: why"
     assert (rough.right, rough.rough, rough.wrong) == (False, True, False)
     assert replace(rough, sd_m=6e-5).wrong  # 3.3 of them
-    assert ": in its band, 200 µm" in thing_logs.remarks([rough])[0]
+    assert ": in its band, 200 µm" in object_logs.remarks([rough])[0]
 
 
 def test_a_live_kind_is_none_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
