@@ -206,7 +206,8 @@ class DryModel:
         ratios = np.append(ratios[self._weight > 0.0], 0.0)
         return DryFit(
             z, self._normal(terms)[0], psi[self._nodes], terms.cost, terms.chi2, forces.chi2,
-            max(terms.outliers, forces.outliers), prior_cost, settled, float(np.quantile(ratios, 0.99, method="nearest")),
+            max(terms.outliers, forces.outliers), prior_cost, settled,
+            float(np.quantile(ratios, 0.99, method="nearest")),
         )  # fmt: skip
 
     def _orientation(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -45,7 +45,7 @@ def bearings(count, omega=(0.0, 0.0, 0.0)):
 
 def integrated(move, R, omega, p, h=5e-4):
     """Rotation and spin at a move's end by the observer's kernel and Heun's method in small steps; the normals."""
-    acceleration, normals = kernels.acceleration(ORDER), []
+    acceleration, normals = acceleration_kernel(ORDER), []
 
     def rates(t, R, omega):
         at = move.at(t)
