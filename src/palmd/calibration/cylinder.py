@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.config.pads import PadConfig
-from palmd.devices.pad import straight_mm
+from palmd.devices.pad import linear_mm
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
@@ -246,7 +246,7 @@ def _readings(
     fresh = (_nearest(own[:, 0], other) <= FRESH_S) & (_nearest(own[:, 0], palms[:, 0]) <= FRESH_S)
     t, s, force = own[fresh].T
     counts, straight = (
-        config.sign * (each - config.zero_mm) * config.counts_per_mm for each in (straight_mm(config, s * 1e3), s * 1e3)
+        config.sign * (each - config.zero_mm) * config.counts_per_mm for each in (linear_mm(config, s * 1e3), s * 1e3)
     )
     pressure = force / config.newtons_per_count
     if len(t) and max(_off_whole(counts), _off_whole(pressure[np.isfinite(pressure)])) > _WHOLE:

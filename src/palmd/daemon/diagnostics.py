@@ -49,8 +49,8 @@ class PadDiagnostics:
             yield f"{self._name}-port"
         elif pad.touching:
             self._needed = under_way
-        elif self._needed and pad.parted is not None:
-            yield f"{self._name}-{pad.parted}"
+        elif self._needed and pad.touch_end is not None:
+            yield f"{self._name}-{pad.touch_end}"
         else:
             yield f"{self._name}-untouched"
 

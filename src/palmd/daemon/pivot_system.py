@@ -19,7 +19,7 @@ from palmd.daemon.guards.rig_contradiction import pivot_contradiction
 from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
-from palmd.devices.actuator import Place, Pose, Reach
+from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
@@ -52,7 +52,7 @@ class PivotPoses:
         cos, sin = math.cos(self._yaw), math.sin(self._yaw)
         return Pose(cos * dx + sin * dy, cos * dy - sin * dx, twist)
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """The pivot's place that belongs to a pose of the tool."""
         if not isinstance(pose, Pose):
             raise PoseError("the arm reports no place of its tool")
@@ -62,7 +62,7 @@ class PivotPoses:
             self._base[1] + sin * pose.x_m + cos * pose.y_m,
         )
 
-    def twist(self, pose: Place, angles: Joints) -> float:
+    def twist(self, pose: ArmPose, angles: Joints) -> float:
         """The tool turns freely about the pivot, and stays as it was found."""
         del angles
         return pose.t_rad if isinstance(pose, Pose) else 0.0

@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 from palmd.daemon.jog import Jog
 from palmd.daemon.poses import Poses
-from palmd.devices.actuator import Place, Pose
+from palmd.devices.actuator import ArmPose, Pose
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
@@ -79,7 +79,7 @@ class SetPoints:
 
     # What to do
 
-    def stand(self, actual: PalmMotion, pose: Place, t: float) -> None:
+    def stand(self, actual: PalmMotion, pose: ArmPose, t: float) -> None:
         """The arm follows from now on, `t` (s); stand where it is, its tool as in its `pose`."""
         inside = self.nearest(actual)
         self._executor.stand(inside.angles)
@@ -158,7 +158,7 @@ class SetPoints:
             self._jog = jog
         return clipped
 
-    def displaced(self, actual: PalmMotion, pose: Place) -> None:
+    def displaced(self, actual: PalmMotion, pose: ArmPose) -> None:
         """The arm did not follow: begin again where it is, its tool as in its `pose`."""
         stood = actual if self.commanded is None else self.commanded
         pairs = enumerate(zip(actual.angles, stood.angles, strict=True))
@@ -237,7 +237,7 @@ class SetPoints:
 
     # Set-points
 
-    def target(self, t: float) -> Place | None:
+    def target(self, t: float) -> ArmPose | None:
         """The set-point for `t` (s); tell with `sent` that it went out. None before `stand`."""
         before = self.commanded
         if before is None:
@@ -263,7 +263,7 @@ class SetPoints:
         self._next = motion
         return pose
 
-    def _back(self, before: PalmMotion, goal: PalmMotion, t: float) -> Place | None:
+    def _back(self, before: PalmMotion, goal: PalmMotion, t: float) -> ArmPose | None:
         """The set-point on the way back, or where that ends.
 
         It makes up for nothing: all the way is at the rate limit, which a set-point that is late would exceed.
@@ -277,7 +277,7 @@ class SetPoints:
         self.commanded, self._t_sent = self._next, t
         return self._next
 
-    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> Place | None:
+    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> ArmPose | None:
         """The arm's pose for a motion; None where it is singular or outside the arm's workspace."""
         try:
             pose = self.poses.pose(motion.angles, self._twist)
@@ -289,7 +289,7 @@ class SetPoints:
         inside = box.x_min <= pose.x_m <= box.x_max and box.y_min <= pose.y_m <= box.y_max
         return pose if inside else None
 
-    def _begin_at(self, actual: PalmMotion, pose: Place) -> None:
+    def _begin_at(self, actual: PalmMotion, pose: ArmPose) -> None:
         self.commanded = PalmMotion.at_rest(actual.angles)
         self._twist = self.poses.twist(pose, actual.angles)
 

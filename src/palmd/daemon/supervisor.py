@@ -312,7 +312,7 @@ class Supervisor:
         problems = self._setpoints.may_stand(actual)
         if problems:
             raise RefusedError(f"{'; '.join(problems)}: bring the palms inside with the pendant")
-        host.want_tracking()
+        host.request_tracking()
         self.at_rest = False
         self._arming = _Wait(request, t + ARMING_S, self._faults.active)
 
@@ -507,7 +507,7 @@ class Supervisor:
         if self._setpoints.retreating:
             pass  # `_enforce` stops the arm when the set-point is back
         elif host.tracking or self._arming is not None:
-            host.want_stop()
+            host.request_stop()
             self._setpoints.leave()
         if self._arming is not None:
             wait, self._arming = self._arming, None
@@ -526,7 +526,7 @@ class Supervisor:
         """Keep the arm to what the state allows, whatever has happened."""
         host = self._arm.host
         if host.tracking and not self.armed and self._setpoints.retreated(t):
-            host.want_stop()
+            host.request_stop()
         if host.tracking:
             self._setpoints.freeze(host.frozen(t))
             return

@@ -20,7 +20,7 @@ from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unf
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 ID_MAX = 252
-LONGEST = 512
+MAX_LENGTH = 512
 """What `length` may say: far more than any packet on the bus, far less than garbage may make of it."""
 
 _HEAD_BYTES = 7  # up to and with the length
@@ -141,8 +141,8 @@ def encode(servo: int, instruction: Instruction, parameters: bytes = b"") -> byt
 
 
 def _framed(servo: int, body: bytes) -> bytes:
-    if len(body) + 2 > LONGEST:
-        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(body) + 2}")
+    if len(body) + 2 > MAX_LENGTH:
+        raise ValueError(f"a packet's length is at most {MAX_LENGTH}, not {len(body) + 2}")
     packet = HEADER + struct.pack("<BH", servo, len(body) + 2) + body
     return packet + struct.pack("<H", crc16(packet))
 
@@ -190,10 +190,10 @@ def _size(head: Head) -> int | None:
     if len(head) < _HEAD_BYTES:
         return None
     length = int.from_bytes(head[5:_HEAD_BYTES], "little")
-    return _HEAD_BYTES + length if 3 <= length <= LONGEST else 0
+    return _HEAD_BYTES + length if 3 <= length <= MAX_LENGTH else 0
 
 
-def _is_sound(raw: bytes) -> bool:
+def _is_valid(raw: bytes) -> bool:
     return crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
 
 
@@ -207,7 +207,7 @@ def _packet(frame: Frame) -> Packet:
 
 def packet_reader(baud: int) -> PacketReader:
     """Of a bus of `baud` bit/s, which dates the bytes. Raises ValueError if it is not positive."""
-    return PacketReader(FrameScanner(baud, _size, _is_sound, begins=HEADER[0]), _packet)
+    return PacketReader(FrameScanner(baud, _size, _is_valid, first_byte=HEADER[0]), _packet)
 
 
 _SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD

@@ -21,7 +21,7 @@ from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unf
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE
 ID_MAX = 253
-LONGEST = 0x80
+MAX_LENGTH = 0x80
 """What `length` may say: more than any packet of a few servos, far less than garbage may make of it."""
 
 _HEAD_BYTES = 4  # up to and with the length
@@ -90,8 +90,8 @@ def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
     """A question, or with the errors in place of the instruction an answer. Raises ValueError where it cannot be."""
     if not (0 <= servo <= ID_MAX or servo == BROADCAST):
         raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
-    if len(parameters) + 2 > LONGEST:
-        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(parameters) + 2}")
+    if len(parameters) + 2 > MAX_LENGTH:
+        raise ValueError(f"a packet's length is at most {MAX_LENGTH}, not {len(parameters) + 2}")
     body = bytes((servo, len(parameters) + 2, instruction)) + parameters
     return HEADER + body + bytes((checksum(body),))
 
@@ -140,11 +140,11 @@ def _size(head: Head) -> int | None:
     if len(head) < _HEAD_BYTES:
         return 0 if len(head) == _HEAD_BYTES - 1 and head[2] == _FILLER else None
     servo, length = head[2], head[3]
-    sound = (servo <= ID_MAX or servo == BROADCAST) and 2 <= length <= LONGEST
+    sound = (servo <= ID_MAX or servo == BROADCAST) and 2 <= length <= MAX_LENGTH
     return _HEAD_BYTES + length if sound else 0
 
 
-def _is_sound(raw: bytes) -> bool:
+def _is_valid(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
@@ -160,7 +160,7 @@ def _question(frame: Frame) -> Packet:
 
 def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
     """Of a bus of `baud` bit/s with answers only, or questions only. Raises ValueError if `baud` is not positive."""
-    scanner = FrameScanner(baud, _size, _is_sound, begins=_FILLER)
+    scanner = FrameScanner(baud, _size, _is_valid, first_byte=_FILLER)
     return PacketReader(scanner, _answer if answers else _question)
 
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 from palmd.config.arms import ServosConfig
 from palmd.devices.actuator import Reach
-from palmd.devices.health import Limits, Shares
+from palmd.devices.health import Limits, ErrorShares
 from palmd.devices.port import Port
 from palmd.devices.servobus import ServoMake
 from palmd.devices.servohost import FREEZE_S, LOST_S, ServoHost
 
-JUDGED: Limits = {"garbled": (0.05, 10, "packets")}
+HEALTH_LIMITS: Limits = {"garbled": (0.05, 10, "packets")}
 TABLED = frozenset({"voltage", "hot", "encoder", "shock", "overload", "watchdog", "refused", "restarted", "set-up"})
 
 
@@ -22,7 +22,7 @@ class ServoActuator(ServoHost):
         """Nothing is opened yet."""
         super().__init__(config.baud, config.servos, make)
         self._config = config
-        self._shares = Shares(JUDGED)
+        self._error_shares = ErrorShares(HEALTH_LIMITS)
 
     @property
     def reach(self) -> Reach | None:
@@ -33,12 +33,12 @@ class ServoActuator(ServoHost):
         """The serial line."""
         return Port("arm", self._config.port, self._config.baud)
 
-    def health(self, look: bool) -> Iterator[str]:
+    def health(self, refresh: bool) -> Iterator[str]:
         """What is wrong with servos, and whether too many packets are damaged."""
-        if look:
+        if refresh:
             bus, missed = self.counters.bus, self.counters.missed
-            self._shares.look({"garbled": (bus.packets + missed, bus.crc_errors + missed)})
-        yield from self._shares
+            self._error_shares.update({"garbled": (bus.packets + missed, bus.crc_errors + missed)})
+        yield from self._error_shares
         yield from (f"servo-{code}" for code in self.trouble if code in TABLED)
 
     def evidence(self, condition: str, t: float) -> str:
@@ -50,7 +50,7 @@ class ServoActuator(ServoHost):
             case "mute":
                 return f"{self.counters.bus.bytes} bytes have come since the start"
             case "garbled":
-                return self._shares.told(condition)
+                return self._error_shares.text(condition)
         return self.trouble.get(condition.removeprefix("servo-"), "")
 
     def counts(self) -> dict[str, float]:

@@ -101,9 +101,9 @@ class PacketReader:
         """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
         return list(map(self._packet, self._scanner.feed(data, t_recv)))
 
-    def give_up(self) -> list[Packet]:
+    def flush(self) -> list[Packet]:
         """No more comes of the packet in hand: the packets that it hid."""
-        return list(map(self._packet, self._scanner.give_up()))
+        return list(map(self._packet, self._scanner.flush()))
 
     def reset(self) -> None:
         """Discard what is in hand, for the line has been interrupted."""

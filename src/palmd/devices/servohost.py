@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum, auto
 
 from palmd.config.arms import ServoConfig
-from palmd.devices.actuator import ArmReport, ArmState, JointPose, Place, Sent
+from palmd.devices.actuator import ArmReport, ArmState, JointPose, ArmPose, Outgoing
 from palmd.devices.arrival import byte_time
 from palmd.devices.framing import FrameCounters
 from palmd.devices.servoaxis import Axis
@@ -213,7 +213,7 @@ class ServoHost:
 
     # What the caller may want
 
-    def want_tracking(self) -> None:
+    def request_tracking(self) -> None:
         """Ask for tracking: goals follow by themselves, the first at the actual pose."""
         if self._phase is not Phase.STANDING:
             self.refusal = None if self.tracking else "start refused: the servos are not ready"
@@ -223,7 +223,7 @@ class ServoHost:
             self.refusal = None
             self._begin(Phase.ARMING, self._arming())
 
-    def want_stop(self) -> None:
+    def request_stop(self) -> None:
         """Ask for a planned stop: the goals come to rest, and the servos hold them."""
         if self._phase is Phase.FOLLOWING:
             self._phase = Phase.STOPPING
@@ -361,7 +361,7 @@ class ServoHost:
             return -math.inf if self._cycle is None else self._cycle.t_sent + ANSWER_S
         return self._t_slot
 
-    def poll(self, t: float, target: Place | None) -> Sent:
+    def poll(self, t: float, target: ArmPose | None) -> Outgoing:
         """What to write at `t` (s, monotonic), `target` being where the palms should be, if tracking."""
         self._t_now = t
         silent_s = t - max(self._t_pose, self._t_stood)
@@ -369,16 +369,16 @@ class ServoHost:
             self.counters.losses += 1
             self._unlink("the servos do not answer")
         if t < self.due():
-            return Sent(b"")
+            return Outgoing(b"")
         if self._ask is not None:
-            return Sent(self._put(t))
+            return Outgoing(self._put(t))
         if self._phase is Phase.GREETING:
             self._t_slot = t + GREET_S
             self._begin(Phase.SETTING_UP, self._setting_up())
-            return Sent(self._put(t))
+            return Outgoing(self._put(t))
         return self._next_cycle(t, target)
 
-    def _next_cycle(self, t: float, target: Place | None) -> Sent:
+    def _next_cycle(self, t: float, target: ArmPose | None) -> Outgoing:
         moving = self._phase in (Phase.FOLLOWING, Phase.STOPPING)
         period = self.period_s if moving else STANDING_S
         missed = max(0, math.floor((t - self._t_slot) / period)) if math.isfinite(self._t_slot) else 0
@@ -390,14 +390,14 @@ class ServoHost:
         elif self._phase is Phase.STOPPING:
             out = self._slow_down()
         if self._cycle is not None and t - self._cycle.t_sent < self._patience_s(period):
-            return Sent(out, setpoint)  # a late answer must not be taken for that to a later question
+            return Outgoing(out, setpoint)  # a late answer must not be taken for that to a later question
         self._give_up_cycle()
         self._cycles += 1
         look = not moving or self._cycles % LOOK_EVERY == 0
         address, size = self._make.look if look else self._make.cycle
         out += self._make.sync_read(address, size, self._ids)
         self._cycle = _Cycle(t, t + len(out) * self._byte_s, address, size, tuple(self._sent_counts))
-        return Sent(out, setpoint)
+        return Outgoing(out, setpoint)
 
     def _patience_s(self, period: float) -> float:
         """How long an answer may take before the next question: as long as the adapter holds answers back."""
@@ -408,10 +408,10 @@ class ServoHost:
         if self._cycle is not None:
             self.counters.missed += 1
             self._cycle = None
-        for _ in self._reader.give_up():
+        for _ in self._reader.flush():
             self.counters.unmatched += 1
 
-    def _follow(self, target: Place | None) -> tuple[bytes, Place | None]:
+    def _follow(self, target: ArmPose | None) -> tuple[bytes, ArmPose | None]:
         goals, setpoint = self._goals, None
         if isinstance(target, JointPose) and all(map(math.isfinite, target.joints_rad)):
             goals, setpoint = tuple(_summed(target.joints_rad)), target
@@ -471,7 +471,7 @@ class ServoHost:
         ask = self._ask
         assert ask is not None
         self._cycle = None
-        self._reader.give_up()
+        self._reader.flush()
         if self._tries >= ask.tries:
             silent = [axis.number for axis in self.axes if axis.id in ask.servos and axis.id not in self._answers]
             self._unlink(f"servo {', '.join(map(str, silent))} does not answer")

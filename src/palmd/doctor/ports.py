@@ -162,8 +162,8 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
     port.close()
     if reports:
         return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")
-    if driver.complaint is not None:
-        return Finding(what, "missing", driver.complaint, f"check the pad's section in {path}")
+    if driver.diagnosis is not None:
+        return Finding(what, "missing", driver.diagnosis, f"check the pad's section in {path}")
     return Finding(what, "cannot tell", "silent, as a pad is that nothing touches", f"palmd doctor --touch {path}")
 
 

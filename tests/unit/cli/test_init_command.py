@@ -107,4 +107,4 @@ def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch,
     answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90"]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
-    assert "feels no plastic" in capsys.readouterr().err
+    assert "does not sense plastic" in capsys.readouterr().err

@@ -72,7 +72,7 @@ def test_palms_are_off_what_is_reported_by_half_of_the_play(kind):
 
 def test_a_planned_stop_comes_to_rest_and_holds(kind):
     bench = following(kind).go(1.1)
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.go(0.3)
     assert bench.host.state is ArmState.READY
     assert bench.speed < 1e-3

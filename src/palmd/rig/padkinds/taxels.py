@@ -97,7 +97,7 @@ class _Tsf85:
     def __init__(self, config: TaxelsConfig) -> None:
         self._modules = config.rows // taxels.TSF85_ROWS
         self._period_ms = 0
-        self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, begins=taxels.TSF85_START)
+        self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, first_byte=taxels.TSF85_START)
 
     def hear(self, data: bytes, t: float) -> bool:
         for _, raw in self._commands.feed(data, t):
@@ -128,7 +128,7 @@ class _St0001:
     """Answers; its values are millinewtons once they are selected, and converter counts of a fifth before."""
 
     def __init__(self, config: TaxelsConfig) -> None:
-        self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)
+        self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, first_byte=taxels.ST0001_ADDRESS)
         self._answers = b""
         self._asked = self._millinewtons = False
 
