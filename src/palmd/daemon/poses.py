@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from palmd.config.two_palms import Config
-from palmd.devices.actuator import JointPose, ArmPose, Pose, Reach
+from palmd.devices.actuator import ArmPose, JointPose, Pose, Reach
 from palmd.events import Joints
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import Workspace

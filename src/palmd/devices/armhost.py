@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, field, replace
 
-from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Pose, Outgoing
+from palmd.devices.actuator import FOLLOWING, ArmReport, ArmState, Outgoing, Pose
 from palmd.devices.armlink import (
     SEQUENCE_MODULUS,
     SETPOINT_BYTES,
@@ -280,7 +280,9 @@ class ArmHost:
     def _refusal_received(self, refusal: Refusal) -> None:
         self._waiting.pop(refusal.ss, None)
         self.counters.refusals += 1
-        if not (self._state_uncertain and refusal.code == WRONG_STATE):  # refuses set-points that were in transit when a fault latched
+        if not (
+            self._state_uncertain and refusal.code == WRONG_STATE
+        ):  # refuses set-points that were in transit when a fault latched
             self.last_error = refusal.code
         self._state_uncertain = refusal.code not in HARMLESS_CODES
         self._t_query = -math.inf

@@ -302,7 +302,9 @@ class EvdevReader:
         if self.protocol is Protocol.PACKETS:
             self._packets = present
         self._packet_ends, self._frame_says_lifted = 0, False
-        touching = [each for each in present if each.touches and self._touch_key is not False and self._single_on_surface]
+        touching = [
+            each for each in present if each.touches and self._touch_key is not False and self._single_on_surface
+        ]
         self.counters.not_touching += bool(present) and not touching
         for contact in present:
             if contact not in touching:

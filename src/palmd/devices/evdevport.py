@@ -76,7 +76,7 @@ class EvdevPort(ReopenedPort):
         """Drop and count `data`: a pad accepts none."""
         self.counters.bytes_dropped += len(data)
 
-    def look(self) -> None:
+    def update_counters(self) -> None:
         """Do nothing: the kernel has no counters for input devices."""
 
     def snapshot(self) -> bytes:

@@ -43,7 +43,9 @@ class Handshake:
         if match is not None:
             self._answered(match[0], t)
         elif t >= self._t_break + BREAK_S + ANSWER_S:
-            self._end(f"no identity within {ANSWER_S:.0f} s after the break: check the pad's cable, power and baud rate")
+            self._end(
+                f"no identity within {ANSWER_S:.0f} s after the break: check the pad's cable, power and baud rate"
+            )
         return not self.done and t < self._t_break + BREAK_S
 
     def _answered(self, identity: bytes, t: float) -> None:

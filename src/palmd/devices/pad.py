@@ -171,9 +171,9 @@ class PadRemark:
 
     what: str
     verdict: Literal["ok", "missing", "mismatch"]
-    says: str
+    text: str
     key: str = "port"
-    mend: str = ""
+    fix: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +228,10 @@ class TouchTracker:
         self._t_first = 0.0
         self._t_recv = 0.0
         self._t_byte = -math.inf
-        self._pauses = (math.inf, 0.0)  # longest pause (s) in the last full block of PAUSE_REPORTS, and in the current one
+        self._pauses = (
+            math.inf,
+            0.0,
+        )  # longest pause (s) in the last full block of PAUSE_REPORTS, and in the current one
         self._reports = 0
         self.touching = False
 
@@ -240,7 +243,9 @@ class TouchTracker:
     @property
     def patience_s(self) -> float:
         """How long (s) a line may be without any byte while the pad is touched."""
-        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_MARGIN_S) - self._sending_s
+        shown_s = (
+            max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_MARGIN_S) - self._sending_s
+        )
         return min(SILENT_INTERVALS * self._mean_s, shown_s)
 
     def heard(self, t: float) -> None:

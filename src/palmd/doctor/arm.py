@@ -6,13 +6,13 @@ import sys
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
-from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, CheckResult, examine
+from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, REPORT, CheckResult, examine
 from palmd.devices.armconformance_port import ArmLine, ArmLineError
 from palmd.devices.armconformance_talk import Talk
 
 _WORDS = {"passed": "pass", "failed": "FAIL", "not run": "----"}
 _QUESTION = (
-    f"The next checks make the arm track; one that keeps the contract moves less than {REACH_M * 1e3:g} mm. One that\n"
+    f"The next checks make the arm track; one that keeps the contract moves less than {MAX_EXCURSION_M * 1e3:g} mm. One that\n"
     "does not may leap by one cycle of its greatest speed. Is the arm free, nobody within reach, and a hand on the\n"
     "emergency stop? Then type yes: "
 )

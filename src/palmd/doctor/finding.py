@@ -17,9 +17,9 @@ class Finding:
 
     what: str
     verdict: Verdict
-    says: str
-    mend: str = ""
+    text: str
+    fix: str = ""
 
     def line(self) -> str:
         """It in one line."""
-        return f"{self.verdict:12} {self.what:18} {self.says}" + (f": {self.mend}" if self.mend else "")
+        return f"{self.verdict:12} {self.what:18} {self.text}" + (f": {self.fix}" if self.fix else "")

@@ -141,9 +141,9 @@ def exposure(config: Config) -> Finding:
         who = f"the members of the group {bus.group}" if bus.group else "the daemon's user alone"
         return Finding("bus access", "ok", f"local sockets, for {who}")
     open_ = next(address for address in (bus.command, bus.publish) if address.startswith("tcp://"))
-    mend = 'bus: {publish: "ipc:///run/palmd/publish", command: "ipc:///run/palmd/command", group: palmd}'
-    says = f"{open_} without keys: every user of this machine can command the arm; good for a demo. For a rig"
-    return Finding("bus access", "open", says, mend)
+    fix = 'bus: {publish: "ipc:///run/palmd/publish", command: "ipc:///run/palmd/command", group: palmd}'
+    text = f"{open_} without keys: every user of this machine can command the arm; good for a demo. For a rig"
+    return Finding("bus access", "open", text, fix)
 
 
 def bus(config: Config, status: dict[str, Any] | None) -> Finding:

@@ -118,8 +118,8 @@ def real_time() -> Finding:
     allowed, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if allowed >= PRIORITY or allowed == resource.RLIM_INFINITY or _capable(_CAP_SYS_NICE):
         return Finding("real time", "ok", f"priority {PRIORITY} is allowed")
-    mend = f"{allowing(f'rtprio {PRIORITY}')}; or run the service"
-    return Finding("real time", "missing", f"no right to priority {PRIORITY}", mend)
+    fix = f"{allowing(f'rtprio {PRIORITY}')}; or run the service"
+    return Finding("real time", "missing", f"no right to priority {PRIORITY}", fix)
 
 
 def locked_memory() -> Finding:
@@ -127,8 +127,8 @@ def locked_memory() -> Finding:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
         return Finding("locked memory", "ok", "no limit")
-    mend = f"{allowing('memlock unlimited')}; or run the service"
-    return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", mend)
+    fix = f"{allowing('memlock unlimited')}; or run the service"
+    return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", fix)
 
 
 def _capable(capability: int) -> bool:

@@ -15,8 +15,8 @@ from palmd.yamlfile import Document
 def device_findings(name: str, pad: PadConfig, path: Path) -> Iterator[Finding]:
     """Each remark of a pad's kind as a finding."""
     for remark in inspect_pad(pad).remarks:
-        mend = remark.mend or ("" if remark.verdict == "ok" else f"edit {path}")
-        yield Finding(f"{name} {remark.what}", remark.verdict, remark.says, mend)
+        fix = remark.fix or ("" if remark.verdict == "ok" else f"edit {path}")
+        yield Finding(f"{name} {remark.what}", remark.verdict, remark.text, fix)
 
 
 def device_errors(document: Document, config: AnyConfig) -> list[str]:
@@ -32,5 +32,5 @@ def device_errors(document: Document, config: AnyConfig) -> list[str]:
         for remark in inspect_pad(getattr(pads, palm)).remarks:
             if remark.verdict != "ok":
                 place = document.place(("pads", palm, remark.key))
-                errors.append(document.line(place, f"pads.{palm}.{remark.key}: {remark.says}"))
+                errors.append(document.line(place, f"pads.{palm}.{remark.key}: {remark.text}"))
     return errors

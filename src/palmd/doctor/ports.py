@@ -134,8 +134,8 @@ def latency(name: str, path: str) -> Finding:
     except (OSError, ValueError):
         return Finding(f"{name} latency", "ok", f"{device} has no latency timer")
     if milliseconds > LATENCY_MS:
-        mend = f"sudo palmd install, or: echo {LATENCY_MS} | sudo tee {timer}"
-        return Finding(f"{name} latency", "missing", f"{device} holds bytes back for {milliseconds} ms", mend)
+        fix = f"sudo palmd install, or: echo {LATENCY_MS} | sudo tee {timer}"
+        return Finding(f"{name} latency", "missing", f"{device} holds bytes back for {milliseconds} ms", fix)
     return Finding(f"{name} latency", "ok", f"{device}: {milliseconds} ms")
 
 
@@ -181,8 +181,8 @@ def arm_answers(port: str, baud: int, path: Path) -> Finding:
     except ArmLineError as error:
         return Finding(what, "missing", str(error))
     if talk.home is None:
-        mend = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"
-        return Finding(what, "missing", f"no answer at {baud} baud", mend)
+        fix = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"
+        return Finding(what, "missing", f"no answer at {baud} baud", fix)
     if results[1].outcome != "passed":
         return Finding(what, "missing", results[1].seen)
     return Finding(what, "ok", f"{results[1].seen}")

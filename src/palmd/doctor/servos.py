@@ -27,9 +27,7 @@ def findings(arm: DynamixelConfig | FeetechConfig) -> Iterator[Finding]:
     try:
         with _talk(arm) as talk:
             for result in examine(talk, talk.axes, LOOKED_AT):
-                yield Finding(
-                    _name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.mend
-                )
+                yield Finding(_name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.fix)
     except OSError as error:
         yield Finding("servos", "missing", str(error))
 
@@ -68,8 +66,8 @@ def _told(results: Iterator[ServoResult]) -> list[ServoResult]:
     made = []
     for result in results:
         word = "pass" if result.outcome == "passed" else "FAIL"
-        mend = f"\n         mend      {result.mend}" if result.mend else ""
-        print(f"{result.number:2} {word}  {_name(result)}: {result.clause}\n         {result.seen}{mend}", flush=True)
+        fix = f"\n         mend      {result.fix}" if result.fix else ""
+        print(f"{result.number:2} {word}  {_name(result)}: {result.clause}\n         {result.seen}{fix}", flush=True)
         made.append(result)
     return made
 

@@ -10,7 +10,7 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import position_mm, linear_mm
+from palmd.devices.pad import linear_mm, position_mm
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions
 

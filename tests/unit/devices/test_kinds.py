@@ -11,7 +11,7 @@ from pydantic import Discriminator, Tag
 from palmd import devices
 from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig, FeetechConfig
 from palmd.config.pads import PadConfig, VersaPadConfig
-from palmd.devices.actuator import Actuator, ArmState, Pose, Outgoing, make_actuator
+from palmd.devices.actuator import Actuator, ArmState, Outgoing, Pose, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.versapad import encode_packet

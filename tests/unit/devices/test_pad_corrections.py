@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import position_mm, linear_mm
+from palmd.devices.pad import linear_mm, position_mm
 
 PLAIN = VersaPadConfig(port="/dev/pad", zero_mm=0.0, counts_per_mm=10.0)
 PLACES = np.arange(2.0, 50.0, 0.5)

@@ -86,7 +86,7 @@ def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_clears_i
     bench = following(kind).go(1.0)
     bench.play(name)
     t = bench.t
-    bench.go(0.2, lambda: code in bench.host.trouble)
+    bench.go(0.2, lambda: code in bench.host.faults)
     assert bench.t - t < 0.15
     assert not bench.host.tracking
     assert list(bench.host.health(False)) == [f"servo-{code}"]

@@ -97,7 +97,7 @@ def test_a_short_silence_trips_the_watchdog_which_is_told_and_reset():
     bench.go(0.150)
     bench.deaf = False
     bench.go(0.05)
-    assert "watchdog" in bench.host.trouble
+    assert "watchdog" in bench.host.faults
     assert bench.host.state is ArmState.FAULT
     assert not bench.host.tracking
     bench.go(0.5)
@@ -113,7 +113,7 @@ def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_restarts
     bench = following().go(1.0)
     bench.play(name)
     t = bench.t
-    bench.go(0.2, lambda: code in bench.host.trouble)
+    bench.go(0.2, lambda: code in bench.host.faults)
     assert bench.t - t < 0.1
     assert not bench.host.tracking
     assert list(bench.host.health(False)) == [f"servo-{code}"]
@@ -140,7 +140,7 @@ def test_a_goal_that_is_not_taken_is_noticed_by_reading_it_back():
     servo._set(dxl.MAX_POSITION, servo.get(dxl.GOAL))
     servo._set(dxl.MIN_POSITION, servo.get(dxl.GOAL))
     bench.go(0.06)
-    assert "does not take its goals" in bench.host.error
+    assert "does not accept its goals" in bench.host.error
     assert not bench.host.tracking
 
 
@@ -283,7 +283,7 @@ def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
     assert bench.host.state in (ArmState.READY, ArmState.FAULT)
     assert not bench.rig._servos[1].torque
     assert not bench.host.tracking
-    if "came to nothing" in (bench.host.refusal or ""):
+    if "failed" in (bench.host.refusal or ""):
         assert not bench.rig._servos[0].torque
 
 

@@ -62,7 +62,7 @@ def test_doctors_list_names_what_is_wrong_and_how_to_mend_it(bench):
     missing = [finding for finding in found if finding.verdict != "ok"]
     assert len(found) > len(missing) == 1
     assert missing[0].what == "servo 2"
-    assert "68 °C" in missing[0].says
+    assert "68 °C" in missing[0].text
 
 
 def test_a_port_that_cannot_be_had_is_told(monkeypatch, capsys):

@@ -39,9 +39,9 @@ def findings(pad, tmp_path):
 
 def test_doctor_tells_the_device_its_units_and_what_it_cannot_feel(device, tmp_path):
     found = findings(config(device()).pads.palm1, tmp_path)
-    assert found["pad 1 device"].says == "a test pad, single touch, a pressure pad"
-    assert "20 counts/mm" in found["pad 1 units"].says
-    assert "plastic" in found["pad 1 senses"].says
+    assert found["pad 1 device"].text == "a test pad, single touch, a pressure pad"
+    assert "20 counts/mm" in found["pad 1 units"].text
+    assert "plastic" in found["pad 1 senses"].text
     assert {each.verdict for each in found.values()} == {"ok"}
 
 

@@ -10,7 +10,7 @@ import pytest
 from farend import BAUD, HOME, LIMITS, FarEnd
 from vplus import Module, VPlusError
 
-from palmd.devices.armconformance import REACH_M
+from palmd.devices.armconformance import MAX_EXCURSION_M
 from palmd.devices.armlink import (
     CONTROLLER_NEWLINE,
     HOST_NEWLINE,
@@ -255,7 +255,7 @@ def _random_body(random_, ss, actual):
 def test_it_keeps_the_contract(phase_s):
     far_end = FarEnd(VPlusController, phase_s)
     assert [result for result in far_end.examine() if result.outcome != "passed"] == []
-    assert far_end.far_m < REACH_M
+    assert far_end.far_m < MAX_EXCURSION_M
 
 
 @pytest.mark.parametrize(

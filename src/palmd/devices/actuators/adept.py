@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from palmd.config.arms import AdeptConfig
-from palmd.devices.actuator import ActuatorFactory, ArmPose, Pose, Reach, Outgoing
+from palmd.devices.actuator import ActuatorFactory, ArmPose, Outgoing, Pose, Reach
 from palmd.devices.armhost import FAULT_S, FREEZE_S, ArmHost
 from palmd.devices.armlink import error_text
-from palmd.devices.health import Limits, ErrorShares
+from palmd.devices.health import ErrorShares, Limits
 from palmd.devices.port import Port
 
 HEALTH_LIMITS: Limits = {"garbled": (0.05, 10, "lines")}
@@ -65,7 +65,9 @@ class Adept(ArmHost):
                 return self._error_shares.text(condition)
         if self.state is None:
             return ""
-        return f"its line A reports state {self.state} ({self.state.name})" + (f", error {self.error}" * bool(self.error))
+        return f"its line A reports state {self.state} ({self.state.name})" + (
+            f", error {self.error}" * bool(self.error)
+        )
 
     def _silence(self, t: float, limit_s: float) -> str:
         count, lines = self.since_last_report

@@ -9,7 +9,7 @@ from typing import Literal
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import LIST_COMMAND, EvdevPort, query_device
-from palmd.devices.health import Limits, ErrorShares, last_report
+from palmd.devices.health import ErrorShares, Limits, last_report
 from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, position_mm
 from palmd.devices.touchdevice import unsupported
 from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
@@ -212,7 +212,7 @@ def inspect(config: EvdevConfig) -> InspectedPad:
     if device is None:
         return InspectedPad(config, (note,))
     if reason := unsupported(device, config.axis):
-        remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", mend=LIST_COMMAND)
+        remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", fix=LIST_COMMAND)
         return InspectedPad(config, (remark,))
     pressed = ", a pressure pad" if device.is_pressure_pad else ""
     found = PadRemark("device", "ok", f"{device.name}, {device.protocol}{pressed}")

@@ -30,7 +30,9 @@ class Taxels(SerialPad[TaxelReport, TaxelCounters]):
         """The bytes received are no frames, or requests are not answered."""
         counters, config = self._counters, self._config
         if counters.refusals:
-            return f"{counters.refusals} of its answers are Modbus exceptions: check that it is an ST-00-01 at address 1"
+            return (
+                f"{counters.refusals} of its answers are Modbus exceptions: check that it is an ST-00-01 at address 1"
+            )
         if counters.discarded:
             return (
                 f"{counters.discarded} bytes, but no frame of {config.rows} x {config.columns} taxels among them at"
