@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 
 from palmd.config.pads import PadConfig
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, position_mm
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, counts_to_mm
 from palmd.events import FloatArray
 
 WINDOW = 10
@@ -192,7 +192,7 @@ def packet_time_s(gaps: FloatArray, config: PadConfig) -> float:
 def position_mm(counts: FloatArray, axis: Axis, config: PadConfig) -> FloatArray:
     """The distance from the hinge along the configured axis, from the pad's own zero across it (mm)."""
     if axis == config.axis:
-        return np.array([position_mm(config, each) for each in counts.tolist()])
+        return np.array([counts_to_mm(config, each) for each in counts.tolist()])
     return counts / config.counts_per_mm
 
 

@@ -74,7 +74,7 @@ Outcome = Literal["passed", "failed", "not run"]
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """Outcome of one check: the last lines sent, what was expected and observed; `expected` is empty unless it failed."""
+    """Outcome of one check: last lines sent, what was expected and observed; `expected` is empty unless it failed."""
 
     number: int
     clause: str
@@ -449,7 +449,7 @@ def _clamps(talk: Talk) -> Script[str]:
     if quantum > 0.75 * MAX_EXCURSION_M:
         raise NotExaminedError(
             f"one cycle at its maximum acceleration is {quantum * 1e3:.1f} mm;"
-            f" set the controller's limit to {0.75 * MAX_EXCURSION_M / limits.cycle_s**2:.1f} m/s² or less to run this check"
+            f" set the controller's limit to {0.75 * MAX_EXCURSION_M / limits.cycle_s**2:.1f} m/s² or less"
         )
     far = _pose_inside(talk, 1.5 * limits.v_max_m_s * limits.cycle_s)
     yield from talk.begin()

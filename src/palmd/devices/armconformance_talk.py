@@ -149,7 +149,7 @@ class Talk:
         return ack
 
     def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[TalkAnswer]:
-        """Send a set-point in the middle of the next cycle; listen for `listen_s`, or until the following one is due."""
+        """Send a set-point in the middle of the next cycle; listen for `listen_s` or until the next is due."""
         timer = self.timer
         timer.skip(self.t)
         t_send = timer.t_next

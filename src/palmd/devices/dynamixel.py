@@ -134,7 +134,7 @@ def unstuffed(body: bytes) -> bytes:
 
 
 def encode(servo: int, instruction: Instruction, parameters: bytes = b"") -> bytes:
-    """Encode a packet to (with STATUS: from) a servo; `BROADCAST`: to all. Raises ValueError for a wrong id or length."""
+    """Encode a packet to (with STATUS: from) a servo; `BROADCAST`: to all. Raises ValueError for a bad id or length."""
     if not (0 <= servo <= ID_MAX or servo == BROADCAST):
         raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
     return _framed(servo, stuffed(bytes((instruction,)) + parameters))

@@ -143,7 +143,7 @@ class EvdevReader:
         self.protocol: Protocol | None = None
         """The device's protocol; None: derived from the records."""
         self.bounding_box = False
-        """Whether several contacts are reported as the corners of their bounding box, which are no contact positions."""
+        """Whether several contacts are reported as the corners of their bounding box, which are no positions."""
         self._needed = tuple(needed)
         self._torn = b""
         self._contacts = 0

@@ -215,7 +215,7 @@ class FeetechMake:
         return ((ACCELERATION, 0),)
 
     def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:
-        """Send each goal with the speed (counts/s) that reaches it within `span_ms`; at least 1, since 0 means no limit."""
+        """Send each goal with the speed (counts/s) that reaches it within `span_ms`; at least 1 (0: no limit)."""
         data = {}
         for servo, goal in counts.items():
             speed = min(max(round(abs(distances[servo]) / (span_ms * 1e-3)), 1), MAX_SPEED)

@@ -42,27 +42,21 @@ class ErrorShares:
 
     def __init__(self, limits: Limits) -> None:
         self._units = {condition: what for condition, (_, _, what) in limits.items()}
-        self._share_by_condition = {
+        self._shares = {
             condition: ErrorShare(max_share, min_count) for condition, (max_share, min_count, _) in limits.items()
         }
         self._active: tuple[str, ...] = ()
 
     def update(self, counted: Mapping[str, tuple[int, int]]) -> None:
         """Evaluate again; `counted` has, for each condition, the total and the errors since the start."""
-        self._active = tuple(
-            each for each, counts in counted.items() if self._share_by_condition[each].exceeded(*counts)
-        )
+        self._active = tuple(each for each, counts in counted.items() if self._shares[each].exceeded(*counts))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._active)
 
     def text(self, condition: str) -> str:
         """The share of a condition as text; empty for an unknown condition."""
-        return (
-            self._share_by_condition[condition].text(self._units[condition])
-            if condition in self._share_by_condition
-            else ""
-        )
+        return self._shares[condition].text(self._units[condition]) if condition in self._shares else ""
 
 
 def ago(seconds: float) -> str:

@@ -66,7 +66,7 @@ class PadScale(Protocol):
     def corrections_mm(self) -> Sequence[float]: ...
 
 
-def position_mm(pad: PadScale, counts: float) -> float:
+def counts_to_mm(pad: PadScale, counts: float) -> float:
     """Distance (mm) of a reading from the hinge: linear scale plus correction curve. Safe in the loop."""
     straight = pad.zero_mm + pad.sign * counts / pad.counts_per_mm
     curve = pad.corrections_mm
@@ -79,7 +79,7 @@ def position_mm(pad: PadScale, counts: float) -> float:
 
 
 def linear_mm(pad: PadScale, s_mm: FloatArray) -> FloatArray:
-    """Inverse of the correction curve: the linear distances for which `position_mm` gave `s_mm` (n,)."""
+    """Inverse of the correction curve: the linear distances for which `counts_to_mm` gave `s_mm` (n,)."""
     if not pad.corrections_mm:
         return s_mm
     line = np.linspace(0.0, pad.length_mm, len(pad.corrections_mm))

@@ -9,7 +9,7 @@ from typing import Generic, Literal, Protocol, TypeVar
 
 from palmd.config.pads import PadBase
 from palmd.devices.health import SERIAL_PAD_LIMITS, ErrorShares, bytes_since, last_report
-from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, HostLine, PadReport, TouchTracker, position_mm
+from palmd.devices.pad import MARGIN_MM, SILENT_INTERVALS, HostLine, PadReport, TouchTracker, counts_to_mm
 from palmd.devices.port import Port
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
@@ -163,7 +163,7 @@ class SerialPad(ABC, Generic[Report, Counters]):
 
     def _sample(self, report: Report) -> PadSample | None:
         config = self._base
-        s_mm = position_mm(config, report.x_counts)
+        s_mm = counts_to_mm(config, report.x_counts)
         if not (self._has_position(report) and 0.0 < s_mm <= config.length_mm + MARGIN_MM):
             self._counters.out_of_range += 1
             return None

@@ -48,7 +48,7 @@ class ServoActuator(ServoHost):
         match condition:
             case "late" | "link-lost":
                 limit_s = FREEZE_S if condition == "late" else LOST_S
-                return f"the last answer of all servos is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms"
+                return f"the last reading is {self.age(t) * 1e3:.0f} ms old, the limit is {limit_s * 1e3:.0f} ms"
             case "mute":
                 return f"{self.counters.bus.bytes} bytes have come since the start"
             case "garbled":

@@ -14,7 +14,7 @@ CENTRE = COUNTS_PER_TURN // 2
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One servo: number, id, make, and conversion of its counts to its palm's direction (rad, from the world X axis)."""
+    """One servo: number, id, make, and conversion of its counts to its palm's direction (rad from the world X axis)."""
 
     number: int
     id: int

@@ -192,4 +192,4 @@ class ServoMake(Protocol):
         """Settings for constant speed to a goal within `span_ms`; they must stay unchanged while it follows."""
 
     def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:
-        """Send goals by id, to be reached at constant speed within `span_ms`; `distances` (counts) from each path's position."""
+        """Send goals by id, to be reached at constant speed within `span_ms`; `distances` (counts): remaining paths."""

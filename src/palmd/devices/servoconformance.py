@@ -80,14 +80,14 @@ def _answer(talk: ServoTalk, packet: bytes, axis: Axis) -> Packet:
     make = axis.make
     if not answers and talk.ask(make.ping(axis.id)):
         raise ServoDeviationError(
-            f"id {axis.id} answers PING, but not this instruction: its status return level (register {make.status_level.address})"
-            f" is below {make.all_answered}",
+            f"id {axis.id} answers PING, but not this instruction: its status return level (register"
+            f" {make.status_level.address}) is below {make.all_answered}",
             "palmd run sets it when it opens the bus",
         )
     if not answers:
         raise ServoDeviationError(
             f"id {axis.id} does not answer at {talk.baud} bit/s",
-            f"check supply and cable; set id {axis.id} and that speed with the manufacturer's tool, one servo at a time",
+            f"check supply and cable; set id {axis.id} and that speed with the maker's tool, one servo at a time",
         )
     return answers[0][0]
 

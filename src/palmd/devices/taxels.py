@@ -352,8 +352,8 @@ class TaxelDecoder:
         self.counters = TaxelCounters()
         self.protocol = protocol = make_protocol(config)
         self._scanner = FrameScanner(
-            config.line_baud, protocol.size, protocol.is_valid, first_byte=protocol.first_byte, discard_whole=protocol.discard_whole,
-            counters=self.counters,
+            config.line_baud, protocol.size, protocol.is_valid, first_byte=protocol.first_byte,
+            discard_whole=protocol.discard_whole, counters=self.counters,
         )  # fmt: skip
         self._along = AxisCentroid(config.rows, config)
         self._config = config

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, position_mm
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, counts_to_mm
 from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
@@ -127,7 +127,7 @@ def is_header(byte: int) -> bool:
 
 
 _FOREIGN_SCORE = tuple(-1 if is_header(byte) or byte < 0x40 else 1 if byte < 0x80 else 2 for byte in range(0x100))
-"""CUSUM score of a byte: most of a pad's bytes are below 0x40 or headers, one per packet may be up to 0x7F, none is above."""
+"""CUSUM score of a byte: a pad's bytes are headers or below 0x40, one per packet may be up to 0x7F, none above."""
 
 
 class VersaPadDecoder:
@@ -276,7 +276,7 @@ class PadCalibration:
         At full scale the pressure is only a lower bound, so the sample has no force.
         """
         counts, across_counts = (packet.x_counts, packet.y_counts)[:: 1 if self.axis == "x" else -1]
-        s_mm = position_mm(self, counts)
+        s_mm = counts_to_mm(self, counts)
         if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
             return None
         newtons = packet.pressure * self.newtons_per_count

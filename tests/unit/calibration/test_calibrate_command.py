@@ -216,7 +216,7 @@ def test_garbage_only(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
     on_first_wait(monkeypatch, lambda: os.write(line[0], b"\x15" * 10))
     said = refused(configured(line[1]), 3, capsys)
-    assert said == "pad1: 10 bytes, but no report among them at 9600 baud: check that it is a pad, and its baud rate"
+    assert said == "pad1: 10 bytes, but no report among them at 9600 baud: check pad and baud rate"
 
 
 def test_too_few_reports(configured, line, monkeypatch, capsys):

@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import linear_mm, position_mm
+from palmd.devices.pad import counts_to_mm, linear_mm
 
 PLAIN = VersaPadConfig(port="/dev/pad", zero_mm=0.0, counts_per_mm=10.0)
 PLACES = np.arange(2.0, 50.0, 0.5)
@@ -19,7 +19,7 @@ def mapped(**changes):
 
 
 def read(config):
-    return np.array([position_mm(config, 10.0 * s) for s in PLACES.tolist()])
+    return np.array([counts_to_mm(config, 10.0 * s) for s in PLACES.tolist()])
 
 
 def test_a_reading_has_the_correction_of_its_place():

@@ -364,7 +364,7 @@ def test_different_answers_are_an_error() -> None:
     assert shake.done
     assert shake.identity is None
     assert shake.error is not None
-    assert "two identities" in shake.error
+    assert "two different identities" in shake.error
 
 
 def test_mute_pad_times_out() -> None:

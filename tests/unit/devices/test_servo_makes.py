@@ -152,7 +152,7 @@ def test_servos_that_palmd_has_set_up_pass_every_check_of_their_make(kind):
     talk = BenchTalk(bench)
     results = list(examine(talk, talk.axes))
     assert [result for result in results if result.outcome != "passed"] == []
-    made = [check for check in CHECKS if check.concerns(talk.axes[0].make)]
+    made = [check for check in CHECKS if check.applies_to(talk.axes[0].make)]
     assert len(results) == 2 * (len(made) - 1) + 1
     assert len(made) == {"dynamixel": 12, "feetech": 9}[kind]
     assert not any(servo.torque for servo in bench.rig._servos), "and are left without torque"

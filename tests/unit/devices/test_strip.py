@@ -171,4 +171,4 @@ def test_another_firmware_is_told():
     body[0] = 0x21
     raw = module.SYNC + bytes(body) + module.checksum(bytes(body)).to_bytes(2, "little")
     assert driver.feed(raw, 1.0) == []
-    assert "flash that of tools/strip" in driver.diagnosis
+    assert "flash the firmware in tools/strip" in driver.diagnosis

@@ -10,7 +10,7 @@ from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
 from palmd.devices.evdevport import LIST_COMMAND, EvdevPort, query_device
 from palmd.devices.health import ErrorShares, Limits, last_report
-from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, position_mm
+from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, counts_to_mm
 from palmd.devices.touchdevice import unsupported
 from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
 from palmd.events import PadLift, PadSample
@@ -180,7 +180,7 @@ class Evdev:
         if units.missing is not None:
             return None
         counts = report.x_counts if config.axis == "x" else report.y_counts
-        s_mm = position_mm(units, counts)
+        s_mm = counts_to_mm(units, counts)
         if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
             self._reader.counters.out_of_range += 1
             return None

@@ -22,7 +22,7 @@ class Strip(SerialPad[StripPacket, StripCounters]):
         if self._counters.strange:
             return "its firmware's protocol version differs from palmd's: flash the firmware in tools/strip"
         if self._counters.discarded:
-            return f"{self._counters.discarded} bytes, but no report among them: check that it is a strip with palmd's firmware"
+            return f"{self._counters.discarded} bytes, but no report among them: check that it has palmd's firmware"
         return None
 
     def _has_position(self, report: StripPacket) -> bool:  # noqa: ARG002

@@ -68,7 +68,7 @@ class VersaPad:
         if self._handshake_error is not None:
             return self._handshake_error
         if discarded := self._receiver.counters.bytes_discarded:
-            return f"{discarded} bytes, but no report among them at {self._config.baud} baud: check that it is a pad, and its baud rate"
+            return f"{discarded} bytes, but no report among them at {self._config.baud} baud: check pad and baud rate"
         return None
 
     def port(self) -> Port:
@@ -155,7 +155,7 @@ class VersaPad:
                     return f"{self._last_packet(t)}; {since}, and no pad's, not even a damaged one's"
                 return f"{self._last_packet(t)}, the limit is {limit_s * 1e3:.0f} ms; {since}"
             case "lifted":
-                return f"{self._last_packet(t)} and reports the lift-off: bit {IN_USE:#04x} (in use) of its first byte is 0"
+                return f"{self._last_packet(t)} and reports the lift-off: bit {IN_USE:#04x} (in use) of byte 0 is 0"
             case "untouched":
                 return f"{self._last_packet(t)}; {bytes_since(self._bytes_since_packet)}"
             case "handshake":
