@@ -202,7 +202,7 @@ class Guide:
         lines = [finding.line() for finding in found]
         _say("\n".join(lines))
         self._bundle.note_findings(lines)
-        grave = [each for each in found if each.what.startswith(_OURS) and each.verdict in ("missing", "off")]
+        grave = [each for each in found if each.what.startswith(_OURS) and each.verdict in ("missing", "mismatch")]
         if grave:
             raise CliError(RIG_FAILED, "\n".join(each.line() for each in grave))
 

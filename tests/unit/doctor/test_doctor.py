@@ -24,7 +24,7 @@ from palmd.daemon.commands import Reply
 from palmd.devices.armconformance import CheckResult
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
-from palmd.doctor.arm import told
+from palmd.doctor.arm import as_text
 from palmd.doctor.findings import bus, daemon, findings, plan
 from palmd.model import compiled
 from palmd.quantities import RIG
@@ -87,14 +87,14 @@ def test_all_is_well_only_if_everything_is(monkeypatch, path):
     from palmd.doctor import findings
     from palmd.doctor.finding import Finding
 
-    for verdicts, status in ((("ok", "ok"), 0), (("ok", "missing"), 1), (("ok", "cannot tell"), 1)):
+    for verdicts, status in ((("ok", "ok"), 0), (("ok", "missing"), 1), (("ok", "unknown"), 1)):
         made = [Finding("a", each, "b") for each in verdicts]
         monkeypatch.setattr(findings, "findings", lambda _path, made=made: iter(made))
         assert main(["doctor", str(path)]) == status
 
 
 def test_a_failed_check_tells_what_was_sent_expected_and_seen():
-    text = told(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
+    text = as_text(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
     assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
         ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
     ]  # fmt: skip
@@ -111,7 +111,7 @@ def test_python():
 
 def test_packages(monkeypatch):
     assert machine.packages().verdict == "ok"
-    assert machine.packages("nobody-made-this").verdict == "cannot tell"
+    assert machine.packages("nobody-made-this").verdict == "unknown"
     needed = ["numpy>=1", "no-such-thing[x]>=2 ; python_version > '3'", "neither-this; extra == 'report'"]
     monkeypatch.setattr(machine.importlib.metadata, "requires", lambda _: needed)
     assert machine.packages().text == "no-such-thing"
@@ -156,7 +156,7 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     with shut(tmp_path / "cache"):
         finding, user = machine.observers(), realtime.user()
     assert (finding.verdict, finding.text) == ("missing", f"{tmp_path / what}: Permission denied")
-    assert finding.fix == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd doctor build"
+    assert finding.fix == f"set XDG_CACHE_HOME to a folder of {user}'s own, then run palmd doctor build"
 
 
 def test_observers_of_who_has_no_home(monkeypatch):
@@ -176,7 +176,7 @@ def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
     path.write_text(ports)
     assert main(["doctor", str(path)]) == 1
     [line] = [line for line in capsys.readouterr().out.splitlines() if " configuration " in line]
-    assert line.startswith("off ")
+    assert line.startswith("mismatch ")
     assert line.endswith(f"is 28 mm meant?: palmd check {path}")
 
 
@@ -212,8 +212,8 @@ def test_the_daemons_start_tells_the_same_commands(monkeypatch):
     monkeypatch.setattr(realtime.resource, "getrlimit", lambda _: (0, 0))
     monkeypatch.setattr(realtime, "_may_lock", lambda: False)
     monkeypatch.setattr(machine, "_capable", lambda _: False)
-    told = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
-    for text, finding in zip(told, (machine.real_time(), machine.locked_memory()), strict=True):
+    as_text = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
+    for text, finding in zip(as_text, (machine.real_time(), machine.locked_memory()), strict=True):
         command = finding.fix.split("; ")[0]
         assert "sudo tee -a /etc/security/limits.d/" in command
         assert text.endswith(command)
@@ -264,7 +264,7 @@ def test_units(monkeypatch, tmp_path):
     for name in machine.UNITS:
         (tmp_path / name).touch()
     monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path / "none")
-    assert machine.units([tmp_path / "other", tmp_path]).verdict == "cannot tell"
+    assert machine.units([tmp_path / "other", tmp_path]).verdict == "unknown"
     monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path)
     assert machine.units([tmp_path]).verdict == "ok"
 
@@ -318,7 +318,7 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
     assert (seen["pad 1 talks"].verdict, seen["pad 2 talks"].verdict) == ("missing", "ok")
     assert "arm-link-lost" in seen["arm answers"].text
     rig = seen["rig's constants"]
-    assert (rig.verdict, rig.text, rig.fix) == ("off", "pad 1's zero seems +0.30 ± 0.03 mm off", "mend it")
+    assert (rig.verdict, rig.text, rig.fix) == ("mismatch", "pad 1's zero seems +0.30 ± 0.03 mm off", "mend it")
 
 
 # -- ports -----------------------------------------------------------------------------------------------------
@@ -355,7 +355,7 @@ def test_who_has_a_port(tmp_path, name, verdict):
             finding = ports.port_finding("arm", str(tmp_path / "arm"))
             process.kill()
     assert finding.verdict == verdict
-    assert f"({process.pid})" in finding.text if verdict == "missing" else "palmd has it" in finding.text
+    assert f"({process.pid})" in finding.text if verdict == "missing" else "in use by palmd" in finding.text
 
 
 def test_latency_timers(tmp_path, monkeypatch):
@@ -372,7 +372,7 @@ def test_latency_timers(tmp_path, monkeypatch):
     [
         (encode_packet(10, 20, 30), "ok", "reports in"),
         (b"\x07\x55", "missing", "at 9600 baud"),
-        (b"", "cannot tell", "silent"),
+        (b"", "unknown", "no reports"),
     ],
 )
 def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
