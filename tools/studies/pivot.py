@@ -20,7 +20,7 @@ import numpy as np
 
 from palmd import pivot_messages as says
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.console.arguments import seconds, seconds_within
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import Dragging
@@ -158,7 +158,7 @@ class LiveTask:
     """
 
     seed: int
-    rig: Drawn
+    rig: DrawnImperfections
     period_s: float
     vertical: Vertical = "rigid"
 
@@ -219,7 +219,7 @@ class LiveRow(LiveTask):
 
 def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
     """One exploration for each seed."""
-    rig: Drawn = "none" if arguments.perfect else "calibrated"
+    rig: DrawnImperfections = "none" if arguments.perfect else "calibrated"
     vertical: Vertical = "float" if arguments.slide else "rigid"
     return [LiveTask(seed, rig, arguments.period, vertical) for seed in harness.seeds_of(arguments)]
 
@@ -252,7 +252,7 @@ def lived(task: LiveTask) -> LiveRow:
     )
 
 
-def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
+def shipped_rig(rig: DrawnImperfections, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
     """The shipped configuration of a rig that is so far off, and the plan that explores."""
     path = shipped("pivot.yaml" if vertical == "rigid" else "slide.yaml")
     config = load_any_config(path)

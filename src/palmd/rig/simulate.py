@@ -24,7 +24,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
 from palmd.rig.friction import law_of, plant_on, shaken
@@ -76,7 +76,7 @@ _SMOOTHED_S = 0.02  # over which readings of force are means: five periods of 25
 Span = tuple[float, float]
 
 PERFECTLY_KNOWN: Mapping[str, float] = dict.fromkeys(AS_CALIBRATED, 0.0)
-CALIBRATION: Mapping[Drawn, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
+CALIBRATION: Mapping[DrawnImperfections, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
 """What the rig's imperfections are drawn from, by what commands call it."""
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import PadConfig, VersaPadConfig
-from palmd.config.two_palms import Config, Drawn, PadsConfig, RigConfig
+from palmd.config.two_palms import Config, DrawnImperfections, PadsConfig, RigConfig
 from palmd.config.vibration import vibration_of
 from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
@@ -43,7 +43,7 @@ AWAY_S = 1.0  # how long a hand takes to put another object on the palms
 _PAD_END_M = 3e-3
 
 
-def default_config(imperfections: Drawn = "none") -> Config:
+def default_config(imperfections: DrawnImperfections = "none") -> Config:
     """The defaults, for a rig without a configuration: exactly as described, or as calibration leaves one."""
     pads = PadsConfig(**{f"palm{palm}": VersaPadConfig(port=pad) for palm, pad in zip(PALMS, PADS, strict=True)})
     config = Config(rig=RigConfig(imperfections=imperfections), pads=pads, arm=AdeptConfig(port="arm"))

@@ -94,7 +94,7 @@ def test_two_pads_at_one_port_are_refused(monkeypatch, tmp_path, capsys):
     answers = lines("strip", "dynamixel")
     answers[2] = answers[1]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 1
-    assert "is already that of palm1" in capsys.readouterr().err
+    assert "is already used by palm1" in capsys.readouterr().err
 
 
 def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):

@@ -130,7 +130,7 @@ MISTAKES = {
     "one port for both pads": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:38: pads.palm2: port /dev/a is already that of palm1",
+        "my.yaml:1:38: pads.palm2: port /dev/a is already used by palm1",
         {"my.yaml": PORTS.replace("/dev/b", "/dev/a")},
     ),
     "metres for millimetres": Mistake(
