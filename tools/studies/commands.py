@@ -36,7 +36,7 @@ MODULES = {"engines": "bench_engines", "explore": "exploring"}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one study; returns the exit status as `palmd` does. Raises SystemExit for usage and help."""
-    return status_of(lambda: _asked_for(argv))
+    return status_of(lambda: _requested(argv))
 
 
 def loaded(name: str) -> ModuleType:
@@ -50,7 +50,7 @@ def loaded(name: str) -> ModuleType:
         raise missing(f"the study {name}", package, "studies") from None
 
 
-def _asked_for(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
+def _requested(argv: Sequence[str] | None) -> tuple[ModuleType, argparse.Namespace]:
     width = max(map(len, STUDIES))
     parser = Parser(
         prog=PROGRAM,

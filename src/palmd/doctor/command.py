@@ -10,7 +10,7 @@ from pathlib import Path
 
 from palmd.config.arms import AdeptConfig, ServosConfig
 from palmd.config.fields import BAUDS, SERVO_BAUDS
-from palmd.console.configured import INSTALLED, configured, usual
+from palmd.console.configured import INSTALLED, configured, default_path
 from palmd.console.errors import BAD_INPUT, CliError
 
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return the exit status. CliError for an invalid configuration, and if the rig does not answer."""
-    path = usual(arguments.config)
+    path = default_path(arguments.config)
     if arguments.actuator_conformance and (arguments.config or not arguments.port):
         arm = configured(path).arm
         if isinstance(arm, ServosConfig):

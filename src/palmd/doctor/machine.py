@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from palmd.console.folders import nearest, takes_files
+from palmd.console.folders import is_writable_folder, nearest
 from palmd.daemon.realtime import PRIORITY, allowing, user
 from palmd.doctor.finding import Finding
 
@@ -87,7 +87,7 @@ def _where_compiled() -> Path:
 
     with contextlib.suppress(OSError, RuntimeError):
         there = nearest(cache_directory())
-        if takes_files(there):
+        if is_writable_folder(there):
             return there
     return Path(tempfile.gettempdir())
 
@@ -103,7 +103,7 @@ def observers() -> Finding:
         return Finding("observers", "missing", f"{user()} has no home folder to store them in", own)
     try:
         count = sum(each.suffix == ".so" for each in folder.iterdir()) if folder.is_dir() else 0
-        makes_more = takes_files(nearest(folder))
+        makes_more = is_writable_folder(nearest(folder))
     except OSError as error:
         return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
     if count:
@@ -146,7 +146,7 @@ def runs(folder: Path) -> Finding:
         there = nearest(folder)
     except OSError as error:
         return Finding("runs", "missing", f"{folder}: {error.strerror}", "edit record.directory in the configuration")
-    if not takes_files(there):
+    if not is_writable_folder(there):
         owner = f"sudo install -d -o {user()} {folder}"
         return Finding("runs", "missing", f"{there} cannot be written", owner)
     free_mb = shutil.disk_usage(there).free / 1e6

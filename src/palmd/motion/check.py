@@ -14,7 +14,7 @@ from palmd.config.any_config import AnyConfig
 from palmd.config.pads import PadBase
 from palmd.config.plans import AnyPlanSpec
 from palmd.config.two_palms import Config, PlanSpec
-from palmd.console.folders import nearest, takes_files
+from palmd.console.folders import is_writable_folder, nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, PlanForm, Trajectory
@@ -179,7 +179,10 @@ def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
         return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
     if not there.is_dir():
         return [document.line(place, f"record.directory: {there} is no folder: nothing could be recorded")]
-    if not takes_files(there) and there.stat().st_uid in (os.geteuid(), 0):  # another user's is the service's own
+    if not is_writable_folder(there) and there.stat().st_uid in (
+        os.geteuid(),
+        0,
+    ):  # another user's is the service's own
         text = f"record.directory: {there} is not writable: nothing could be recorded; see its permissions"
         return [document.line(place, text)]
     return []

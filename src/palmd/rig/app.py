@@ -35,7 +35,7 @@ import zmq
 
 from palmd.config.any_config import AnyConfig
 from palmd.console.extras import require
-from palmd.console.folders import for_sockets
+from palmd.console.folders import socket_folder
 from palmd.messages import stamp
 from palmd.quantities import BODY, STALL, TRUTH, Topic
 from palmd.rig import uinput
@@ -174,7 +174,7 @@ def _folder(given: Path | None, longest: str, leaving: contextlib.ExitStack) -> 
     That goes with `leaving`. Raises OSError.
     """
     if given is None:
-        return Path(leaving.enter_context(for_sockets("palmd-rig-", longest)))
+        return Path(leaving.enter_context(socket_folder("palmd-rig-", longest)))
     given.mkdir(parents=True, exist_ok=True)
     if not os.access(given, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

@@ -13,7 +13,7 @@ import palmd.calibration
 from palmd.calibration import pad
 from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
-from palmd.cli.table import below
+from palmd.cli.table import subcommands
 from palmd.config.any_config import config_hash
 from palmd.config.pads import VersaPadConfig
 from palmd.config.two_palms import rig_description
@@ -285,7 +285,7 @@ def test_its_help_names_the_calibrations(capsys):
     with pytest.raises(SystemExit):
         main(["calibrate", "--help"])
     told = " ".join(capsys.readouterr().out.split())
-    assert all(f"{name} {each.help}" in told for name, each in below("calibrate").items())
+    assert all(f"{name} {each.help}" in told for name, each in subcommands("calibrate").items())
 
 
 def test_each_pad_s_noise_is_the_observer_s(configured):
@@ -300,4 +300,4 @@ def test_each_pad_s_noise_is_the_observer_s(configured):
 
 def test_what_rolls_is_not_evaluated_on_curved_palms(capsys):
     assert main(["calibrate", "gravity", str(shipped("cradle.yaml"))]) == 1
-    assert "is evaluated on flat palms only, and these are curved" in capsys.readouterr().err
+    assert "supports flat palms only, and these are curved" in capsys.readouterr().err

@@ -185,8 +185,8 @@ def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monk
     folder.mkdir()
     monkeypatch.setattr(configured, "INSTALLED", folder / "palmd.yaml")
     with shut(folder):
-        assert configured.usual(None) == folder / "palmd.yaml"
-    assert configured.usual(None) == shipped("palmd.yaml")
+        assert configured.default_path(None) == folder / "palmd.yaml"
+    assert configured.default_path(None) == shipped("palmd.yaml")
 
 
 @pytest.mark.parametrize(("what", "limit"), [("real_time", "RTPRIO"), ("locked_memory", "MEMLOCK")])
