@@ -70,7 +70,7 @@ def failing(times):
 def test_a_failed_step_says_what_to_do_and_is_tried_again(monkeypatch, tmp_path, capsys):
     assert guide(monkeypatch, tmp_path, "", "yes")._retry(failing(2), "wipe the pads") == "done"
     said = capsys.readouterr().err
-    assert said.count("It failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
+    assert said.count("Failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
     with pytest.raises(CliError, match="silent"):
         guide(monkeypatch, tmp_path / "other", "no")._retry(failing(1), "wipe the pads")
 
