@@ -102,9 +102,7 @@ def main(arguments: list[str]) -> int:
     """Run `make kit`; return 1 for a geometry that cannot be built."""
     parser = argparse.ArgumentParser(prog="make kit", description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, metavar="FOLDER", help="default: %(default)s")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=MM", help="change a dimension of the geometry"
-    )
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=MM", help="change a dimension")
     chosen = parser.parse_args(arguments)
     try:
         lines = make(chosen.output, changed(chosen.set))

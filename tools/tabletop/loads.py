@@ -73,7 +73,7 @@ def worst(g: Tabletop, limits: LimitsConfig, radius_mm: float = LARGEST_RADIUS_M
 
 
 def deflection_mm(g: Tabletop, force_n: float, s_mm: float) -> float:
-    """Return the deflection (mm) of the strip at s (mm) under a force (N): the arm bends and twists, the plate is stiff.
+    """Return the strip's deflection (mm) at s (mm) under a force (N): the arm bends and twists, the plate is stiff.
 
     Euler-Bernoulli: F s³ / (3 E I); torsion of a rectangle b × t, t < b: T s / (G b t³ (1 − 0.63 t/b) / 3).
     """

@@ -113,10 +113,10 @@ class PadBase(Strict):
         """Sum of both corrections (mm) at evenly spaced positions from hinge to pad's end; empty if there are none."""
         if not self.map:
             return self.curve_mm
-        places = np.linspace(0.0, self.length_mm, 1 + math.ceil(_CORRECTIONS_PER_MM * self.length_mm))
-        added = corrections(self.map, places)
+        positions = np.linspace(0.0, self.length_mm, 1 + math.ceil(_CORRECTIONS_PER_MM * self.length_mm))
+        added = corrections(self.map, positions)
         if self.curve_mm:
-            added += np.interp(places, np.linspace(0.0, self.length_mm, len(self.curve_mm)), self.curve_mm)
+            added += np.interp(positions, np.linspace(0.0, self.length_mm, len(self.curve_mm)), self.curve_mm)
         return tuple(added.tolist())
 
     @model_serializer(mode="wrap")

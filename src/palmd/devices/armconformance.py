@@ -461,16 +461,16 @@ def _clamps(talk: Talk) -> Script[str]:
 
 def _ends_at_rest(talk: Talk) -> Script[str]:
     yield from _bring_to_ready(talk)
-    places = []
+    reports = []
     for _ in range(4):
-        places.append((yield from talk.report()))
+        reports.append((yield from talk.report()))
         yield from talk.raw(b"", 0.05)
-    spread = max(_distance(ack.pose, places[0].pose) for ack in places)
-    away = _distance(places[-1].pose, talk.rest)
-    _require(places[-1].state is ArmState.READY, "R", str(places[-1].state))
+    spread = max(_distance(ack.pose, reports[0].pose) for ack in reports)
+    away = _distance(reports[-1].pose, talk.rest)
+    _require(reports[-1].state is ArmState.READY, "R", str(reports[-1].state))
     _require(spread < _STILL_M, "an arm at rest", f"one that moves by {spread * 1e3:.2f} mm")
     _require(away < MAX_EXCURSION_M, f"within {MAX_EXCURSION_M * 1e3:g} mm of the start", f"{away * 1e3:.2f} mm away")
-    return f"{places[-1].state}, {away * 1e3:.2f} mm from the start"
+    return f"{reports[-1].state}, {away * 1e3:.2f} mm from the start"
 
 
 def _pose(line: Line) -> Pose:

@@ -10,7 +10,7 @@ Verdict = Literal["ok", "open", "missing", "mismatch", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """State of one thing that palmd needs, and the command that fixes it, if there is one.
+    """Result of one check, and the command that fixes it, if there is one.
 
     `mismatch`: readings contradict the configuration. `open`: it works, but gives access to too many users.
     """
