@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def status_of(requested: Callable[[], tuple[ModuleType, argparse.Namespace]]) -> int:
-    """Run the module and arguments that `asked_for` returns; return the exit status as `main` does."""
+    """Run the module and arguments that `requested` returns; return the exit status as `main` does."""
     blas.one_thread_from_here()
     os.environ.setdefault(
         "PYDANTIC_DISABLE_PLUGINS", "__all__"

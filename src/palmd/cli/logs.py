@@ -92,7 +92,7 @@ def _recorded(path: Path) -> tuple[System, EventLog]:
 
 
 def check_writable(path: Path) -> None:
-    """Raise CliError if `opened` cannot write `path`; called before long computations."""
+    """Raise CliError if `open_output` cannot write `path`; called before long computations."""
     code = errno.EISDIR if path.is_dir() else 0 if path.parent.is_dir() else errno.ENOENT
     if path != STDOUT and code:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {os.strerror(code)}")

@@ -120,12 +120,12 @@ class Talk:
     ) -> Script[TalkAnswer]:
         """Write bytes, valid or not."""
         self.sent += [data.decode("ascii", errors="replace").strip()[:40]] if data else []
-        heard = yield TalkRequest(data, t_send, listen_s, enough)
-        self.late_s = max(self.late_s, heard.t_sent - max(t_send, self.t), heard.t - heard.t_sent - listen_s)
-        self.t = heard.t
-        self.line_feeds += heard.raw.count(b"\n")
-        self.crlf += heard.raw.count(b"\r\n")
-        return heard
+        reply = yield TalkRequest(data, t_send, listen_s, enough)
+        self.late_s = max(self.late_s, reply.t_sent - max(t_send, self.t), reply.t - reply.t_sent - listen_s)
+        self.t = reply.t
+        self.line_feeds += reply.raw.count(b"\n")
+        self.crlf += reply.raw.count(b"\r\n")
+        return reply
 
     def send(self, *commands: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[TalkAnswer]:
         """Write commands in one block."""
@@ -134,18 +134,18 @@ class Talk:
     def report(self, t_send: float = -math.inf) -> Script[Ack]:
         """Query state and pose, at `t_send` (s) or at once. Raises DeviationError without a valid answer."""
         ss = self.next_ss()
-        heard = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
-        return expect_ack(heard.lines, ss)
+        reply = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
+        return expect_ack(reply.lines, ss)
 
     def begin(self) -> Script[Ack]:
         """Start tracking at rest, and determine the phase of the controller's cycle."""
         ss = self.next_ss()
-        heard = yield from self.send(Start(ss), enough=1)
-        expect_ack(heard.lines, ss, ArmState.TRACKING)
+        reply = yield from self.send(Start(ss), enough=1)
+        expect_ack(reply.lines, ss, ArmState.TRACKING)
         ss = self.next_ss()
-        heard = yield from self.send(SetPoint(ss, self.rest), enough=1)
-        ack = expect_ack(heard.lines, ss, ArmState.TRACKING)
-        self._timer = SetPointTimer(self._baud, self.limits.cycle_s, heard.lines[0].t_first)
+        reply = yield from self.send(SetPoint(ss, self.rest), enough=1)
+        ack = expect_ack(reply.lines, ss, ArmState.TRACKING)
+        self._timer = SetPointTimer(self._baud, self.limits.cycle_s, reply.lines[0].t_first)
         return ack
 
     def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[TalkAnswer]:
@@ -156,8 +156,8 @@ class Talk:
         timer.sent()
         command = SetPoint(self.next_ss() if ss is None else ss, pose)
         listen = timer.t_next - t_send if listen_s is None else listen_s
-        heard = yield from self.raw(encode_command(command), listen, t_send)
-        return heard
+        reply = yield from self.raw(encode_command(command), listen, t_send)
+        return reply
 
     @property
     def timer(self) -> SetPointTimer:
@@ -165,9 +165,9 @@ class Talk:
         assert self._timer is not None, "begin() comes first"
         return self._timer
 
-    def arrived(self, heard: TalkAnswer, size: int) -> float:
+    def arrived(self, reply: TalkAnswer, size: int) -> float:
         """Return when the last of `size` bytes had reached the controller (s)."""
-        return heard.t_sent + size * self.byte_s
+        return reply.t_sent + size * self.byte_s
 
 
 def expect_ack(lines: Sequence[Line], ss: int, *states: ArmState) -> Ack:

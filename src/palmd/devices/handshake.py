@@ -25,7 +25,7 @@ class Handshake:
     def __init__(self, kind: Kind, t_start: float) -> None:
         """Begin at `t_start` (s, monotonic); kind `none` is done at once."""
         self._breaks_left = {"none": 0, "break": 1, "break_twice": 2}[kind]
-        self._heard = bytearray()
+        self._received = bytearray()
         self._t_break = t_start
         self.identity: bytes | None = None
         self.error: str | None = None
@@ -37,9 +37,9 @@ class Handshake:
             return False
         if t < self._t_break + BREAK_S:
             return True  # the pad answers after the break; earlier bytes are no answer
-        self._heard += data
-        match = _IDENTITY.search(self._heard)
-        del self._heard[:-_KEEP_BYTES]
+        self._received += data
+        match = _IDENTITY.search(self._received)
+        del self._received[:-_KEEP_BYTES]
         if match is not None:
             self._answered(match[0], t)
         elif t >= self._t_break + BREAK_S + ANSWER_S:
@@ -54,7 +54,7 @@ class Handshake:
             return
         self.identity = identity
         self._breaks_left -= 1
-        self._heard.clear()
+        self._received.clear()
         self._t_break = t
         self.done = self._breaks_left == 0
 

@@ -248,7 +248,7 @@ class TouchTracker:
         )
         return min(SILENT_INTERVALS * self._mean_s, shown_s)
 
-    def heard(self, t: float) -> None:
+    def bytes_received(self, t: float) -> None:
         """Record that bytes were read at `t` (s)."""
         self._t_byte = t
 

@@ -101,7 +101,7 @@ class SerialPad(ABC, Generic[Report, Counters]):
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
         """Return the events in the bytes read at `t` (s)."""
         events: list[PadSample | PadLift] = []
-        self._touch.heard(t)
+        self._touch.bytes_received(t)
         for report in self.reports(data, t):
             lift = self._touch.report(report)
             if lift is not None:

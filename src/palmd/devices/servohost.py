@@ -119,7 +119,7 @@ class _Cycle:
     """A pending Sync Read and the answers so far."""
 
     t_sent: float
-    t_heard: float
+    t_received: float
     """When its last byte reached the servos (s), which is when they sample; adapters delay answers, not requests."""
     address: int
     size: int
@@ -157,7 +157,7 @@ class ServoHost:
         self._script: Script | None = None
         self._request: Request | None = None
         self._answers: dict[int, Packet] = {}
-        self._t_asked = self._t_sent = self._t_answer = -math.inf
+        self._t_request = self._t_sent = self._t_answer = -math.inf
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._turned_on: tuple[Axis, ...] = ()  # by an `arm` that is under way or has failed
         self._tries = 0
@@ -277,7 +277,7 @@ class ServoHost:
         self._reset_unreported = False
         self._latencies_s.append(t_recv - cycle.t_sent)
         self.counters.readings += 1
-        t_sample = cycle.t_heard
+        t_sample = cycle.t_received
         latency_ms = (packet.t_first - cycle.t_sent) * 1e3
         self.counters.answer_latency_max_ms = max(self.counters.answer_latency_max_ms, latency_ms)
         registers = {servo: Registers(cycle.address, each.parameters) for servo, each in cycle.found.items()}
@@ -357,7 +357,7 @@ class ServoHost:
         """Return the time (s) of the next `poll`; always after the last `poll`."""
         if self._request is not None:
             if self._tries:
-                return self._t_asked + ANSWER_S
+                return self._t_request + ANSWER_S
             return -math.inf if self._cycle is None else self._cycle.t_sent + ANSWER_S
         return self._t_slot
 
@@ -480,12 +480,12 @@ class ServoHost:
             return self._make.sync_write(self._make.torque, torques_off) if torques_off else b""
         self.counters.retries += self._tries > 0
         self._tries += 1
-        self._t_asked = self._t_sent = t
+        self._t_request = self._t_sent = t
         self._answers = {}
         return request.packet
 
     def _answered(self, request: Request, t_recv: float) -> None:
-        self._t_asked, self._t_answer = -math.inf, t_recv
+        self._t_request, self._t_answer = -math.inf, t_recv
         self._latencies_s.append(t_recv - self._t_sent)
         answers, self._answers = [self._answers[servo] for servo in request.servos], {}
         self._resume(answers)

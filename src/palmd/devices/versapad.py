@@ -309,7 +309,7 @@ class PadReceiver:
         """Process the bytes read at `t_recv` (s) and return the contacts and lift-offs that they report."""
         events: list[PadSample | PadLift] = []
         if data:
-            self.touch.heard(t_recv)
+            self.touch.bytes_received(t_recv)
         for packet in self.decoder.feed(data, t_recv):
             self.latest = packet
             event = self.touch.report(packet) or self._sample(packet)

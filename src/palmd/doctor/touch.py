@@ -124,7 +124,7 @@ def changes(strokes: Sequence[FingerStroke], pads: PadsConfig) -> Iterator[str]:
     CliError for ambiguous strokes: both on one pad, or neither along x nor along y.
     """
     if len({stroke.received_on for stroke in strokes}) < len(strokes):
-        raise CliError(RIG_FAILED, f"both strokes were heard on pads.palm{strokes[0].received_on}: start again")
+        raise CliError(RIG_FAILED, f"both strokes were received on pads.palm{strokes[0].received_on}: start again")
     for palm, stroke in zip(PALMS, strokes, strict=True):
         pad = pads.of(palm)
         if stroke.received_on != palm:

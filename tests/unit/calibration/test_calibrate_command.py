@@ -237,7 +237,7 @@ def test_the_plug_is_pulled(configured, monkeypatch, capsys):
 def test_a_pad_that_does_not_answer_its_start_up(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 1.8)
     said = refused(configured(line[1], ", handshake: break"), 3, capsys)
-    assert said.startswith("pad1: no identity within 1 s of the break")
+    assert said.startswith("pad1: no identity within 1 s after the break")
 
 
 def test_bad_configurations(configured, tmp_path, capsys):
