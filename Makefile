@@ -1,4 +1,4 @@
-# Two commands do everything on a fresh machine: `make demo` and `make test`. `make help` lists the rest.
+# On a fresh machine, `make demo` and `make test` install what they need. `make help` lists all targets.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -7,29 +7,29 @@ PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check
 .DEFAULT_GOAL := help
 .PHONY: help demo check corpus test nightly system vm lint audit mutants bench build kit docs figures site release setup dev lock wheelhouse clean
 
-help:  ## this list
+help:  ## print this list
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
 
-demo: setup  ## an emulated rig, the daemon, an unknown object: live estimates until Ctrl-C
+demo: setup  ## run an emulated rig and the daemon on an unknown object, until Ctrl-C
 	@$(BIN)/palmd demo $(DEMO_ARGS)
 
-test: dev  ## all tests, linters, types and import contracts
+test: dev  ## run all tests, linters, type checks and import contracts
 	@$(BIN)/palmd doctor build --all
 	@$(BIN)/python tools/run_tests.py
 
-nightly: dev  ## slow campaigns with fresh seeds, some hours: studies, faults, soak; into build/nightly
+nightly: dev  ## run slow campaigns with new seeds (some hours): studies, faults, soak; output in build/nightly
 	@nice $(BIN)/python tools/nightly.py build/nightly $(NIGHTLY)
 
-check: dev  ## the inner loop: linters, types, unit tests of what changed, a sample of the corpus
+check: dev  ## quick check: linters, types, unit tests of changed modules, a sample of the corpus
 	@$(BIN)/python tools/check.py
 
-corpus: dev  ## what estimate and reconstruct make of stored logs, compared with frozen results
+corpus: dev  ## compare results of estimate and reconstruct on stored logs with frozen ones
 	@$(BIN)/python tests/corpus/corpus.py check
 
-system: dev  ## only the services, under a systemd of their own (skipped unless root may boot one)
+system: dev  ## test only the services, under a separate systemd (skipped without root)
 	$(BIN)/python -m pytest -q -m system
 
-vm: dev  ## a rig PC in QEMU, with a real-time kernel, ports, plugs and power that fails: an hour, as root
+vm: dev  ## test a rig PC in QEMU with real-time kernel, unplugged ports and power failures (an hour, as root)
 	$(BIN)/python -m pytest -q -s -m vm tests/vm
 
 lint: dev
@@ -38,32 +38,32 @@ lint: dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-mutants: dev  ## small faults put into what must not fail: do the tests notice? hours; MUTANTS="--sample 20 --seed 1"
+mutants: dev  ## mutation tests of the critical modules (hours); MUTANTS="--sample 20 --seed 1"
 	$(BIN)/python tools/mutants.py $(MUTANTS)
 
-audit: dev  ## known holes in what is locked, as far as PyPI answers
+audit: dev  ## check the locked packages for known vulnerabilities (needs PyPI)
 	$(BIN)/python tools/audit.py requirements.lock requirements-dev.lock
 
-bench: dev  ## lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
+bench: dev  ## measure lateness, work and step times as p50/p99/p99.9/max (needs an idle machine)
 	$(BIN)/python -m pytest -q -s -m bench tests/bench
 
-kit: setup  ## everything to build the tabletop rig, checked, in build/kit; KIT="--set strip_length=73.7" for another size
+kit: setup  ## write and check all files for building the tabletop rig, in build/kit; KIT="--set strip_length=73.7" for another size
 	@$(BIN)/python -m tools.tabletop $(KIT)
 
-docs: dev  ## the pages that are generated from the code's tables
+docs: dev  ## regenerate the pages that are made from tables in the code
 	$(BIN)/python tools/make_docs.py
 
-figures: dev  ## pictures and figures of README and docs again, with seed and date in docs/figures/made.csv; FIGURES="montecarlo explore" for those that last
+figures: dev  ## regenerate pictures and figures, with seed and date in docs/figures/made.csv; FIGURES="montecarlo explore" for the slow ones
 	$(BIN)/python -m tools.figures $(FIGURES)
 
-site: dev docs  ## the documentation as a site that reads without a network, in build/site (warnings are errors)
+site: dev docs  ## build the documentation site for offline use, in build/site (warnings are errors)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "build/site/index.html"
 
-release: dev docs  ## dist/: wheel, source archive, site, upgrade notes, checksums, container image where a builder is; the wheel is tried
+release: dev docs  ## build and test dist/: wheel, source archive, site, upgrade notes, checksums, container image if there is a builder
 	$(BIN)/python -m tools.release --check
 
-build: setup  ## compile the observers' C once (takes a C compiler: sudo apt-get install gcc libc6-dev)
+build: setup  ## compile the observers' C code (needs a C compiler: sudo apt-get install gcc libc6-dev)
 	@$(BIN)/palmd doctor build
 
 setup: $(VENV)/.run-installed
@@ -92,7 +92,7 @@ lock: $(VENV)/bin/python  ## renew both lock files (needs uv)
 	uv pip compile -q pyproject.toml --extra build --extra report --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock
 	uv pip compile -q pyproject.toml --extra build --extra report --extra dev --universal --python-version 3.11 --generate-hashes --no-header -o requirements-dev.lock
 
-wheelhouse: setup  ## everything needed to install on a machine without network, in wheelhouse/
+wheelhouse: setup  ## download all packages for installation on a machine without network, in wheelhouse/
 	$(PIP) download --require-hashes -r requirements.lock -d wheelhouse
 	$(PIP) wheel --no-deps --no-build-isolation -w wheelhouse .
 

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from palmd import api
-from palmd.cli.table import COMMANDS, RENAMED, loaded, parser_of
+from palmd.cli.table import COMMANDS, RENAMED, load_module, parser_of
 from palmd.config.fields import Strict
 from palmd.daemon.commands import COMMANDS as REQUESTS
 from palmd.quantities import STAMP
@@ -67,7 +67,7 @@ _KINDS = {quantity.kind for topic in (*TOPICS, *RIG_TOPICS) for quantity in topi
 
 
 def _options(command: Any) -> Iterator[str]:
-    for action in parser_of(command, loaded(command))._actions:
+    for action in parser_of(command, load_module(command))._actions:
         yield from (
             (each for each in action.option_strings if each.startswith("--"))
             if action.option_strings

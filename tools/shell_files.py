@@ -8,7 +8,7 @@ from pathlib import Path
 
 import shtab
 
-from palmd.cli.table import COMMANDS, Command, below, loaded, parser_of, said
+from palmd.cli.table import COMMANDS, Command, description, load_module, parser_of, subcommands
 
 SHELLS = {"bash": "config/shell/palmd.bash", "zsh": "config/shell/palmd.zsh"}
 MANUAL = "config/shell/palmd.1"
@@ -24,14 +24,16 @@ def whole() -> argparse.ArgumentParser:
 
 def _add(parser: argparse.ArgumentParser, name: str) -> None:
     choices = parser.add_subparsers()
-    for word, command in below(name).items():
-        chosen = choices.add_parser(word, help=_one_line(said(command)), description=_one_line(said(command)))
+    for word, command in subcommands(name).items():
+        chosen = choices.add_parser(
+            word, help=_one_line(description(command)), description=_one_line(description(command))
+        )
         if command.module is None:
             _add(chosen, command.name)
         else:
-            loaded(command).add_arguments(chosen)
+            load_module(command).add_arguments(chosen)
             _files(chosen)
-            _beside(chosen, below(command.name))
+            _beside(chosen, subcommands(command.name))
 
 
 def _files(parser: argparse.ArgumentParser) -> None:
@@ -52,8 +54,8 @@ def _beside(parser: argparse.ArgumentParser, names: Mapping[str, Command]) -> No
     place = next((action for action in parser._actions if not action.option_strings), None) or parser.add_subparsers()
     for word, command in names.items():
         if isinstance(place, argparse._SubParsersAction):
-            chosen = place.add_parser(word, help=said(command), description=said(command))
-            loaded(command).add_arguments(chosen)
+            chosen = place.add_parser(word, help=description(command), description=description(command))
+            load_module(command).add_arguments(chosen)
             _files(chosen)
         else:
             if hasattr(place, "complete"):
@@ -96,9 +98,9 @@ def manual() -> str:
 
 
 def _command(command: Command) -> Iterator[str]:
-    module = loaded(command)
+    module = load_module(command)
     yield f".SS palmd {command.name}"
-    yield _troff((module.__doc__ or said(command)).strip().replace("\n\n", "\n.PP\n"))
+    yield _troff((module.__doc__ or description(command)).strip().replace("\n\n", "\n.PP\n"))
     yield from _arguments(parser_of(command, module))
 
 

@@ -11,7 +11,7 @@
 _shtab_palmd_commands() {
   local _commands=(
     bundle:'pack a recorded run, versions and findings for a bug report'
-    calibrate:'measure what the configuration must know: pad, arm, gravity, pads, standoff, force, curvature, height, vibration, self'
+    calibrate:'measure values for the configuration: pad, arm, gravity, pads, standoff, force, curvature, height, vibration, self'
     capture:'make the first recording of a rig, guided: check, calibrate, record, bundle'
     check:'validate configurations and motion plans'
     compare:'compare runs with each other, with the truth or with an external track'
@@ -21,9 +21,9 @@ _shtab_palmd_commands() {
     estimate:'run the daemon'"'"'s observer over an event log or a recorded run'
     export:'convert a recorded run to an event log, CSV, MCAP with JSON, or rerun'"'"'s format'
     init:'write a configuration from questions about the rig'
-    install:'install this palmd as services of systemd'
+    install:'install palmd'"'"'s systemd services'
     jog:'turn the palms with the arrow keys'
-    keys:'create and manage the keys of daemon and clients'
+    keys:'create and manage the keys of daemons and clients'
     recognise:'find which of the stored outlines the object of a run has'
     reconstruct:'estimate outline and motion from a whole event log or recorded run'
     record:'record what a daemon publishes, one file a run'
@@ -41,32 +41,32 @@ _shtab_palmd_commands() {
 
 _shtab_palmd_calibrate_commands() {
   local _commands=(
-    arm:'the arm'"'"'s base and the palms'"'"' lengths, swung by hand'
-    curvature:'the curvature of palms that are arcs, with a cylinder'
-    force:'both touchpads'"'"' newtons per count, with a cylinder'"'"'s weight'
-    gravity:'gravity'"'"'s direction and the arm'"'"'s yaw, with a rolling ball'
-    height:'a pivoting gripper'"'"'s height over the pad, with a dragged cylinder'
-    pad:'a touchpad'"'"'s noise, resolution, timing and dead band, with a marble'
-    pads:'both touchpads'"'"' zero, scale and sign, with a turned cylinder'
-    self:'the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
-    standoff:'both touchpads'"'"' height above the hinge line, zero, scale and sign, with two turned cylinders'
-    vibration:'the palms'"'"' vibration speed, with an accelerometer'
+    arm:'measure the arm'"'"'s base and the palms'"'"' lengths, by swinging them by hand'
+    curvature:'measure the curvature of curved palms, with a cylinder'
+    force:'measure both touchpads'"'"' newtons per count, with a cylinder'"'"'s weight'
+    gravity:'measure gravity'"'"'s direction and the arm'"'"'s yaw, with a rolling ball'
+    height:'measure a pivoting gripper'"'"'s height over the pad, with a dragged cylinder'
+    pad:'measure a touchpad'"'"'s noise, resolution, timing and dead band, with a marble'
+    pads:'measure both touchpads'"'"' zero, scale and sign, with a turned cylinder'
+    self:'estimate the pads'"'"' zeros and the palms'"'"' angles, from recorded runs with any objects'
+    standoff:'measure both touchpads'"'"' height above the hinge line, zero, scale and sign, with two turned cylinders'
+    vibration:'measure the palms'"'"' vibration speed, with an accelerometer'
   )
   _describe 'palmd calibrate commands' _commands
 }
 
 _shtab_palmd_ctl_commands() {
   local _commands=(
-    arm:'from ready: starts tracking and holds the present pose'
+    arm:'from ready: starts tracking and stands at the present pose'
     explore:'have a running daemon touch the whole outline of the object'
     hold:'stops the motion along its path; tracking goes on'
-    jog:'turns the palms by small steps; they stop if the next step does not arrive within 200 ms'
-    new_object:'starts a new object: the observer forgets the present one (two palms only)'
-    note:'writes a note with the present time into the recording'
-    plan:'validates and loads another plan; not while moving'
-    reset:'clears latched faults whose cause is gone, and a faulted controller; never an e-stop'
-    start:'moves smoothly to the plan'"'"'s start and runs it; resumes after a hold'
-    status:'returns state, faults, plan, angles and estimate'
+    jog:'turns the palms by small steps, for as long as the next one comes within 200 ms'
+    new_object:'begins a new object: the observer forgets the one on the palms (two palms only)'
+    note:'writes a note about this time into the recording'
+    plan:'loads another plan, validated first; not while moving'
+    reset:'clears latched faults that are gone, and a faulted controller; never an e-stop'
+    start:'blends to the plan'"'"'s start and runs it; goes on after a hold'
+    status:'tells state, faults, plan, angles and estimate'
     stop:'planned stop, back to ready'
   )
   _describe 'palmd ctl commands' _commands
@@ -74,18 +74,18 @@ _shtab_palmd_ctl_commands() {
 
 _shtab_palmd_install_commands() {
   local _commands=(
-    completion:'print or install the completion of commands for shells'
+    completion:'print the shell completion script'
   )
   _describe 'palmd install commands' _commands
 }
 
 _shtab_palmd_keys_commands() {
   local _commands=(
-    allow:'let a client in'
-    client:'for a client, on the machine where that runs'
-    list:'who may come in'
-    new:'make a pair of keys'
-    revoke:'let a client in no longer'
+    allow:'allow a client'
+    client:'for a client, on the client'"'"'s machine'
+    list:'list the allowed clients'
+    new:'create a pair of keys'
+    revoke:'remove a client'
     server:'for a daemon'
   )
   _describe 'palmd keys commands' _commands
@@ -93,7 +93,7 @@ _shtab_palmd_keys_commands() {
 
 _shtab_palmd_keys_new_commands() {
   local _commands=(
-    client:'for a client, on the machine where that runs'
+    client:'for a client, on the client'"'"'s machine'
     server:'for a daemon'
   )
   _describe 'palmd keys new commands' _commands
@@ -108,7 +108,7 @@ _shtab_palmd_defaults_added=0
 
 _shtab_palmd_bundle_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--config[the configuration (default\: that of the recording)]:FILE:_files"
+  "--config[the configuration (default\: from the recording)]:FILE:_files"
   {-o,--output}"[default\: RUN\'s name with .zip, here]:FILE:_files"
   ":a recording (MCAP) or an event log:_files"
 )
@@ -137,7 +137,7 @@ _shtab_palmd_calibrate_curvature_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for curvature.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -148,7 +148,7 @@ _shtab_palmd_calibrate_force_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for force.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--mass-g[of the cylinder]:M:"
   "--rounds[through all poses (default\: 8)]:N:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
@@ -165,7 +165,7 @@ _shtab_palmd_calibrate_gravity_options=(
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   {-o,--output}"[for gravity.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   ":the configuration that the daemon runs with, palmd.yaml:_files"
 )
 
@@ -198,7 +198,7 @@ _shtab_palmd_calibrate_pads_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for pads.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--curve[the readings are not proportional\: find curve_mm too]"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
@@ -221,7 +221,7 @@ _shtab_palmd_calibrate_standoff_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--radius-mm[of the cylinder]:R:"
   {-o,--output}"[for standoff.yaml, which is overwritten (default\: calibration\/ beside CONFIG)]:FOLDER:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
   "--second-radius-mm[of the other one]:R:"
   ":the running daemon\'s configuration, palmd.yaml:_files"
 )
@@ -245,11 +245,11 @@ _shtab_palmd_calibrate_vibration_defaults_added=0
 _shtab_palmd_capture_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[a new folder (default\: capture-DATE-TIME here)]:BUNDLE:_files"
-  "--plan[how the palms move for each object (default\: the configuration\'s)]:PLAN:_files"
-  "--objects[how many to record (default\: 3)]:N:"
-  "--zip[pack the bundle into BUNDLE.zip too, to share it]"
-  "--emulated[on an emulated rig, which answers by itself\; its truth is taken for calipers]"
-  "--seed[of the emulated rig (default\: 0)]:N:"
+  "--plan[motion plan for each object (default\: the configuration\'s)]:PLAN:_files"
+  "--objects[number of objects to record (default\: 3)]:N:"
+  "--zip[also pack the bundle into BUNDLE.zip]"
+  "--emulated[use an emulated rig, which answers the prompts\; its truth replaces the calipers]"
+  "--seed[seed of the emulated rig (default\: 0)]:N:"
   ":the rig\'s configuration (default\: the installed one):_files"
 )
 
@@ -258,8 +258,8 @@ _shtab_palmd_capture_defaults_added=0
 
 _shtab_palmd_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--json[print what is wrong as one JSON map]"
-  "--draw[a picture of what the one plan among FILE does (or .pdf, .png)]:OUT.svg:_files"
+  "--json[print the errors as one JSON map]"
+  "--draw[draw the motion of the only plan among FILE (or .pdf, .png)]:OUT.svg:_files"
   "(*):a configuration or a plan (YAML), an outline (.json, .csv):_files"
 )
 
@@ -268,8 +268,8 @@ _shtab_palmd_check_defaults_added=0
 
 _shtab_palmd_compare_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--reference[what all are compared with]:FILE:_files"
-  {-o,--output}"[everything found, as JSON\; - for standard output]:FILE.json:_files"
+  "--reference[reference for all comparisons]:FILE:_files"
+  {-o,--output}"[write all results as JSON\; - for standard output]:FILE.json:_files"
   "--figure[errors over time and outlines (.svg, .png, .pdf)]:FILE.svg:_files"
   "(*):recordings, results and tracks:_files"
 )
@@ -281,8 +281,8 @@ _shtab_palmd_ctl_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -292,10 +292,10 @@ _shtab_palmd_ctl_arm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "--take[take control from the client that has it]"
-  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "--take[take control from another client]"
+  "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -303,13 +303,13 @@ _shtab_palmd_ctl_arm_defaults_added=0
 
 _shtab_palmd_ctl_explore_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--coverage[of the normals that can be reached, after which it is enough (default\: 0.95)]:SHARE:"
-  "--band-mm[go on until the outline\'s sd is below this on all of them too]:MM:"
-  "--seconds[at most (default\: 60)]:S:"
+  "--coverage[share of the reachable normals at which it ends (default\: 0.95)]:SHARE:"
+  "--band-mm[also require that the outline\'s standard deviation is below this at all of them]:MM:"
+  "--seconds[time limit in s (default\: 60)]:S:"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
-  "--listen[where it publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--listen[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -319,8 +319,8 @@ _shtab_palmd_ctl_hold_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -330,12 +330,12 @@ _shtab_palmd_ctl_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "--take[take control from the client that has it]"
-  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
-  "--phi1-deg[by how much to turn phi1]:DEG:"
-  "--phi2-deg[by how much to turn phi2]:DEG:"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "--take[take control from another client]"
+  "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
+  "--phi1-deg[angle by which to turn phi1]:DEG:"
+  "--phi2-deg[angle by which to turn phi2]:DEG:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -345,8 +345,8 @@ _shtab_palmd_ctl_new_object_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -356,9 +356,9 @@ _shtab_palmd_ctl_note_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "(*):what to write about this time of the run:"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "(*):text of the note, stored with the current time of the run:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -368,11 +368,11 @@ _shtab_palmd_ctl_plan_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "--take[take control from the client that has it]"
-  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
-  ":the plan (YAML), or the name of one that lies beside the daemon\'s configured plan:_files"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "--take[take control from another client]"
+  "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
+  ":the plan (YAML), or the name of one in the folder of the daemon\'s configured plan:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -382,10 +382,10 @@ _shtab_palmd_ctl_reset_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "--take[take control from the client that has it]"
-  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "--take[take control from another client]"
+  "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -395,10 +395,10 @@ _shtab_palmd_ctl_start_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
-  "--take[take control from the client that has it]"
-  "--keep[keep control until Ctrl-C\; 3 s after the end of this command moving palms are held]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
+  "--take[take control from another client]"
+  "--keep[keep control until Ctrl-C\; moving palms are held 3 s after this command has ended]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -408,8 +408,8 @@ _shtab_palmd_ctl_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -419,8 +419,8 @@ _shtab_palmd_ctl_stop_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--json[print the answer as it came]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--json[print the answer as JSON]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -428,16 +428,16 @@ _shtab_palmd_ctl_stop_defaults_added=0
 
 _shtab_palmd_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--seconds[how long to run]:N:"
-  "--no-browser[serve the live page, but open no browser]"
-  "--seed[which object and noise\; default\: a random one, printed]:seed:"
+  "--seconds[duration of the run in s]:N:"
+  "--no-browser[serve the live page, but do not open a browser]"
+  "--seed[seed of object and noise\; default\: random, printed]:seed:"
   "--kind[what sort of object (default\: rig\; in MuJoCo ellipse)]:kind:(nominal friction rig odd ellipse)"
   "--physics[who moves the object on two flat palms\: palmd\'s own emulation, or the engine MuJoCo, which takes ellipses (default\: palmd)]:physics:(palmd mujoco)"
-  "--no-record[keep no recording\; else it goes to runs\/ here]"
-  "--perfect[a rig that is exactly as configured, which is known]"
+  "--no-record[do not record\; the default is to record into runs\/]"
+  "--perfect[use an exactly known rig]"
   "--system[cradle\: two concave palms\; pivot\: a pivoting grasp\; three_palms\: three palms in space]:system:(cradle pivot three_palms)"
-  "--rig[an arm and VersaPads, or strips and servos]:rig:(adept tabletop)"
-  "--config[rig and plan\; default\: as shipped]:config:_files"
+  "--rig[an arm with VersaPads, or servos with strips]:rig:(adept tabletop)"
+  "--config[configuration of rig and plan\; default\: the shipped one]:config:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -445,13 +445,13 @@ _shtab_palmd_demo_defaults_added=0
 
 _shtab_palmd_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--arm-conformance[check by check, whether the arm\'s controller keeps the contract of the link]"
-  "--actuator-conformance[the same of whatever turns the palms, an arm or servos]"
-  "--touch[which pad is which, and which way round\: by touching them]"
-  "--port[of the arm, instead of the configured one]:PATH:"
-  "--baud[of the arm, instead of the configured one]:baud:(1200 2400 4800 9600 19200 38400 57600 115200 1000000 2000000 3000000 4000000)"
-  "--yes[the arm may move\: do not ask]"
-  ":the rig\'s configuration (default\: \/etc\/palmd\/palmd.yaml, else as shipped):_files"
+  "--arm-conformance[check whether the arm\'s controller conforms to the arm link\'s protocol]"
+  "--actuator-conformance[the same for the configured actuator, an arm or servos]"
+  "--touch[find which pad is which and its orientation, by touching them]"
+  "--port[the arm\'s port, instead of the configured one]:PATH:"
+  "--baud[the arm\'s baud rate, instead of the configured one]:baud:(1200 2400 4800 9600 19200 38400 57600 115200 1000000 2000000 3000000 4000000)"
+  "--yes[allow the arm to move without asking]"
+  ":the rig\'s configuration (default\: \/etc\/palmd\/palmd.yaml, else the shipped one):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -461,8 +461,8 @@ _shtab_palmd_estimate_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[- for standard output]:OUT.jsonl:_files"
   "--observer[default\: shape]:shape|extended|quasistatic:"
-  "--shape[the object is that of the stored outline, or one of those in the folder, or none]:OUTLINE|FOLDER:_files"
-  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
+  "--shape[stored outline or folder of outlines, one of which the object may have]:OUTLINE|FOLDER:_files"
+  "--calibration-sd[standard deviations of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
 )
 
@@ -471,8 +471,8 @@ _shtab_palmd_estimate_defaults_added=0
 
 _shtab_palmd_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; --as lerobot, a folder\: a LeRobot data set\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
-  "--as[the form, where the name does not tell it]:form:(log csv mcap-json rrd lerobot svg dxf points)"
+  {-o,--output}"[.jsonl event log\; folder or .zip CSV, a table for each topic\; .mcap messages in JSON\; .rrd for rerun\; with --as lerobot, a folder\: a LeRobot data set\; the outline\: .svg, .dxf drawings, .csv points, x and y in mm]:FILE|FOLDER:_files"
+  "--as[the format, if the name does not determine it]:form:(log csv mcap-json rrd lerobot svg dxf points)"
   ":a recorded run (.mcap), or a RESULT.json:_files"
 )
 
@@ -481,7 +481,7 @@ _shtab_palmd_export_defaults_added=0
 
 _shtab_palmd_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--force[write over what is there]"
+  "--force[overwrite existing files]"
   ":the configuration to write (default\: palmd.yaml):_files"
 )
 
@@ -491,7 +491,7 @@ _shtab_palmd_init_defaults_added=0
 _shtab_palmd_install_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--root[the tree to install into (default\: this machine)]:root:_files"
-  "--dry-run[only say what would be done]"
+  "--dry-run[only print what would be done]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -499,7 +499,7 @@ _shtab_palmd_install_defaults_added=0
 
 _shtab_palmd_install_completion_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  ":which shell\; or man\: where the manual page is:(bash zsh man)"
+  ":the shell, or man\: print the path of the manual page:(bash zsh man)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -508,7 +508,7 @@ _shtab_palmd_install_completion_defaults_added=0
 _shtab_palmd_jog_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--address[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:address:"
-  "--publish[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:publish:"
+  "--publish[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:publish:"
   ":the daemon\'s configuration, for its limits and addresses:_files"
 )
 
@@ -525,8 +525,8 @@ _shtab_palmd_keys_defaults_added=0
 _shtab_palmd_keys_allow_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "-d[folder of the keys (default\: keys)]:DIR:_files"
-  "--role[listen and ask for the status, or give every command]:watch|operate:(watch operate)"
-  ":its public key, NAME.key:_files"
+  "--role[watch\: listen and query the status\; operate\: all commands]:watch|operate:(watch operate)"
+  ":the client\'s public key, NAME.key:_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -550,8 +550,8 @@ _shtab_palmd_keys_new_defaults_added=0
 _shtab_palmd_keys_new_client_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "-d[folder of the keys (default\: keys)]:DIR:_files"
-  "--role[DIR is a daemon\'s\: allow the client at once]:watch|operate:(watch operate)"
-  ":what it is called:"
+  "--role[if DIR is a daemon\'s\: allow the client at once]:watch|operate:(watch operate)"
+  ":name of the client:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -568,7 +568,7 @@ _shtab_palmd_keys_new_server_defaults_added=0
 _shtab_palmd_keys_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "-d[folder of the keys (default\: keys)]:DIR:_files"
-  ":what it is called:"
+  ":name of the client:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -576,7 +576,7 @@ _shtab_palmd_keys_revoke_defaults_added=0
 
 _shtab_palmd_recognise_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[as JSON\; - for standard output alone]:OUT.json:_files"
+  {-o,--output}"[write JSON\; - for standard output, without the table]:OUT.json:_files"
   ":an event log (JSON lines) or a recorded run (.mcap):_files"
   ":a folder of outlines (.json, .csv), or one file:_files"
 )
@@ -587,9 +587,9 @@ _shtab_palmd_recognise_defaults_added=0
 _shtab_palmd_reconstruct_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[- for standard output\; .svg, .dxf, .csv\: the outline as a drawing or points, x and y in mm\; .stl, .ply, .obj\: the surface of a body in space, in mm]:RESULT.json:_files"
-  "--mesh[write the surface of a body in space too\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
-  "--seed[of the blind start (default\: 0)]:N:"
-  "--calibration-sd[one-sigma of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
+  "--mesh[also write the surface of a body in space\: .stl, .ply (coloured by its band) or .obj, in mm]:FILE:_files"
+  "--seed[seed of the blind search (default\: 0)]:N:"
+  "--calibration-sd[standard deviations of the rig\'s constants, instead of the log\'s\: zero_m, scale, angle_rad, standoff_m, lag_s, gravity_rad, sagitta_m, friction, force_m_per_n, map_m, map_length_m]:KEY=VALUE:"
   ":an event log (JSON lines), a recorded run (.mcap) or a bundle of palmd capture:_files"
 )
 
@@ -598,8 +598,8 @@ _shtab_palmd_reconstruct_defaults_added=0
 
 _shtab_palmd_record_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--key[a secret key that may operate, for a daemon with keys (default\: the daemon\'s own, from its bus.keys)]:FILE:_files"
-  "--truth[where an emulated rig publishes its truth]:ADDRESS:"
+  "--key[secret key with role operate, for a daemon with keys (default\: the daemon\'s own, from its bus.keys)]:FILE:_files"
+  "--truth[address at which an emulated rig publishes its truth]:ADDRESS:"
   ":the daemon\'s configuration, palmd.yaml:_files"
 )
 
@@ -608,11 +608,11 @@ _shtab_palmd_record_defaults_added=0
 
 _shtab_palmd_replay_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--speed[times the recorded pace (default\: 1)]:X:"
-  "--publish[where to (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
-  "--frames[of each message\; 2 leaves out the time (default\: 3)]:frames:(3 2)"
-  "--loop[begin anew at the end, until Ctrl-C]"
-  "--check[compare with what the observer says now, and with the lifecycle\'s rules]"
+  "--speed[factor of the recorded speed (default\: 1)]:X:"
+  "--publish[address to publish at (default\: tcp\:\/\/127.0.0.1\:9872)]:ADDRESS:"
+  "--frames[frames of each message\; 2 omits the time (default\: 3)]:frames:(3 2)"
+  "--loop[restart at the end, until Ctrl-C]"
+  "--check[compare with the observer\'s present estimates, and check the lifecycle\'s rules]"
   ":a recorded run (.mcap):_files"
 )
 
@@ -649,7 +649,7 @@ _shtab_palmd_rig_defaults_added=0
 
 _shtab_palmd_run_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--no-record[start no recorder beside it]"
+  "--no-record[do not start a recorder]"
   ":the rig\'s configuration, palmd.yaml:_files"
 )
 
@@ -658,14 +658,14 @@ _shtab_palmd_run_defaults_added=0
 
 _shtab_palmd_runs_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--search[only runs that have every WORD in name, time, object, plan, fault or note]:WORD:"
+  "--search[only runs with every WORD in name, time, object, plan, fault or note]:WORD:"
   "--since[only runs from this day on, such as 2026-11-23]:DATE:"
-  "--objects[group the runs by the object that was recognised]"
-  "--compare[these runs side by side\; a beginning of the name is enough]:RUN:"
+  "--objects[group the runs by recognised object]"
+  "--compare[show these runs side by side\; the beginning of a name suffices]:RUN:"
   "--note[write a note beside a run]:('RUN', 'TEXT'):"
   "--rebuild[read every recording again]"
-  "--json[print the runs as JSON, SI]"
-  ":of the recordings (default\: runs\/ here, else that of the installed configuration):_files"
+  "--json[print the runs as JSON, in SI units]"
+  ":folder of the recordings (default\: runs\/, else that of the installed configuration):_files"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -673,10 +673,10 @@ _shtab_palmd_runs_defaults_added=0
 
 _shtab_palmd_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
+  "--address[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--once[print one frame and end]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--once[print the status once and exit]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -684,14 +684,14 @@ _shtab_palmd_top_defaults_added=0
 
 _shtab_palmd_view_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--address[where the daemon publishes (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
+  "--address[the daemon\'s publisher (default\: as configured, tcp\:\/\/127.0.0.1\:9872)]:address:"
   "--command[the daemon\'s command socket (default\: as configured, tcp\:\/\/127.0.0.1\:9873)]:command:"
   "--config[the daemon\'s configuration, for its addresses (default\: \/etc\/palmd\/palmd.yaml if there is one)]:FILE:_files"
-  "--key[our secret key file, with the daemon\'s server.key beside it\; if it has keys (default\: \$PALMD_KEY)]:FILE:_files"
-  "--truth[where an emulated rig publishes its truth]:ADDRESS:"
-  "--runs[of the recordings (default\: the configuration\'s)]:FOLDER:_files"
-  "--port[of the page\; 0\: any free one (default\: 8787)]:port:"
-  "--no-browser[open no browser]"
+  "--key[our secret key, the daemon\'s server.key beside it\; for a daemon with keys (default\: \$PALMD_KEY)]:FILE:_files"
+  "--truth[address at which an emulated rig publishes its truth]:ADDRESS:"
+  "--runs[folder of the recordings (default\: the configuration\'s)]:FOLDER:_files"
+  "--port[port of the page\; 0\: any free port (default\: 8787)]:port:"
+  "--no-browser[do not open a browser]"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -699,7 +699,7 @@ _shtab_palmd_view_defaults_added=0
 
 _shtab_palmd_why_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "--at[seconds since its first message, as in reports (default\: the last time by a fault)]:T:"
+  "--at[time in s since the first message, as in reports (default\: the last hold or stop by a fault)]:T:"
   "--json[print the answer as JSON]"
   ":a recorded run (.mcap), finished or not:_files"
 )

@@ -171,7 +171,7 @@ def armhost(data: bytes) -> None:
     """The host hears anything on a link that is up, and goes on: what it writes are commands."""
     host, t = ArmHost(BAUD), 0.0
     assert host.poll(t, None).data == encode_command(Hello())
-    wanted = (host.want_tracking, host.want_stop, host.request_reset)
+    wanted = (host.request_tracking, host.request_stop, host.request_reset)
     for number, piece in enumerate(_pieces(data)):
         t += (piece[0] % 8) * 0.004
         for report in host.feed(piece, t):

@@ -64,10 +64,10 @@ class Host:
     def health(self, _look):
         return iter(())
 
-    def want_tracking(self):
+    def request_tracking(self):
         self.ask("G")
 
-    def want_stop(self):
+    def request_stop(self):
         self.tracking = False
         self.ask("P")
 

@@ -71,7 +71,7 @@ class ServoBench:
     def armed(self) -> ServoBench:
         """Following, at home unless there is a target."""
         self.go(1.0, lambda: self.host.linked(self.t))
-        self.host.want_tracking()
+        self.host.request_tracking()
         return self.go(0.5, lambda: self.host.tracking)
 
     def play(self, name: str, begins: bool = True) -> None:

@@ -239,7 +239,7 @@ def test_one_flipped_bit_is_always_noticed(reply: Reply, data: st.DataObject) ->
 actions = st.one_of(
     line_noise,
     replies.map(encode_reply),
-    st.sampled_from(["want_tracking", "want_stop", "request_reset", "disconnected"]),
+    st.sampled_from(["request_tracking", "request_stop", "request_reset", "disconnected"]),
     st.builds(Pose, st.floats(), st.floats(), st.floats()),
     st.sampled_from(ArmState),  # a fitting answer to the last line sent, with this state
 )
@@ -248,9 +248,9 @@ LIMITS = HelloReply(0.016, -1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
 
 @given(st.lists(st.tuples(gaps, actions), max_size=60))
 @example(
-    [(0.0, b""), (0.0, ArmState.READY), (0.01, ArmState.READY), (0.01, "want_tracking")]
+    [(0.0, b""), (0.0, ArmState.READY), (0.01, ArmState.READY), (0.01, "request_tracking")]
     + [(0.016, ArmState.TRACKING), (0.0, Pose(math.inf, 0.0, 0.0)), (0.0, Pose(0.0, 0.0, math.nan))] * 5
-    + [(0.0, ArmState.HOLD), (0.016, Pose(0.0, 0.0, math.inf)), (0.0, "want_stop"), (0.0, ArmState.READY)]
+    + [(0.0, ArmState.HOLD), (0.016, Pose(0.0, 0.0, math.inf)), (0.0, "request_stop"), (0.0, ArmState.READY)]
 )
 def test_host_survives_anything_and_always_moves_on(
     script: list[tuple[float, bytes | ArmState | str | Pose]],
@@ -266,7 +266,7 @@ def test_host_survives_anything_and_always_moves_on(
                 host.feed(encode_reply(answer), t)
             case str():
                 getattr(host, action)()
-                asked.add({"want_tracking": "G", "want_stop": "P", "request_reset": "R"}.get(action, "H"))
+                asked.add({"request_tracking": "G", "request_stop": "P", "request_reset": "R"}.get(action, "H"))
             case Pose():
                 target = action
         for line in far.feed(host.poll(t, target).data, t):

@@ -247,7 +247,7 @@ def armed_again_by_itself(monkeypatch):
     def bad(self, t, *, up):
         good(self, t, up=up)
         if self.state == "ready" and self._arming is None and t > 6.0 and not self._arm.host.busy:
-            self._arm.host.want_tracking()
+            self._arm.host.request_tracking()
             self._arming = supervisor._Wait(supervisor.Request("arm"), t + 1.0, ())
 
     monkeypatch.setattr(Supervisor, "settle", bad)

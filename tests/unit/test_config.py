@@ -210,9 +210,9 @@ def test_what_is_wrong_is_found_where_it_stands(section: dict[str, Any], name: s
 
 def test_a_hinge_that_the_actuator_does_not_drive_is_refused_in_one_sentence() -> None:
     ((_, text),) = faults(rig={"hinge": "fixed"})
-    assert "kind adept drives hinge: arc, but rig.hinge is fixed" in text
+    assert "kind adept needs hinge: arc, but rig.hinge is fixed" in text
     ((_, text),) = faults(arm={"port": "/dev/c", "kind": "dynamixel"})
-    assert "kind dynamixel drives hinge: fixed, but rig.hinge is arc" in text
+    assert "kind dynamixel needs hinge: fixed, but rig.hinge is arc" in text
 
 
 def test_kinds_are_told_when_one_is_not_known() -> None:
@@ -232,7 +232,7 @@ def test_play_makes_an_angle_less_sure() -> None:
 
 def test_two_servos_cannot_have_one_id() -> None:
     ((name, text),) = faults(arm={"port": "/dev/c", "kind": "dynamixel", "servo2": {"id": 1}})
-    assert (name, text) == ("arm.servo2", "Value error, id 1 is already that of servo1")
+    assert (name, text) == ("arm.servo2", "Value error, id 1 is already used by servo1")
 
 
 def test_the_kind_of_a_device_may_be_left_out_and_changes_no_hash() -> None:

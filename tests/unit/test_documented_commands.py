@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from palmd.cli import _asked_for
+from palmd.cli import _requested
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -50,7 +50,7 @@ def test_a_command_in_the_documentation_parses(page: str, words: str) -> None:
     code = None
     try:
         with redirect_stderr(said), redirect_stdout(io.StringIO()):
-            _asked_for(typed)
+            _requested(typed)
     except SystemExit as ended:
         code = ended.code
     assert code in (0, None), f"{page}: palmd {words}: {said.getvalue()}"

@@ -88,9 +88,9 @@ def test_without_the_programs_it_says_what_is_skipped(tmp_path, monkeypatch):
 def test_another_measure_is_taken_and_a_wrong_one_is_refused(tmp_path, capsys):
     assert kit.changed(["strip_length=73.5"]).strip_end == 76.0
     assert kit.main(["-o", str(tmp_path), "--set", "strip=3"]) == 1
-    assert "no measure is called 'strip'" in capsys.readouterr().err
+    assert "there is no dimension 'strip'" in capsys.readouterr().err
     assert kit.main(["-o", str(tmp_path), "--set", "strip_length=long"]) == 1
-    assert "is no number" in capsys.readouterr().err
+    assert "is not a number" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(shutil.which("openscad") is None, reason="openscad is not installed")

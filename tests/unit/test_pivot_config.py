@@ -49,13 +49,13 @@ def test_who_knows_two_palms_only_says_so():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("rig: {system: pivot, vertical: float}\n" + PADS, "a slide must be weighed, without the body"),
+        ("rig: {system: pivot, vertical: float}\n" + PADS, "a slide needs the mass of its carriage without the body"),
         (SLIDE.format("0.05, z_measured: false") + PADS, "rig.z_measured: without the pivot's height the body's mean"),
         (SLIDE.format("0.3") + PADS, "force_n is 2 N, but the carriage alone weighs 2.9 N"),
         ("rig: {system: pivot, carriage_mass_kg: 0.1}\n" + PADS, "only a slide has a carriage"),
-        ("rig: {system: pivot}\n" + PADS + "limits: {force_n: 9}\n", "the pad may tell no more than 2 N apart"),
+        ("rig: {system: pivot}\n" + PADS + "limits: {force_n: 9}\n", "the pad may measure no more than 2 N"),
         ("rig: {system: pivot}\n" + PADS + "limits: {x_mm: [9, 3]}\n", r"must be \[low, high\] with low < high"),
-        ("rig: {system: pivot}\npads: {palm1: {port: a}}\narm: {port: a}\n", "port a is already that of the pad"),
+        ("rig: {system: pivot}\npads: {palm1: {port: a}}\narm: {port: a}\n", "port a is already used by the pad"),
         ("rig: {system: pivot, hinge: arc}\n" + PADS, "rig.hinge: unknown key"),
         (
             "rig: {system: pivott}\n" + PADS,

@@ -26,7 +26,7 @@ OTHER = replace(TABLETOP, strip_start=3.0, strip_length=73.5, palm_length=88.0, 
 def usual_answers() -> dict[str, object]:
     answers: dict[str, object] = {}
     for key, prompt in questions(answers):
-        answers[key] = prompt.read(prompt.usual)
+        answers[key] = prompt.read(prompt.default)
     return answers
 
 

@@ -1,8 +1,8 @@
-"""The palms on an Adept arm: what the arm's gripper must hold, and a drawing of hinge and palms. Pure.
+"""Loads of the gripper of an Adept arm that holds palm 2, and a drawing of hinge and palms. Pure.
 
-Palm 1 is a link between the fixed hinge B and the hinge O, so that O passes the transverse part of its loads on to
-palm 2, which the gripper holds at E. What acts along palm 1 is taken for borne by B: of a rigid linkage statics leave
-it open, and an arm that is off along palm 1 adds to it.
+Palm 1 is a link between the fixed hinge B and the hinge O, so O transmits the transverse part of its loads to palm 2,
+which the gripper holds at E. Forces along palm 1 are assumed to be carried by B: in a rigid linkage, statics leave them
+undetermined, and a position error of the arm along palm 1 adds to them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tools.tabletop.loads import GRAVITY_M_S2, LARGEST_KG, LARGEST_RADIUS_MM, WI
 from tools.tabletop.svg import BODY, THIN, Point, View, document
 
 PALM_KG = 0.3
-"""Of a palm with its pad, an assumption: weigh yours."""
+"""Assumed mass of a palm with its pad: weigh yours."""
 PAD_MM = 55.5
 DRAWN_DEG = (45.0, 90.0)
 _STEP_DEG = 3
@@ -27,7 +27,7 @@ _STEP_DEG = 3
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """What the gripper holds at E in a pose: force (x, y in N), and moment about the plane's normal (N·m)."""
+    """Load of the gripper at E in a pose: force (x, y in N), and moment about the plane's normal (N·m)."""
 
     angles_deg: tuple[float, float]
     force: FloatArray
@@ -35,12 +35,12 @@ class Grip:
 
     @property
     def force_n(self) -> float:
-        """Its size."""
+        """Magnitude of the force (N)."""
         return float(np.hypot(*self.force))
 
 
 def grip(rig: RigConfig, angles_deg: tuple[float, float], radius_mm: float, mass_kg: float, palm_kg: float) -> Grip:
-    """At rest, a cylinder of that radius between the palms, gravity wholly in their plane."""
+    """Return the load at rest with a cylinder of that radius between the palms, gravity in their plane."""
     phi1, phi2 = map(math.radians, angles_deg)
     first, second = phi1, phi1 + phi2
     length1, length2 = (1e-3 * length for length in rig.palm_lengths_mm)
@@ -62,7 +62,7 @@ def grip(rig: RigConfig, angles_deg: tuple[float, float], radius_mm: float, mass
 
 
 def poses(limits: LimitsConfig, radius_mm: float) -> Iterator[tuple[float, float]]:
-    """Those in which the cylinder lies on both pads."""
+    """Yield the poses in which the cylinder lies on both pads."""
     (low1, high1), (low2, high2) = limits.angles_deg
     for phi1 in np.arange(low1, high1 + 1, _STEP_DEG):
         for phi2 in np.arange(low2, high2 + 1, _STEP_DEG):
@@ -71,7 +71,7 @@ def poses(limits: LimitsConfig, radius_mm: float) -> Iterator[tuple[float, float
 
 
 def worst(config: Config) -> tuple[Grip, Grip]:
-    """The largest force and the largest moment, with the largest object of the emulated rig."""
+    """Return the loads with the largest force and the largest moment, for the emulated rig's largest object."""
     found = [
         grip(config.rig, pose, LARGEST_RADIUS_MM, LARGEST_KG, PALM_KG)
         for pose in poses(config.limits, LARGEST_RADIUS_MM)
@@ -80,7 +80,7 @@ def worst(config: Config) -> tuple[Grip, Grip]:
 
 
 def drawing(config: Config) -> str:
-    """Hinge, palms and what the gripper holds."""
+    """Return the drawing of hinge and palms, with the gripper's loads."""
     view = View(330.0, 330.0, 2.2)
     first, second = math.radians(DRAWN_DEG[0]), math.radians(sum(DRAWN_DEG))
     lengths = config.rig.palm_lengths_mm

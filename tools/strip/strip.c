@@ -18,8 +18,8 @@ uint16_t strip_crc(const uint8_t *bytes, uint8_t count)
     return crc;
 }
 
-/* The contact joins the driven line, at v1 where it is not loaded, to the sense line, which the resistor R0 pulls down to
- * v2: its conductance is v2/(v1 - v2)/R0. */
+/* The contact connects the driven line (voltage v1) with the sense line, which the resistor R0 pulls down to v2: its
+ * conductance is v2/(v1 - v2)/R0. */
 uint16_t strip_force(uint16_t drive, uint16_t sense)
 {
     if (sense == 0)
@@ -43,7 +43,7 @@ uint8_t strip_take(struct strip *strip, struct strip_readings readings, uint32_t
     bool was_touched = strip->touched, first = !strip->begun;
 
     strip->touched = force >= (was_touched ? STRIP_OFF : STRIP_ON);
-    /* On a grid of its own; where samples have been missed they are not made up for. */
+    /* On a fixed grid; missed samples are skipped. */
     strip->sampled_us = first ? sampled_us + STRIP_TOUCHED_US : strip->sampled_us + STRIP_TOUCHED_US;
     if ((int32_t)(now_us - strip->sampled_us) >= 0)
         strip->sampled_us = now_us + STRIP_TOUCHED_US;

@@ -1,10 +1,10 @@
-/* The board's side, for anything that speaks Arduino: which pin does what, and nothing else.
+/* Board-dependent part of the firmware for Arduino: reading of the pins.
  *
- * The strip has two ends of its drive line and a sense line; R0 (10 kOhm) joins the sense line to PIN_LOAD.
- * Readings as in the maker's integration guide: position with both ends driven and the sense line free, force with one end
- * driven, the other read, and the sense line loaded by R0.
+ * The strip has a drive line with two ends and a sense line; R0 (10 kOhm) connects the sense line with PIN_LOAD.
+ * Readings as in the manufacturer's integration guide: position with both ends driven and the sense line open, force with
+ * one end driven, the other read, and the sense line loaded by R0.
  *
- * Inputs of 12 bits are read once for 12 bits. AVR boards have 10 bits: four readings added up count as 12.
+ * 12-bit inputs are read once. AVR boards have 10 bits: the sum of four readings is used as 12 bits.
  */
 #include "strip.h"
 
@@ -43,7 +43,7 @@ static uint16_t read12(int pin)
 static uint16_t position_sum()
 {
     discharge();
-    drive(PIN_END1, LOW); /* the end at the hinge: counts grow away from it */
+    drive(PIN_END1, LOW); /* the end at the hinge: counts increase away from it */
     drive(PIN_END2, HIGH);
     pinMode(PIN_LOAD, INPUT);
     pinMode(PIN_SENSE, INPUT);
@@ -85,5 +85,5 @@ void loop()
     uint8_t packet[STRIP_PACKET_BYTES];
     uint8_t count = strip_take(&strip, readings, sampled_us, micros(), packet);
     if (count && Serial.availableForWrite() >= count)
-        Serial.write(packet, count); /* else the host does not listen: the packet is lost, the next one is newer */
+        Serial.write(packet, count); /* else the host does not read: the packet is dropped */
 }

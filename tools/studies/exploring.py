@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd.config.plans import ExploreGoal
-from palmd.config.two_palms import Config, Drawn, rig_description
+from palmd.config.two_palms import Config, DrawnImperfections, rig_description
 from palmd.console.configured import configured
 from palmd.daemon.exploration_requests import Decider
 from palmd.events import FloatArray
@@ -48,7 +48,7 @@ class ExploringTask:
     seed: int
     strategy: Strategy
     seconds: float = 60.0
-    imperfections: Drawn = "none"
+    imperfections: DrawnImperfections = "none"
     config: Path | None = None
     """The rig's configuration with its imperfections; None: the default rig with `imperfections`."""
 

@@ -26,7 +26,7 @@ from palmd.cli import INTERRUPTED
 from palmd.console.arguments import count, seconds, seed
 from palmd.console.columns import aligned
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import drawing, missing, only_without
+from palmd.console.extras import drawing, missing, raise_if_other
 from palmd.console.progress import Progress
 from palmd.jsonvalues import or_none
 from tools.studies import runs
@@ -242,7 +242,7 @@ def _of_cluster(stack: ExitStack, address: str) -> Executor:
     try:
         return stack.enter_context(runs.cluster(address))
     except ModuleNotFoundError as error:
-        only_without("distributed", error)
+        raise_if_other("distributed", error)
         raise missing("--scheduler", "Dask", "studies") from None
     except (OSError, ValueError) as error:
         raise CliError(BAD_INPUT, f"no Dask scheduler at {address}: {error}") from None

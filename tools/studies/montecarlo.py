@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from palmd import observer
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray, ShapeEstimate
 from palmd.observer.reconstruct import reconstruct
 from palmd.observer.reconstruction import Reconstruction
@@ -51,7 +51,7 @@ class MonteCarloTask:
     seed: int
     seconds: float = 10.0
     live: bool = True
-    imperfections: Drawn = "none"
+    imperfections: DrawnImperfections = "none"
 
 
 @dataclass(frozen=True, slots=True)

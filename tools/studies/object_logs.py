@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmd.config.plans import ExploreGoal, ExploreSpec
-from palmd.config.two_palms import Drawn, PlanSpec, rig_description
+from palmd.config.two_palms import DrawnImperfections, PlanSpec, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.daemon.planner import read_plan
 from palmd.events import Event
@@ -101,7 +101,7 @@ class SharpTask:
     kind: str
     seed: int
     seconds: float = 20.0
-    imperfections: Drawn = "none"
+    imperfections: DrawnImperfections = "none"
     plan: PlanSpec | None = None
 
 
@@ -275,7 +275,7 @@ def recorded(
     plan: PlanSpec,
     seed: int,
     seconds: float,
-    imperfections: Drawn,
+    imperfections: DrawnImperfections,
     options: PlantOptions,
     surface: FrictionSurface | None = None,
 ) -> ObjectRecording:

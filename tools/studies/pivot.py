@@ -20,7 +20,7 @@ import numpy as np
 
 from palmd import pivot_messages as codec
 from palmd.config.pivot import PivotConfig, PivotPlanSpec
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.console.arguments import seconds, seconds_within
 from palmd.console.shipped import shipped
 from palmd.daemon.dragging import DragExploration
@@ -106,9 +106,13 @@ def run(task: PivotTask) -> PivotRow:
     score = score_outline(theta, h, marks == 1, np.array(truth["hP_m"]))
     mu_error = line["mu"] - truth["mu"]
     return replace(
-        row, e_m=score.e_h, sd_m=rms(h_sd[marks == 1]), mu_error=mu_error, mu_z=mu_error / line["mu_sd"],
+        row,
+        e_m=score.e_h,
+        sd_m=rms(h_sd[marks == 1]),
+        mu_error=mu_error,
+        mu_z=mu_error / line["mu_sd"],
         touched=score.touched,
-    )  # fmt: skip
+    )
 
 
 def draw(arguments: argparse.Namespace) -> Sequence[PivotTask]:
@@ -153,9 +157,9 @@ OFFLINE = Study(
 )  # fmt: skip
 
 
-LONGEST_S = 240.0  # limit of a run; explorations end earlier
-AFTER_S = 2.0  # from the end of an exploration to the end of its run, for the smoother's last results
-BEYOND = 3.0  # 1σ; an accepted estimate with a larger error is wrong
+LONGEST_S = 240.0  # of a run, whose exploration ends by itself before
+AFTER_S = 2.0  # that its end is waited for what the smoother still says
+BEYOND = 3.0  # one-sigmas, from which a claim is wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +170,7 @@ class LiveTask:
     """
 
     seed: int
-    rig: Drawn
+    rig: DrawnImperfections
     period_s: float
     vertical: Vertical = "rigid"
 
@@ -228,7 +232,7 @@ class LiveRow(LiveTask):
 
 def draw_live(arguments: argparse.Namespace) -> Sequence[LiveTask]:
     """One exploration for each seed."""
-    rig: Drawn = "none" if arguments.perfect else "calibrated"
+    rig: DrawnImperfections = "none" if arguments.perfect else "calibrated"
     vertical: Vertical = "float" if arguments.slide else "rigid"
     return [LiveTask(seed, rig, arguments.period, vertical) for seed in harness.seeds_of(arguments)]
 
@@ -261,7 +265,7 @@ def run_live(task: LiveTask) -> LiveRow:
     )
 
 
-def shipped_rig(rig: Drawn, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
+def shipped_rig(rig: DrawnImperfections, vertical: Vertical) -> tuple[PivotConfig, PivotPlanSpec]:
     """The shipped configuration with these imperfections, and its exploration plan."""
     path = shipped("pivot.yaml" if vertical == "rigid" else "slide.yaml")
     config = load_any_config(path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.record.eventlog import EventLog, read_log
 from palmd.rig.plant import FrictionSurface
 from palmd.rig.shapes import Body, Kind
@@ -21,7 +21,7 @@ def simulated(
     seed: int,
     seconds: float,
     body: Body | None = None,
-    imperfections: Drawn = "none",
+    imperfections: DrawnImperfections = "none",
     surface: FrictionSurface | None = None,
 ) -> tuple[EventLog, dict[str, Any]]:
     """The log, and the truth in the fields of a `*.truth.json`; the same arguments give the same run."""

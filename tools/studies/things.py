@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from palmd.config.plans import ExploreGoal
-from palmd.config.two_palms import Drawn, rig_description
+from palmd.config.two_palms import DrawnImperfections, rig_description
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.harness.scorer import Scorer
 from palmd.observer import Simulated, make
@@ -54,7 +54,7 @@ class ObjectTask:
     kind: str
     seed: int
     seconds: float = 15.0
-    imperfections: Drawn = "none"
+    imperfections: DrawnImperfections = "none"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""`python -m tools.tabletop`: see `kit`."""
+"""Entry point of `python -m tools.tabletop`; see `kit`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Where the parts of the tabletop rig are: the assembly as meshes, for any angles of the palms. Pure."""
+"""Assembly of the tabletop rig as meshes, for any angles of the palms, and its collision check. Pure."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from palmd.config.tabletop import Tabletop
 from tools.tabletop.mesh import Mesh, box, overlaps, turned
 
 PARTS = ("palm", "bracket", "base")
-"""What is printed."""
+"""The printed parts."""
 POSES_DEG = ((45.0, 135.0), (6.0, 41.0), (6.0, 161.0), (90.0, 125.0), (137.0, 172.0))
-"""Directions of both palms from the x axis: the middle, and the ends of what the default limits allow."""
+"""Directions of both palms from the x axis: the middle and the extremes of the default limits."""
 
 
 def assembled(geometry: Tabletop, parts: Mapping[str, Mesh], first_deg: float, second_deg: float) -> dict[str, Mesh]:
-    """Each part by its name, in the frame of the base plate (mm), with the palms in these directions."""
+    """Return the parts by name, in the frame of the base plate (mm), with the palms in these directions."""
     g, still, about = geometry, np.zeros(3), turned("z", 180.0)
     up = np.array([0.0, 0.0, g.axis_height])
     case = box(
@@ -37,7 +37,7 @@ def assembled(geometry: Tabletop, parts: Mapping[str, Mesh], first_deg: float, s
 
 
 def collisions(geometry: Tabletop, parts: Mapping[str, Mesh]) -> Iterator[str]:
-    """Every overlap of two parts in any of the poses."""
+    """Yield every overlap of two parts in any of the poses, as text."""
     for number, pose in enumerate(POSES_DEG):
         placed = assembled(geometry, parts, *pose)
         for one, other in combinations(placed, 2):

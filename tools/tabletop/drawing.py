@@ -1,4 +1,4 @@
-"""The tabletop rig as a drawing with dimensions, and the steps of its assembly as figures. Pure."""
+"""Drawing of the tabletop rig with dimensions, and figures of its assembly steps. Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from palmd.config.tabletop import Tabletop
 from tools.tabletop.svg import BODY, METAL, NEW, SERVO, STRIP, THIN, Point, View, document
 
 ANGLES_DEG = (45.0, 135.0)  # of the palms, from the world X axis
-OBJECT_MM = 20.0  # radius of the object that is drawn
+OBJECT_MM = 20.0  # radius of the drawn object
 
 
 def drawing(g: Tabletop) -> str:
-    """Front, side and one palm, with the dimensions in mm."""
+    """Return the drawing: front, side and one palm, with dimensions in mm."""
     scale = 2.6
     views = [
         View(scale * 95, scale * 92, scale),
@@ -27,7 +27,7 @@ def drawing(g: Tabletop) -> str:
 
 
 def _along(angle_deg: float, s: float, off: float) -> Point:
-    """A point s along a palm, `off` to the object's side of it; the object lies between the palms."""
+    """Return the point at s along a palm, at the distance `off` towards the object between the palms."""
     angle = math.radians(angle_deg)
     side = 1.0 if angle_deg < 90.0 else -1.0
     normal = (-math.sin(angle) * side, math.cos(angle) * side)
@@ -35,7 +35,7 @@ def _along(angle_deg: float, s: float, off: float) -> Point:
 
 
 def _front(g: Tabletop, view: View) -> None:
-    """Seen along the axis, as palmd sees it."""
+    """View along the axis, as in palmd's world frame."""
     low, half = -g.axis_height, g.base_length / 2
     wide = g.servo_width / 2 + g.bracket_side
     view.box(-half, half, low - g.base_thickness, low, BODY)
@@ -63,7 +63,7 @@ def _front(g: Tabletop, view: View) -> None:
 
 
 def _side(g: Tabletop, view: View) -> None:
-    """Seen across the axis, servo 1 (behind) on the right; palms upright."""
+    """View across the axis, servo 1 (behind) on the right; palms upright."""
     low = -g.axis_height
     view.box(-g.base_width / 2, g.base_width / 2, low - g.base_thickness, low, BODY)
     for way in (1, -1):
@@ -76,7 +76,7 @@ def _side(g: Tabletop, view: View) -> None:
 
 
 def _half(g: Tabletop, view: View, way: int, shift: float, new: Mapping[str, str]) -> None:
-    """A palm upright with its servo and bracket, `way` 1 for palm 1 and -1 for palm 2; `new` styles some parts."""
+    """An upright palm with servo and bracket, `way` 1 for palm 1 and -1 for palm 2; `new` has styles by part."""
 
     def at(y0: float, y1: float, z0: float, z1: float, part: str, style: str = BODY) -> None:
         ends = sorted((way * y0 + shift, way * y1 + shift))
@@ -102,7 +102,7 @@ def _half(g: Tabletop, view: View, way: int, shift: float, new: Mapping[str, str
 
 
 def _palm_from_side(g: Tabletop, view: View) -> None:
-    """One palm by itself: the strip's surface goes through the axis."""
+    """One palm; the strip's surface passes through the axis."""
     under = -g.surface - g.palm_thickness
     view.box(0.0, g.arm_length, -g.arm_depth, -g.surface, BODY)
     view.circle(0.0, 0.0, g.cheek_radius, BODY)
@@ -119,7 +119,7 @@ def _palm_from_side(g: Tabletop, view: View) -> None:
 
 
 def _palm_from_above(g: Tabletop, view: View) -> None:
-    """The same, onto the strip."""
+    """The same palm, seen onto the strip."""
     _plan(g, view, 1, 0.0, {"hidden": "servo"})
     half, tail = g.palm_width / 2, g.strip_end + g.strip_edge
     view.box(tail, tail + g.tail_slot, -g.tail_width / 2, g.tail_width / 2, 'fill="white" stroke="black"')
@@ -128,7 +128,7 @@ def _palm_from_above(g: Tabletop, view: View) -> None:
 
 
 def _plan(g: Tabletop, view: View, way: int, shift: float, new: Mapping[str, str]) -> None:
-    """A palm laid flat, seen onto the strip: palm 1 for `way` 1, palm 2 for -1, `shift` away from the axis."""
+    """A palm lying flat, seen onto the strip: palm 1 for `way` 1, palm 2 for -1, at `shift` from the axis."""
 
     def at(x0: float, x1: float, y0: float, y1: float, style: str) -> None:
         (x0, x1), (y0, y1) = sorted((way * (x0 + shift), way * (x1 + shift))), sorted((way * y0, way * y1))
@@ -160,7 +160,7 @@ STEPS = (
 
 
 def assembly(g: Tabletop) -> str:
-    """The steps; what is new is yellow. Seen across the axis, but the third from above, with the palms laid flat."""
+    """Return the assembly steps; new parts are yellow. Views across the axis; step 3 from above, palms lying flat."""
     scale, wide, high = 1.7, 190.0, 190.0
     views = [
         View(scale * wide * (number % 3 + 0.5), scale * (high * (number // 3) + 105.0), scale)

@@ -1,4 +1,4 @@
-"""The strip's firmware, built with what Debian has: for boards with an ATmega32U4, and its core for a Cortex-M0+."""
+"""Builds the strip's firmware with Debian's compilers: for boards with an ATmega32U4, and its core for a Cortex-M0+."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AVR_PACKAGES = "gcc-avr avr-libc arduino-core-avr"
 ARM_PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi"
 MCU = "atmega32u4"
 FLASH_BYTES = 28672
-"""What the bootloader leaves of the ATmega32U4's flash."""
+"""The ATmega32U4's flash without the bootloader."""
 
 _AVR = (
     f"-mmcu={MCU} -DF_CPU=16000000L -DARDUINO=10808 -DARDUINO_AVR_MICRO -DARDUINO_ARCH_AVR -DUSB_VID=0x2341"
@@ -23,16 +23,16 @@ _STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-Os", "-c
 
 
 class FirmwareError(Exception):
-    """A compiler found fault with the firmware."""
+    """The firmware does not compile or does not fit."""
 
 
 def build(folder: Path) -> dict[str, str]:
-    """By file, that it was built into the folder or why it was skipped; raises FirmwareError for a faulty source."""
+    """Build into the folder; return the outcome by file: built, or why it was skipped. Raises FirmwareError."""
     return {"strip-atmega32u4.hex": _hex(folder), "strip-cortex-m0plus.o": _core(folder)}
 
 
 def _hex(folder: Path) -> str:
-    """The whole firmware for an Arduino Micro or Leonardo, as avrdude takes it."""
+    """Build the complete firmware for an Arduino Micro or Leonardo, as a HEX file for avrdude."""
     if shutil.which("avr-g++") is None or not ARDUINO.is_dir():
         return f"skipped: no AVR compiler or Arduino core (apt-get install {AVR_PACKAGES})"
     core, work = ARDUINO / "cores/arduino", folder / "objects"
@@ -59,16 +59,16 @@ def _hex(folder: Path) -> str:
 
 
 def _core(folder: Path) -> str:
-    """The part that knows no board, strictly, for the processor of an RP2040 or SAMD21."""
+    """Compile the board-independent part with strict warnings for the processor of an RP2040 or SAMD21."""
     if shutil.which("arm-none-eabi-gcc") is None:
         return f"skipped: no ARM compiler (apt-get install {ARM_PACKAGES})"
     target = folder / "strip-cortex-m0plus.o"
     _run("arm-none-eabi-gcc", "-mcpu=cortex-m0plus", "-mthumb", *_STRICT, str(FIRMWARE / "strip.c"), "-o", str(target))
-    return "built: the core alone; the board's own tools build strip.ino round it"
+    return "built: only the core; build strip.ino with the board's tools"
 
 
 def flash_bytes(path: Path) -> int:
-    """How many bytes an Intel HEX file fills; raises ValueError for a record whose checksum is wrong."""
+    """Return the number of data bytes in an Intel HEX file; raises ValueError for a wrong checksum."""
     total = 0
     for line in path.read_text(encoding="ascii").splitlines():
         record = bytes.fromhex(line.removeprefix(":"))

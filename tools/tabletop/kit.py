@@ -1,4 +1,4 @@
-"""Everything that is needed to build the tabletop rig, written into one folder and checked: `make kit`."""
+"""Writes and checks all files for building the tabletop rig, into one folder: `make kit`."""
 
 from __future__ import annotations
 
@@ -30,30 +30,30 @@ TEXTS: dict[str, Callable[[Tabletop], str]] = {
     "parts.csv": lambda _geometry: as_csv(parts_list()),
     "rig.xml": mjcf,
 }
-"""Files that need no other program."""
+"""Files that are written without other programs."""
 
 
 class KitError(Exception):
-    """The geometry cannot be built, or a part is not as it must be."""
+    """The geometry cannot be built, or a part fails its checks."""
 
 
 def changed(settings: list[str]) -> Tabletop:
-    """The geometry with some measures set, each `NAME=MM`; raises KitError for a name or value that is none."""
+    """Return the geometry with changed dimensions `NAME=MM`; raises KitError for an invalid name or value."""
     names = {field.name for field in fields(Tabletop)}
     values = {}
     for setting in settings:
         name, _, text = setting.partition("=")
         if name not in names:
-            raise KitError(f"--set {setting}: no measure is called {name!r}; they are in src/palmd/config/tabletop.py")
+            raise KitError(f"--set {setting}: there is no dimension {name!r}; see src/palmd/config/tabletop.py")
         try:
             values[name] = float(text)
         except ValueError:
-            raise KitError(f"--set {setting}: {text!r} is no number; write {name}=MM") from None
+            raise KitError(f"--set {setting}: {text!r} is not a number; write {name}=MM") from None
     return replace(TABLETOP, **values)
 
 
 def make(folder: Path, geometry: Tabletop) -> list[str]:
-    """Writes into the folder; one line a file, or why it was skipped. Raises KitError and FirmwareError."""
+    """Write all files; return one line per file with its outcome. Raises KitError and FirmwareError."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in TEXTS.items():
         (folder / name).write_text(text(geometry), encoding="utf-8")
@@ -64,7 +64,7 @@ def make(folder: Path, geometry: Tabletop) -> list[str]:
 
 
 def printed(folder: Path, geometry: Tabletop) -> list[str]:
-    """The printed parts as STL and 3MF, checked."""
+    """Write and check the printed parts as STL and 3MF."""
     if shutil.which("openscad") is None:
         return ["STL and 3MF: skipped: no openscad (apt-get install openscad); parts are not checked"]
     shutil.copy(PROGRAM, folder)
@@ -99,10 +99,10 @@ def _openscad(program: Path, setting: str, target: Path) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Exit status 1 for a geometry that cannot be built."""
+    """Run `make kit`; return 1 for a geometry that cannot be built."""
     parser = argparse.ArgumentParser(prog="make kit", description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, metavar="FOLDER", help="default: %(default)s")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=MM", help="another measure of the geometry")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=MM", help="change a dimension")
     chosen = parser.parse_args(arguments)
     try:
         lines = make(chosen.output, changed(chosen.set))

@@ -1,4 +1,4 @@
-"""Triangle meshes of the printed parts: STL files read, and checked for what a printer and an assembly need. Pure."""
+"""Triangle meshes of the printed parts: reading of STL files, and checks for printing and assembly. Pure."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 _SAME_MM = 1e-4
-_RAY = np.array([0.0137, 0.0291])  # mm: rays beside the grid on which edges lie
+_RAY = np.array([0.0137, 0.0291])  # mm: offset of rays from the grid on which edges lie
 
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """`triangles` (n, 3 corners, 3 coordinates) in mm, counted counterclockwise from outside."""
+    """`triangles` (n, 3 corners, 3 coordinates) in mm, counterclockwise seen from outside."""
 
     triangles: Array
 
     @property
     def size(self) -> Array:
-        """Of the bounding box (mm)."""
+        """Size of the bounding box (mm)."""
         corners = self.triangles.reshape(-1, 3)
         extent: Array = corners.max(axis=0) - corners.min(axis=0)
         return extent
 
     @property
     def volume(self) -> float:
-        """In mm³; positive where the triangles face outwards."""
+        """Volume in mm³; positive if the triangles face outwards."""
         a, b, c = self.triangles.transpose(1, 0, 2)
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
     def moved(self, turn: Array, shift: Array) -> Mesh:
-        """After the rotation matrix `turn` and the translation `shift` (mm)."""
+        """Return the mesh rotated by the matrix `turn` and translated by `shift` (mm)."""
         return Mesh(self.triangles @ turn.T + shift)
 
 
 def turned(axis: str, angle_deg: float) -> Array:
-    """The rotation matrix about `y` (from z to x) or `z` (from x to y)."""
+    """Return the rotation matrix about `y` (from z to x) or `z` (from x to y)."""
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     rows = {"y": [[c, 0, s], [0, 1, 0], [-s, 0, c]], "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}
     return np.array(rows[axis], dtype=float)
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Mesh:
-    """A closed box between two corners (mm)."""
+    """Return a closed box between two corners (mm)."""
     faces = ((0, 2, 6, 4), (1, 5, 7, 3), (0, 4, 5, 1), (2, 3, 7, 6), (0, 1, 3, 2), (4, 6, 7, 5))
     ends = np.array([low, high])
     corners = np.array([[ends[i >> 2 & 1, 0], ends[i >> 1 & 1, 1], ends[i & 1, 2]] for i in range(8)])
@@ -58,7 +58,7 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Me
 
 
 def read_stl(path: Path) -> Mesh:
-    """A binary or text STL file; raises ValueError for anything else."""
+    """Read a binary or text STL file; raises ValueError for other files."""
     data = path.read_bytes()
     if len(data) >= 84 and len(data) == 84 + 50 * struct.unpack_from("<I", data, 80)[0]:
         records = np.frombuffer(data, dtype=np.dtype([("v", "<f4", (4, 3)), ("a", "<u2")]), offset=84)
@@ -70,7 +70,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def open_edges(mesh: Mesh) -> int:
-    """How many edges are not shared by exactly two triangles that run along them in opposite ways; 0: watertight."""
+    """Count the edges that are not shared by exactly two triangles in opposite directions; 0: watertight."""
     keys = [tuple(corner) for corner in np.round(mesh.triangles.reshape(-1, 3) / _SAME_MM).astype(np.int64).tolist()]
     ways: Counter[tuple[tuple[int, ...], tuple[int, ...]]] = Counter()
     for i in range(0, len(keys), 3):
@@ -80,12 +80,12 @@ def open_edges(mesh: Mesh) -> int:
 
 
 def fits(mesh: Mesh, bed_mm: float) -> bool:
-    """Whether its box is within a cube of the bed's side."""
+    """Whether the bounding box fits into a cube of the bed's side."""
     return bool(np.all(mesh.size <= bed_mm))
 
 
 def surface_points(mesh: Mesh, spacing_mm: float, depth_mm: float) -> Array:
-    """Points over the whole surface, `spacing_mm` apart at most, each `depth_mm` below it."""
+    """Return points over the whole surface, at most `spacing_mm` apart, each `depth_mm` below it."""
     found = []
     for a, b, c in mesh.triangles:
         normal = np.cross(b - a, c - a)
@@ -101,7 +101,7 @@ def surface_points(mesh: Mesh, spacing_mm: float, depth_mm: float) -> Array:
 
 
 def inside(mesh: Mesh, points: Array) -> npt.NDArray[np.bool_]:
-    """Which points lie within a closed mesh: a ray upwards from each crosses it an odd number of times."""
+    """Return which points are inside a closed mesh: an upward ray from each crosses it an odd number of times."""
     corners = mesh.triangles.reshape(-1, 3)
     within = np.all((points >= corners.min(axis=0)) & (points <= corners.max(axis=0)), axis=1)
     result = np.zeros(len(points), dtype=np.bool_)
@@ -126,7 +126,7 @@ def inside(mesh: Mesh, points: Array) -> npt.NDArray[np.bool_]:
 
 
 def overlaps(one: Mesh, other: Mesh, *, spacing_mm: float = 1.0, depth_mm: float = 0.05) -> bool:
-    """Whether a part of one's surface lies more than `depth_mm` within the other, or the other way round."""
+    """Whether a part of either surface is more than `depth_mm` inside the other mesh."""
     for a, b in ((one, other), (other, one)):
         near = _reaching(a, b)
         if len(near.triangles) and inside(b, surface_points(near, spacing_mm, depth_mm)).any():
@@ -135,7 +135,7 @@ def overlaps(one: Mesh, other: Mesh, *, spacing_mm: float = 1.0, depth_mm: float
 
 
 def _reaching(one: Mesh, other: Mesh) -> Mesh:
-    """The triangles of the one whose boxes meet the box of the other."""
+    """Return the triangles of `one` whose bounding boxes intersect that of `other`."""
     corners = other.triangles.reshape(-1, 3)
     low, high = one.triangles.min(axis=1), one.triangles.max(axis=1)
     return Mesh(one.triangles[np.all((high >= corners.min(axis=0)) & (low <= corners.max(axis=0)), axis=1)])

@@ -1,4 +1,4 @@
-"""The tabletop rig as a MuJoCo model (MJCF), for simulators outside palmd. Pure.
+"""MuJoCo model (MJCF) of the tabletop rig, for other simulators. Pure.
 
 World frame as palmd's: x to the right, y up, the axis along z; SI units. The object is a cylinder that moves in the
 plane of the palms. Each palm has a hinge, a position actuator and a touch sensor over the strip's active length.
@@ -21,7 +21,7 @@ STIFFNESS_NM_RAD = 20.0
 
 
 def mjcf(geometry: Tabletop) -> str:
-    """The model's XML."""
+    """Return the XML of the model."""
     g = geometry
     height = 1e-3 * (g.axis_height + g.base_thickness / 2)
     base = _size(g.base_length, g.base_thickness, g.base_width)
@@ -67,7 +67,7 @@ def mjcf(geometry: Tabletop) -> str:
 
 
 def _palm(g: Tabletop, number: int, direction_deg: float) -> str:
-    """A palm along x at joint angle 0; the object lies above the first and below the second, which turns over."""
+    """A palm along x at joint angle 0; the object is above palm 1 and below palm 2, which is upside down at 0."""
     side = 1.0 if direction_deg < 90.0 else -1.0
     thick = g.palm_thickness + g.surface
     plate = _box((g.palm_start, g.palm_length), side * -thick, g.palm_width)
@@ -83,7 +83,7 @@ def _palm(g: Tabletop, number: int, direction_deg: float) -> str:
 
 
 def _box(x: tuple[float, float], depth: float, width: float, sunk: float = 0.0) -> str:
-    """Position and size of a box between the palm's surface (from `sunk`) and `depth` mm off it; `{z}` is left open."""
+    """Position and size of a box between `sunk` and `depth` mm from the palm's surface; `{z}` is a placeholder."""
     middle = 0.5e-3 * (x[0] + x[1]), 1e-3 * sunk + 0.5e-3 * depth
     size = _size(x[1] - x[0], abs(depth), width)
     return f'pos="{middle[0]:.6g} {middle[1]:.6g} {{z:.6g}}" size="{size}"'

@@ -1,4 +1,4 @@
-// The printed parts of the tabletop rig and their assembly. Lengths in mm; every measure is in parameters.scad, which
+// The printed parts of the tabletop rig and their assembly. Lengths in mm; all dimensions are in parameters.scad, which
 // tools/tabletop/parameters.py writes from src/palmd/config/tabletop.py. x lies along a palm, y along the axis, z is up.
 // One part: openscad -D 'part="palm"' -o palm.stl palmd-tabletop.scad   (palm, bracket, base, all)
 include <parameters.scad>
@@ -7,16 +7,16 @@ part = "all";
 angle1 = 45;   // of palm 1 in the assembly, degrees from the x axis
 angle2 = 135;  // of palm 2
 $fn = 64;
-e = 0.01;      // by which a cut goes beyond a face
+e = 0.01;      // overlap of a cut beyond a face
 
 assert(arm_start > eye_radius + clearance, "an arm would hit the other palm's eye");
-assert(palm_start > pin / 2, "the pins are put in from between the palms");
+assert(palm_start > pin / 2, "the pins are inserted from between the palms");
 assert(foot_length < servo_depth, "the foot must lie below the servo");
 
 module along_axis(y0, y1) { translate([0, y1, 0]) rotate([90, 0, 0]) linear_extrude(y1 - y0) children(); }
 module block(x0, x1, y0, y1, z0, z1) { translate([x0, y0, z0]) cube([x1 - x0, y1 - y0, z1 - z0]); }
 
-// Palm 1: the horn's cheek at +y, the eye with the bearing at -y. Palm 2 is the same part, turned about the vertical.
+// Palm 1: the horn's cheek at +y, the eye with the bearing at -y. Palm 2 is the same part, rotated about the vertical.
 module palm() {
     half = palm_width / 2;
     plate_low = -surface - palm_thickness;
@@ -39,7 +39,7 @@ module palm() {
             along_axis(cheek_start - e, cheek_end + e) circle(d = horn_screw);
             along_axis(cheek_start - e, cheek_start + horn_head_depth) circle(d = horn_head);
         }
-        // the strip's leads, a cable tie and a rubber band
+        // openings for the strip's leads, a cable tie and a rubber band
         tail = strip_end + strip_edge;
         block(tail, tail + tail_slot, -tail_width / 2, tail_width / 2, plate_low - e, -surface + e);
         for (y = [-half / 2, half / 2]) translate([palm_length - 4, y, plate_low - e])

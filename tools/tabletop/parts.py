@@ -1,4 +1,4 @@
-"""The tabletop rig's bill of materials: read from parts.yaml, written as a page and as CSV. Pure but for reading."""
+"""Bill of materials of the tabletop rig: read from parts.yaml, written as a page and as CSV."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tools.tabletop import loads
 
 SOURCE = Path(__file__).with_name("parts.yaml")
 STALL_NM = 1.4
-"""Of the weakest servo in the list, an XL430-W250 at 11.1 V."""
+"""Stall torque of the weakest servo in the list, an XL430-W250 at 11.1 V."""
 COLUMNS = ("part", "quantity", "choice", "maker", "number", "specification", "price_usd", "note", "source")
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One thing that may be bought: a maker's number from a source, or a specification."""
+    """One product: a manufacturer's number with its source, or a specification."""
 
     specification: str = ""
     maker: str = ""
@@ -34,13 +34,13 @@ class Choice:
     note: str = ""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a number without a source, and for neither number nor specification."""
+        """Raise ValueError for a number without a source, and for neither number nor specification."""
         if bool(self.number) == bool(self.specification) or (self.number and not (self.maker and self.source)):
-            raise ValueError(f"needs a maker's number with its source, or a specification: {self}")
+            raise ValueError(f"needs a manufacturer's number with its source, or a specification: {self}")
 
     @property
     def words(self) -> str:
-        """As it stands in the table."""
+        """Text in the table."""
         name = f"{self.maker} {self.number}" if self.number else self.specification
         price = f", about {self.price_usd:.0f} US$" if self.price_usd is not None else ""
         return name + price + (f" ({self.note})" if self.note else "")
@@ -48,7 +48,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What is needed, how many, and what may be bought for it."""
+    """A part, its quantity, and suitable products."""
 
     name: str
     quantity: int
@@ -58,7 +58,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class PartsList:
-    """All parts; `sources` by their names, read in the month `read`."""
+    """All parts; `sources` by name, read in the month `read`."""
 
     read: str
     sources: Mapping[str, str]
@@ -66,7 +66,7 @@ class PartsList:
 
 
 def parts_list(path: Path = SOURCE) -> PartsList:
-    """The list; raises ValueError, KeyError or TypeError for a file that is not in order."""
+    """Read the list; raises ValueError, KeyError or TypeError for an invalid file."""
     raw: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     parts = tuple(
         Part(
@@ -76,12 +76,12 @@ def parts_list(path: Path = SOURCE) -> PartsList:
     )
     unknown = {choice.source for part in parts for choice in part.choices if choice.source} - raw["sources"].keys()
     if unknown:
-        raise ValueError(f"{path}: no source is called {', '.join(sorted(unknown))}")
+        raise ValueError(f"{path}: unknown source {', '.join(sorted(unknown))}")
     return PartsList(raw["read"], raw["sources"], parts)
 
 
 def as_csv(found: PartsList) -> str:
-    """A row for each choice."""
+    """Return the list as CSV, one row per product."""
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
     rows.writerow(COLUMNS)
@@ -95,7 +95,7 @@ def as_csv(found: PartsList) -> str:
 
 
 def page() -> str:
-    """docs/start/parts.md."""
+    """Return the text of docs/start/parts.md."""
     found = parts_list()
     rows = [
         (str(part.quantity or "–"), part.name, "<br>or ".join(choice.words for choice in part.choices), part.note)
@@ -128,9 +128,9 @@ def _loads(g: Tabletop) -> dict[str, str]:
 
 _PAGE = """# Parts of the tabletop rig
 
-`make kit` writes this list as `build/kit/parts.csv`. Prices are approximate, of one piece, as the makers' pages
-stood when they were read ({read}); parts without a price were not looked up. No such rig has been built yet:
-measure each part before you print.
+`make kit` writes this list as `build/kit/parts.csv`. Prices are approximate, for one piece, from the manufacturers'
+pages of {read}; parts without a price were not looked up. No such rig has been built yet: measure each part before
+you print.
 
 | | part | what to buy | what matters |
 | --- | --- | --- | --- |
@@ -138,8 +138,8 @@ measure each part before you print.
 
 ## The strip's length
 
-The drawing is for an active length of {active:g} mm. Interlink's strip is cut at 1, 2 or 3 inch, which leaves other
-active lengths. Cut it, measure where it begins and stops to sense, and have parts and configuration follow:
+The drawing is for an active length of {active:g} mm. Interlink's strip is cut at 1, 2 or 3 inch, which gives other
+active lengths. Cut it, measure where its active area begins and ends, and adapt parts and configuration:
 
 <!-- not run: takes a minute and OpenSCAD; tests/unit/test_kit.py makes and checks the parts -->
 ```sh
@@ -153,7 +153,7 @@ palmd init my.yaml
 | --- | --- |
 {loads}
 
-`tools/tabletop/loads.py` has the formulas; the tests hold the limits.
+`tools/tabletop/loads.py` has the formulas; the tests check the limits.
 
 ## Sources
 

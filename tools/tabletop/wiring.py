@@ -1,4 +1,4 @@
-"""The tabletop rig's wiring as a diagram. Pure."""
+"""Wiring diagram of the tabletop rig. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STRIP_PINS = (("A0", "drive line, end at the hinge"), ("A1", "sense line"), ("A2
 
 
 def wiring() -> str:
-    """Host, adapter, supply, servos, boards and strips."""
+    """Return the diagram: host, adapter, supply, servos, boards and strips."""
     view = View(10.0, 420.0, 1.0)
 
     def box(x: float, y: float, words: str, below: str = "", style: str = BODY, width: float = 130.0) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from palmd.config.pads import PadConfig
-from palmd.devices.pad import straight_mm
+from palmd.devices.pad import linear_mm
 from palmd.events import Event, FloatArray, PadSample, PalmSample
 from palmd.model.arcs import contacts_on_arcs
 from palmd.motion.limits import PHI12_MAX, MotionLimits
@@ -32,7 +32,7 @@ from palmd.motion.segments import PEAK_ACCELERATION, PEAK_RATE, Angles
 from palmd.system.arcs import FLAT, MOST_LYING, opening_at, tangents
 from palmd.system.mechanism import PALMS
 
-PAD_MARGIN_M = 5e-3  # distance kept from the pads' ends, as large as the error of the zero may be
+PAD_MARGIN_M = 5e-3  # so much of a pad's end is left alone: its zero may be that far off
 MIN_TRAVEL_M = 0.010
 SLOW_RAD_S = math.radians(10.0)
 BRISK_RAD_S = math.radians(40.0)
@@ -40,16 +40,16 @@ MAX_AGE_S = 0.05
 """A reading is used if the other pad and the arm have reported within this time."""
 
 _LIMIT_SHARE = 0.5  # of the configured rate and acceleration that the plans use at most
-_LIMIT_MARGIN = math.radians(1.0)  # distance of the poses from the limits
+_LIMIT_MARGIN = math.radians(1.0)  # that the poses keep from the limits
 _MIN_TIP = math.radians(20.0)
 _TIPS = 4
-_MIN_WEIGHT_SHARE = 0.15  # of the weight on each palm
+_MIN_WEIGHT_SHARE = 0.15  # of the weight that either palm must bear
 _OPENINGS = (math.radians(70.0), math.radians(90.0), math.radians(110.0))
 _HOLD_S = 1.0
-_FINE = 256  # grid of openings from which those of the tangents are interpolated
+_FINE = 256  # openings among which those of the tangents are sought
 _MIN_MOVE_S = 0.6
-_OUTLIER_LIMIT = 6.0  # scaled median absolute deviations
-_MAX_ROUNDING_ERROR = 0.02  # counts; larger means that the readings were made with another configuration
+_OUTLIER_LIMIT = 6.0  # scaled median deviations
+_MAX_ROUNDING_ERROR = 0.02  # what undoing the configuration may leave beyond whole counts
 
 
 class CylinderError(ValueError):
@@ -255,7 +255,7 @@ def _readings(
     is_fresh = (_nearest(own[:, 0], other) <= MAX_AGE_S) & (_nearest(own[:, 0], palms[:, 0]) <= MAX_AGE_S)
     t, s, force = own[is_fresh].T
     counts, straight = (
-        config.sign * (s_mm - config.zero_mm) * config.counts_per_mm for s_mm in (straight_mm(config, s * 1e3), s * 1e3)
+        config.sign * (s_mm - config.zero_mm) * config.counts_per_mm for s_mm in (linear_mm(config, s * 1e3), s * 1e3)
     )
     pressure = force / config.newtons_per_count
     if (

@@ -12,7 +12,7 @@ from palmd import __version__
 from palmd.config.any_config import config_hash
 from palmd.config.fields import Strict
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.folders import nearest, takes_files
+from palmd.console.folders import is_writable_folder, nearest
 
 
 def provenance(section: Strict) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def writable(folder: Path) -> Path:
         raise not_written(folder, error) from None
     if not there.is_dir():
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: {there} is no folder")
-    if not takes_files(there):
+    if not is_writable_folder(there):
         raise CliError(BAD_INPUT, f"{folder}: cannot be written: no permission")
     return folder
 

@@ -169,8 +169,8 @@ def _listen(name: str, config: PadConfig, pad: PadDriver, seconds: float) -> lis
 
 
 def _silence(name: str, config: PadConfig, pad: PadDriver) -> str:
-    if pad.complaint is not None:
-        return f"{name}: {pad.complaint}"
+    if pad.diagnosis is not None:
+        return f"{name}: {pad.diagnosis}"
     return (
         f"{name}: no report within {FIRST_TOUCH_S:.0f} s: nobody has touched the pad, or {config.port} is not its port"
     )

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from palmd.config.pads import PadConfig
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, place_mm
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, counts_to_mm
 from palmd.events import FloatArray
 
 WINDOW = 10
@@ -190,7 +190,7 @@ def packet_time_s(gaps: FloatArray, config: PadConfig) -> float:
 def position_mm(counts: FloatArray, axis: Axis, config: PadConfig) -> FloatArray:
     """Distance from the hinge for the configured axis, else from the pad's own zero (mm)."""
     if axis == config.axis:
-        return np.array([place_mm(config, each) for each in counts.tolist()])
+        return np.array([counts_to_mm(config, each) for each in counts.tolist()])
     return counts / config.counts_per_mm
 
 

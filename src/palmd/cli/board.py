@@ -1,4 +1,4 @@
-"""What a daemon has said last, and a screenful of it. Pure."""
+"""The last messages of a daemon, formatted for a terminal. Pure."""
 
 from __future__ import annotations
 
@@ -16,47 +16,47 @@ from palmd.system.mechanism import ENDS, JOINTS, PALMS
 
 Style = Literal["plain", "title", "good", "bad", "warning", "faint"]
 
-_CELLS = 3  # a row
-_LOGGED = 4  # entries of the log, the latest first: of these the last find room last
+_CELLS = 3  # per row
+_LOGGED = 4  # log entries, newest first
 _INDENT = 10
 _RATE_OVER_S = 3.0
-_MOST_COUNTED = 1000
+_MAX_TIMES = 1000
 _SHORT = {"omega0": "w0", "mass": "m", "com_x": "x", "com_y": "y"}
 _TRUST = {"nis": "nis", "observability": "obs"}
-_PASSING = ("bytes", "packets", "lines", "acks", "setpoints", "bytes_read", "bytes_written", "opens")
+_TRAFFIC_COUNTERS = ("bytes", "packets", "lines", "acks", "setpoints", "bytes_read", "bytes_written", "opens")
 _STATE_STYLES: dict[str, Style] = {"tracking": "good", "hold": "warning", "fault": "bad"}
 _SEVERITY_STYLES: dict[str, Style] = {"stop": "bad", "hold": "bad", "degrade": "warning", "note": "faint"}
 
 
 @dataclass(frozen=True, slots=True)
 class BoardRow:
-    """One line of text, and how to show it."""
+    """One line of text with its style."""
 
     text: str
     style: Style = "plain"
 
 
 class Board:
-    """The last message of each topic, and how often they come."""
+    """The last message and the rate of each topic."""
 
     def __init__(self, address: str) -> None:
-        """`address` is where they come from."""
+        """`address` is that of the publisher."""
         self.address = address
         self._last: dict[str, Message] = {}
         self._times: dict[str, deque[float]] = {}
 
     @property
     def heard(self) -> bool:
-        """Whether anything has come at all."""
+        """Whether any message has arrived."""
         return bool(self._last)
 
     def take(self, message: Message) -> None:
-        """One message."""
+        """Process one message."""
         self._last[message.topic] = message
-        self._times.setdefault(message.topic, deque(maxlen=_MOST_COUNTED)).append(message.t_recv)
+        self._times.setdefault(message.topic, deque(maxlen=_MAX_TIMES)).append(message.t_recv)
 
     def channels(self, t: float) -> list[tuple[str, float, float]]:
-        """Of every topic heard: its name, its messages a second (NaN before two), its age (s), at t (s)."""
+        """Return name, rate (1/s, NaN before two messages) and age (s) of every topic, at t (s)."""
         return [(name, self._rate(name, t), t - message.t_recv) for name, message in sorted(self._last.items())]
 
     def _rate(self, name: str, t: float) -> float:
@@ -64,30 +64,30 @@ class Board:
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else math.nan
 
     def fields(self, topic: Topic) -> Mapping[str, Any]:
-        """The last message of a topic, empty before the first."""
+        """Return the last message of a topic, empty before the first."""
         message = self._last.get(topic.name)
         return {} if message is None else message.fields
 
     def age(self, topic: Topic, t: float) -> float:
-        """How long ago (s) it came, at t (s, monotonic clock); infinite before the first."""
+        """Return the age (s) of a topic's last message at t (s, monotonic clock); infinite before the first."""
         message = self._last.get(topic.name)
         return math.inf if message is None else t - message.t_recv
 
     def silence(self, t: float) -> float:
-        """How long (s) nothing at all has come."""
+        """Return the age (s) of the newest message of all topics."""
         return min((t - message.t_recv for message in self._last.values()), default=math.inf)
 
 
 def frame(board: Board, t: float) -> list[BoardRow]:
-    """Everything there is to see at t (s, monotonic clock)."""
+    """Return all rows at t (s, monotonic clock)."""
     if not board.heard:
-        return [BoardRow(f"no data from {board.address}: is a palmd running there?", "warning")]
+        return [BoardRow(f"no data from {board.address}: check that palmd runs there", "warning")]
     rows = [_head(board)]
     silence = board.silence(t)
     if silence > LOOP.stale_s:
-        rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; what follows is old", "bad"))
+        rows.append(BoardRow(f"no data from {board.address} for {silence:.0f} s; the following data are old", "bad"))
     rows += _faults(board)
-    rows += [BoardRow(f"  rig     {said}", "warning") for said in board.fields(RIG).get("off", ())]
+    rows += [BoardRow(f"  rig     {contradiction}", "warning") for contradiction in board.fields(RIG).get("off", ())]
     for topic, block in (
         (ESTIMATE, estimate),
         (CONTACT, _contact),
@@ -106,7 +106,7 @@ def frame(board: Board, t: float) -> list[BoardRow]:
 
 
 def fitted(rows: Sequence[BoardRow], columns: int, lines: int) -> list[BoardRow]:
-    """The rows for a terminal of this size: long ones go on below, and of too many first the blank and the faint go."""
+    """Fit the rows to a terminal of this size: wrap long rows; if there are too many, drop blank, then faint ones."""
     shown = [BoardRow(part, row.style) for row in rows for part in _wrapped(row.text, columns)]
     for spare in (lambda row: not row.text, lambda row: row.style == "faint"):
         for index in reversed(range(len(shown))):
@@ -140,14 +140,14 @@ def _faults(board: Board) -> Iterator[BoardRow]:
 
 
 def _titled(title: str, old: str, rows: Iterable[BoardRow]) -> Iterator[BoardRow]:
-    """The block with its title in front of the first row, and how old it is behind."""
+    """Yield a block with its title in front of the first row and its age behind it."""
     for number, row in enumerate(rows):
         text = f"{'' if number else title:{_INDENT}}{row.text}{'' if number else old}"
         yield BoardRow(text, "bad" if old else row.style)
 
 
 def estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
-    """What is known of the object, how far it can be trusted, and its numbers with their one-sigma."""
+    """Yield rows of an estimate: validity and consistency, then its values with their standard deviations."""
     valid = bool(e.get("valid"))
     word = "valid" if valid else "not valid"
     trust = ", ".join(f"{word} {_shown(e, ESTIMATE[name])}" for name, word in _TRUST.items())
@@ -161,7 +161,7 @@ def estimate(e: Mapping[str, Any]) -> Iterator[BoardRow]:
 
 
 def status_lines(result: Mapping[str, Any]) -> list[str]:
-    """Where two palms stand, and what is known of the object, as a status tells it."""
+    """Return the palms' angles and the estimate from a status reply, as text lines."""
     angles = [f"{joint} {math.degrees(result[f'{joint}_rad']):.1f}°" for joint in JOINTS if f"{joint}_rad" in result]
     lines = [f"angles  {', '.join(angles)}"] if angles else []
     rows = estimate(result["estimate"]) if "estimate" in result else ()
@@ -169,10 +169,10 @@ def status_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def _values(e: Mapping[str, Any]) -> Iterator[str]:
-    """What of an estimate is shown at a glance, with its one-sigma, in rows of equal cells."""
-    told, sds = (e, e.get("sd") or {}) if e.get("valid") else ({}, {})  # what is not valid has no numbers
+    """Yield the main values of an estimate with their standard deviations, in rows of equal cells."""
+    values, sds = (e, e.get("sd") or {}) if e.get("valid") else ({}, {})  # no numbers while invalid
     yield from _in_columns(22, [
-        f"{_SHORT.get(quantity.source, quantity.source):4}{_shown(told, quantity):>7}"
+        f"{_SHORT.get(quantity.source, quantity.source):4}{_shown(values, quantity):>7}"
         f" ±{_shown(sds, quantity)} {quantity.shown.unit}"
         for quantity in ESTIMATE.quantities
         if quantity.glance
@@ -217,18 +217,18 @@ def _loop(fields: Mapping[str, Any]) -> Iterator[BoardRow]:
         shown = (f"{q.symbol} {_shown(fields, q):>6} {q.shown.unit}" for q in drawn(LOOP, chart=name))
         yield BoardRow(f"{name:10}{'  '.join(shown)}")
     for port in ENDS:
-        yield from _troubles(port, fields)
+        yield from _error_counters(port, fields)
 
 
 def _log(fields: Mapping[str, Any], age_s: float) -> Iterator[BoardRow]:
-    """The last entries; `age_s` is how long ago the message came."""
+    """Yield the last log entries; `age_s` is the age of the message."""
     t = fields["mono_ns"] * 1e-9 + age_s
     for entry in reversed(entries_of(fields)[-_LOGGED:]):
         yield BoardRow(f"{ago(t - entry.t_s)}  {entry.line}", _SEVERITY_STYLES.get(entry.severity, "faint"))
 
 
 def ago(seconds: float) -> str:
-    """How long ago something was, in a few letters of equal length."""
+    """Format an age as text of constant length."""
     for most, unit_s, unit in ((100.0, 1.0, "s"), (6000.0, 60.0, "min")):
         if seconds < most:
             return f"{seconds / unit_s:5.1f} {unit:3} ago"
@@ -236,7 +236,7 @@ def ago(seconds: float) -> str:
 
 
 def _channels(board: Board, t: float) -> Iterator[BoardRow]:
-    """How often each topic comes, and how long ago it came last."""
+    """Yield rate and age of each topic."""
     channels = [(name.removeprefix("palm/"), rate, age) for name, rate, age in board.channels(t)]
     widest = max((len(name) for name, _, _ in channels), default=0)
     cells = [f"{name:{widest}}{_number(rate, 1.0, 0):>4}/s{_age(age):>7}" for name, rate, age in channels]
@@ -245,7 +245,7 @@ def _channels(board: Board, t: float) -> Iterator[BoardRow]:
 
 
 def _in_columns(least: int, cells: Sequence[str]) -> Iterator[str]:
-    """Rows of `_CELLS` cells, two spaces apart, each as wide as the widest of its column and `least`."""
+    """Yield rows of `_CELLS` cells, two spaces apart, each as wide as its column and at least `least`."""
     rows = [cells[first : first + _CELLS] for first in range(0, len(cells), _CELLS)]
     widths = [max(least, *map(len, cells[column::_CELLS])) for column in range(min(_CELLS, len(cells)))]
     for row in rows:
@@ -253,27 +253,29 @@ def _in_columns(least: int, cells: Sequence[str]) -> Iterator[str]:
 
 
 def _age(seconds: float) -> str:
-    """In few letters."""
+    """Format a short age."""
     return f"{max(seconds, 0.0) * 1e3:.0f} ms" if seconds < 1.0 else f"{seconds:.0f} s"
 
 
-def _troubles(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:
-    """What has gone wrong on a port since the start, by cause: its counters but for those of normal traffic."""
+def _error_counters(port: str, fields: Mapping[str, Any]) -> Iterator[BoardRow]:
+    """Yield a port's nonzero error counters since the start: all counters except those of normal traffic."""
     counters = {
         name.removeprefix(f"{port}_").removeprefix("port_"): n for name, n in fields.items() if f"{port}_" in name
     }
-    causes = [f"{name} {n}" for name, n in counters.items() if isinstance(n, int) and n and name not in _PASSING]
+    causes = [
+        f"{name} {n}" for name, n in counters.items() if isinstance(n, int) and n and name not in _TRAFFIC_COUNTERS
+    ]
     if causes:
         yield BoardRow(f"{port:10}{', '.join(causes)}", "faint")
 
 
 def _shown(fields: Mapping[str, Any], quantity: Quantity) -> str:
-    """A quantity's value among the fields, or a dash for none."""
+    """Format a quantity's value among the fields; a dash if there is none."""
     return _number(fields.get(quantity.name), quantity.shown.factor, quantity.shown.digits)
 
 
 def _number(value: Any, scale: float, digits: int) -> str:
-    """The value times scale, or a dash for none."""
+    """Format the value times scale; a dash if there is none."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return "–"
     return f"{value * scale:.{digits}f}"

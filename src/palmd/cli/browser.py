@@ -1,4 +1,4 @@
-"""The person's browser."""
+"""Opens the user's browser."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ import webbrowser
 
 
 def open_page(url: str) -> None:
-    """Show a page where there is a screen; a browser in the terminal would take the terminal away."""
+    """Open a page if there is a display; a text browser would occupy the terminal."""
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(url)

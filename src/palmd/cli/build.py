@@ -1,4 +1,4 @@
-"""Compiles the observers into the cache, so that the first run need not; without a compiler it says so."""
+"""Compiles the observers into the cache before the first run; reports if there is no compiler."""
 
 from __future__ import annotations
 
@@ -33,93 +33,95 @@ _BACKENDS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument(
         "config",
         type=Path,
         nargs="?",
         metavar="CONFIG",
-        help="what a run with this configuration needs, and no more (default: what any rig with flat palms needs)",
+        help="compile only what a run with this configuration needs (default: what any rig with flat palms needs)",
     )
     parser.add_argument(
         "--all",
         action="store_true",
-        help="what other systems need too: curved palms, flat sides, a pivoting grasp, three palms in space",
+        help="also compile what other systems need: curved palms, flat sides, a pivoting grasp, three palms in space",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Makes each set of kernels once; takes seconds for what is not in the cache yet."""
+    """Compile each set of kernels once; takes seconds for each that is not in the cache yet."""
     compiled.forget_failures()
     if arguments.config is not None and not arguments.all:
         parts = needed_by(any_configured(arguments.config))
     else:
         systems = LIVE if arguments.all else (TWO_PALMS,)
         usual = [each for name in systems for each in load_part(LIVE[name].kernels)(None)]
-        parts = [*(_other_forms() if arguments.all else ()), *usual, *_beside()]  # those that last go first
-    for what, backend, seconds in side_by_side(parts):
+        parts = [*(_other_forms() if arguments.all else ()), *usual, *_common_parts()]  # longest first
+    for what, backend, seconds in compile_parallel(parts):
         print(f"{what}: {_BACKENDS[backend]}, {seconds:.1f} s", flush=True)
     return 0
 
 
 def needed_by(config: AnyConfig) -> list[Part]:
-    """What the processes of a run with this configuration load."""
+    """Return the parts that the processes of a run with this configuration load."""
     parts: list[Part] = load_part(LIVE[config.system].kernels)(config)
     return parts
 
 
-def made_ready(config: AnyConfig, tell: Callable[[str], None]) -> None:
-    """Make what a run needs before its processes start, each of which would else compile; tell if it lasts."""
-    for _ in side_by_side(needed_by(config), lambda: tell("compiling what these palms need, once; it takes a minute")):
+def prepare_kernels(config: AnyConfig, report: Callable[[str], None]) -> None:
+    """Compile what a run needs before its processes start, which would else compile it each; report long waits."""
+    for _ in compile_parallel(needed_by(config), lambda: report("compiling the observers, once; this takes a minute")):
         pass
 
 
-def side_by_side(parts: Iterable[Part], lasts: Callable[[], None] | None = None) -> Iterator[tuple[str, str, float]]:
-    """Make parts, as many at once as there are processors: what each is, how it runs, and seconds, as it is done.
+def compile_parallel(
+    parts: Iterable[Part], on_wait: Callable[[], None] | None = None
+) -> Iterator[tuple[str, str, float]]:
+    """Compile parts in parallel, one per processor; yield name, backend and duration (s) of each as it is finished.
 
-    `lasts` is called, once, when none has been for a while. Each part is made in a forked process, as CasADi is not
-    safe among threads; what several of them warn of is said once. Raises what making one raised, CliError when its
-    process was killed; the others end first.
+    `on_wait` is called once if none is finished for a while. Each part is compiled in a forked process, since CasADi is
+    not thread-safe; warnings common to several are logged once. Raises the exception of a part, CliError if its process
+    was killed; the others finish first.
     """
-    waiting, running, said = deque(parts), dict[Connection, tuple[str, float]](), set[str]()
+    waiting, running, logged = deque(parts), dict[Connection, tuple[str, float]](), set[str]()
     while waiting or running:
         while waiting and len(running) < len(os.sched_getaffinity(0)):
             what, make = waiting.popleft()
-            running[_begun(make)] = what, time.monotonic()
-        done = wait(running, _PATIENCE_S if lasts else None)
-        if lasts and not done:
-            lasts()
-            lasts = None
+            running[_start(make)] = what, time.monotonic()
+        done = wait(running, _PATIENCE_S if on_wait else None)
+        if on_wait and not done:
+            on_wait()
+            on_wait = None
         for connection in [each for each in running if each in done]:
-            what, begun = running.pop(connection)
+            what, t_start = running.pop(connection)
             try:
                 made, warnings, fault = connection.recv()
             except EOFError:
-                advice = "for want of memory most often: make fewer at once with `taskset -c 0 palmd doctor build`"
-                made, warnings, fault = CliError(RIG_FAILED, f"{what}: what compiled it was killed, {advice}"), [], None
+                advice = "most often for lack of memory: compile fewer at once with `taskset -c 0 palmd doctor build`"
+                made, warnings, fault = CliError(RIG_FAILED, f"{what}: its compiler was killed, {advice}"), [], None
             for warning in warnings:
                 reason = fault or warning.partition(": ")[2] or warning
-                if reason not in said:
-                    said.add(reason)
+                if reason not in logged:
+                    logged.add(reason)
                     log.warning("%s", warning)
             if fault is not None:
                 os.environ[compiler.FAULT] = fault
             if isinstance(made, Exception):
                 raise made
-            yield what, made, time.monotonic() - begun
+            yield what, made, time.monotonic() - t_start
 
 
-def _begun(make: Callable[[], str]) -> Connection:
-    """A process that makes a part: from there comes how it runs, or what was raised."""
+def _start(make: Callable[[], str]) -> Connection:
+    """Start a process that compiles a part; the connection receives its backend or its exception."""
     forked = multiprocessing.get_context("fork")
     ours, theirs = forked.Pipe(duplex=False)
-    forked.Process(target=_make, args=(make, theirs)).start()  # ends by itself, and tidily, on Ctrl-C
+    forked.Process(target=_make, args=(make, theirs)).start()  # ends cleanly on Ctrl-C
     theirs.close()
     return ours
 
 
 class _Warnings(logging.Handler):
-    """Keeps what is logged: whoever started this process says it, once for all that it starts."""
+    """Collects log messages, which the parent process logs once for all its children."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -129,7 +131,7 @@ class _Warnings(logging.Handler):
         self.texts.append(record.getMessage())
 
 
-def _make(make: Callable[[], str], told: Connection) -> None:
+def _make(make: Callable[[], str], result: Connection) -> None:
     warnings = _Warnings()
     compiled.log.addHandler(warnings)
     compiled.log.propagate = False
@@ -138,12 +140,12 @@ def _make(make: Callable[[], str], told: Connection) -> None:
     except Exception as error:
         made = error
     except KeyboardInterrupt:
-        return  # the parent has been interrupted too, and says so
-    with suppress(BrokenPipeError):  # whoever asked is gone
-        told.send((made, warnings.texts, os.environ.get(compiler.FAULT)))
+        return  # the parent is interrupted too, and reports it
+    with suppress(BrokenPipeError):  # the parent has ended
+        result.send((made, warnings.texts, os.environ.get(compiler.FAULT)))
 
 
-def _beside() -> list[Part]:
+def _common_parts() -> list[Part]:
     from palmd.record import jsontext
     from palmd.rig import compiled_plant
 
@@ -156,5 +158,5 @@ def _other_forms() -> list[Part]:
     return [
         ("flat sides", lambda: sharp.library().backend),
         ("a flat side", lambda: sharp.library_for(1).backend),
-        *(part for part in of_palms(curved=True) if part[0] != "smoother's equations"),  # flat ones have made them
+        *(part for part in of_palms(curved=True) if part[0] != "smoother's equations"),  # compiled with the flat ones
     ]

@@ -1,7 +1,7 @@
 """Packs a recorded run for a bug report: one zip with run, configuration, versions and doctor's findings.
 
-Secrets are removed: passwords, tokens and keys in the texts, and the names of home folders. Look through it all the
-same before it is published: the recording itself is packed as it is.
+Passwords, tokens, keys and names of home folders are removed from the texts. Check the bundle before you publish it:
+the recording itself is packed unchanged.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 from palmd import __version__
-from palmd.console.configured import usual
+from palmd.console.configured import default_path
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.redaction import redacted
 from palmd.record import is_recording
@@ -25,21 +25,19 @@ RUN_BYTES_MOST = 1 << 31
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recording (MCAP) or an event log")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the configuration (default: that of the recording)"
-    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration (default: from the recording)")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="default: RUN's name with .zip, here")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints what is in it; CliError for a run that cannot be read and a file that cannot be written."""
+    """Write the bundle and print its contents; CliError if the run cannot be read or the file not written."""
     path: Path = arguments.run
     output = arguments.output or Path(f"{path.stem}.zip")
     try:
         if path.stat().st_size > RUN_BYTES_MOST:
-            raise CliError(BAD_INPUT, f"{path}: larger than {RUN_BYTES_MOST >> 30} GB: cut out the part that matters")
+            raise CliError(BAD_INPUT, f"{path}: larger than {RUN_BYTES_MOST >> 30} GB: cut out the relevant part")
         recording = path.read_bytes()
         if not is_recording(path) and not recording.lstrip().startswith(b"{"):
             raise CliError(BAD_INPUT, f"{path}: is neither a recording (.mcap) nor an event log (.jsonl)")
@@ -63,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def versions() -> str:
-    """palmd, Python, the machine and every package that is installed, a line each."""
+    """Versions of palmd, Python, the platform and every installed package, one per line."""
     packages = sorted({f"{each.metadata['Name']} {each.version}" for each in distributions()}, key=str.lower)
     return "\n".join(
         [f"palmd {__version__}", f"Python {platform.python_version()}", platform.platform(), *packages, ""]
@@ -71,7 +69,7 @@ def versions() -> str:
 
 
 def _of_run(path: Path) -> dict[str, str]:
-    """What the recording says of its configuration and its versions; nothing for an event log."""
+    """Configuration and metadata of a recording, by file name; empty for an event log."""
     from palmd.record import RunError
     from palmd.record.metadata import CONFIG
     from palmd.record.run import read_any_run
@@ -88,16 +86,16 @@ def _of_run(path: Path) -> dict[str, str]:
 
 
 def _findings(config: Path | None) -> str:
-    """What `palmd doctor` says, its standard output as it stands."""
+    """The output of `palmd doctor`."""
     from palmd.doctor.findings import examine_all
 
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         try:
-            examine_all(usual(config))
+            examine_all(default_path(config))
         except CliError as error:
-            print(error, file=said)
-    return said.getvalue()
+            print(error, file=output)
+    return output.getvalue()
 
 
 def _read(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Compares a reconstruction with a camera's track of the same run: clock and frame by fit, then the errors."""
+"""Compares a reconstruction with a camera's track of the same run; clock offset and frame are fitted."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import json
 import sys
 from pathlib import Path
 
-from palmd.cli.logs import opened, read
+from palmd.cli.logs import open_output, read
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
+from palmd.console.extras import missing, raise_if_other
 from palmd.events import PalmSample
 from palmd.jsonvalues import or_none
 from palmd.outlinefile import Outline, OutlineError, read_outline
@@ -22,25 +22,25 @@ from palmd.report.ground_truth_report import as_line, told
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     add = parser.add_argument
     add("result", type=Path, metavar="RESULT.json", help="as written by palmd reconstruct")
     add("track", type=Path, metavar="TRACK.csv",
-        help=f"columns {','.join((TIME, *OBJECT))}, and {','.join(ANGLES)} where they are seen")  # fmt: skip
-    add("--log", type=Path, metavar="LOG", help="event log or recording of the run: places are compared too")
+        help=f"columns {','.join((TIME, *OBJECT))}, and {','.join(ANGLES)} if they are visible")  # fmt: skip
+    add("--log", type=Path, metavar="LOG", help="event log or recording of the run, to compare positions too")
     add("--outline", type=Path, metavar="FILE", help="the object's true outline (.json, .csv)")
-    add("-o", "--output", type=Path, metavar="REPORT.json", help="everything found, as JSON; - for standard output")
+    add("-o", "--output", type=Path, metavar="REPORT.json", help="write all results as JSON; - for standard output")
     add("--figure", type=Path, metavar="FILE.svg", help="outline and orientation, after figure 3.15 of the paper")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before the comparison is there; CliError when it cannot be made."""
+    """Compare first, then write the outputs; CliError if the comparison fails."""
     inputs = [
         path for path in (arguments.result, arguments.track, arguments.log, arguments.outline) if path is not None
     ]
     for output in (arguments.output, arguments.figure):
         if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in inputs):
-            raise CliError(BAD_INPUT, f"{output}: is read here; write to another file")
+            raise CliError(BAD_INPUT, f"{output}: is an input; write to another file")
     if arguments.figure is not None and arguments.figure.suffix != ".svg":
         raise CliError(BAD_INPUT, f"{arguments.figure}: the figure is an SVG; name it .svg")
     try:
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         log = read(arguments.log)
         rig, palms = log.rig, [event for event in log.events if isinstance(event, PalmSample)]
         if not palms:
-            raise CliError(BAD_INPUT, f"{arguments.log}: tells no palm angles")
+            raise CliError(BAD_INPUT, f"{arguments.log}: has no palm angles")
     try:
         found = compared(result, motion_of(result, rig, palms), track, outline)
     except GroundTruthError as error:
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.figure is not None:
         _draw(result, found, outline, arguments.figure)
     if arguments.output is not None:
-        with opened(arguments.output, arguments.result) as stream:
+        with open_output(arguments.output, arguments.result) as stream:
             stream.write(json.dumps(or_none(as_line(found)), allow_nan=False) + "\n")
     print("\n".join(told(found)), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
     return 0
@@ -71,7 +71,7 @@ def _draw(result: Result, found: CameraComparison, outline: Outline | None, path
     try:
         from palmd.report import ground_truth_figure
     except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
+        raise_if_other("matplotlib", error)
         raise missing("--figure", "matplotlib", "report") from None
     try:
         ground_truth_figure.save(result, found, outline, path)

@@ -1,7 +1,8 @@
-"""The first recording of a rig, guided: checks it, calibrates the pads, records objects, and bundles it all.
+"""Guided first recording of a rig: checks it, calibrates the pads, records objects, and bundles the results.
 
-It runs the daemon and the recorder itself. Each prompt says what to do, and what to do when it fails; Enter takes what
-stands in brackets. A hand at the emergency stop. `palmd reconstruct BUNDLE` compares the estimates with the calipers.
+It runs the daemon and the recorder itself. Each prompt says what to do, and what to do if it fails; Enter accepts the
+value in brackets. Keep a hand at the emergency stop. `palmd reconstruct BUNDLE` compares the estimates with the caliper
+measurements.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ import yaml
 from palmd.calibration import pads as pads_calibration
 from palmd.calibration import standoff as standoff_calibration
 from palmd.calibration.cylinder_session import progress_line, wait_for_touch, wait_until_removed
-from palmd.cli.build import made_ready
+from palmd.cli.build import prepare_kernels
 from palmd.cli.capture_bundle import Bundle, with_pads
-from palmd.cli.init import Prompt, asked, number, one_of
+from palmd.cli.init import Prompt, ask, number, one_of
 from palmd.config.any_config import BusConfig
 from palmd.config.two_palms import Config
 from palmd.console.arguments import count, seed
-from palmd.console.configured import configured, usual
+from palmd.console.configured import configured, default_path
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.shipped import shipped
 from palmd.doctor.findings import daemon, findings
@@ -47,59 +48,61 @@ Found = TypeVar("Found")
 
 OBJECTS = 3
 CALIPERS_SD_MM = 0.05
-"""One-sigma of a width between the jaws, the object's own tilt included."""
+"""Standard deviation of a width measured by calipers, including the object's tilt."""
 EMULATED_SD_MM = 0.001
-"""Of what the emulated rig says of its objects."""
+"""Standard deviation assigned to the emulated rig's true widths."""
 CYLINDERS = ((48.0, 150.0), (30.0, 60.0))
-"""The emulated rig's: diameter (mm) and mass (g)."""
+"""Diameter (mm) and mass (g) of the emulated rig's cylinders."""
 READY_S = 60.0
 PACKED_S = 300.0
 ATTEMPTS = 3
-"""Of a step where nobody can be asked."""
+"""Attempts at a step on the emulated rig."""
 YES_OR_NO = one_of({"yes": "", "no": ""})
 _OURS = ("configuration", "plan", "pad", "arm")
-"""Findings of `palmd doctor` that must be in order; the others slow palmd down at most."""
+"""Findings of `palmd doctor` that must be ok; others at most slow palmd down."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     add = parser.add_argument
     add("config", nargs="?", type=Path, metavar="CONFIG", help="the rig's configuration (default: the installed one)")
     add("-o", "--output", type=Path, metavar="BUNDLE", help="a new folder (default: capture-DATE-TIME here)")
-    add("--plan", type=Path, metavar="PLAN", help="how the palms move for each object (default: the configuration's)")
-    add("--objects", type=count, default=OBJECTS, metavar="N", help="how many to record (default: %(default)s)")
-    add("--zip", action="store_true", help="pack the bundle into BUNDLE.zip too, to share it")
+    add("--plan", type=Path, metavar="PLAN", help="motion plan for each object (default: the configuration's)")
+    add(
+        "--objects", type=count, default=OBJECTS, metavar="N", help="number of objects to record (default: %(default)s)"
+    )
+    add("--zip", action="store_true", help="also pack the bundle into BUNDLE.zip")
     add("--emulated", action="store_true",
-        help="on an emulated rig, which answers by itself; its truth is taken for calipers")  # fmt: skip
-    add("--seed", type=seed, default=0, metavar="N", help="of the emulated rig (default: %(default)s)")
+        help="use an emulated rig, which answers the prompts; its truth replaces the calipers")  # fmt: skip
+    add("--seed", type=seed, default=0, metavar="N", help="seed of the emulated rig (default: %(default)s)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Leaves a bundle; CliError when the input is wrong, the rig fails, or somebody gives up."""
-    begun = time.monotonic()
+    """Create a bundle; CliError if the input is wrong, the rig fails, or the user gives up."""
+    t_start = time.monotonic()
     config = configured(shipped("tabletop.yaml") if arguments.emulated and not arguments.config
-                        else usual(arguments.config))  # fmt: skip
+                        else default_path(arguments.config))  # fmt: skip
     plan = _plan(arguments.plan or config.plan, config)
     bundle = Bundle(arguments.output or Path(f"capture-{datetime.datetime.now():%Y%m%d-%H%M%S}"))
-    made_ready(config, _say)
+    prepare_kernels(config, _print)
     alone = config.model_copy(update={"bus": BusConfig()})
     with (
         tempfile.TemporaryDirectory(prefix="palmd-capture-") as folder,
-        Stack(Path(folder), alone, notify=_say) as stack,
+        Stack(Path(folder), alone, notify=_print) as stack,
     ):
         guide = Guide(stack, alone, plan, bundle, arguments.seed if arguments.emulated else None)
         guide.check(config)
         guide.calibrate()
         rows = [guide.record(number) for number in range(1, arguments.objects + 1)]
     bundle.finish(guide.config, plan, rows, emulated=arguments.emulated)
-    _say(f"took {(time.monotonic() - begun) / 60.0:.1f} min")
-    _say(f"next: palmd reconstruct {bundle.folder} -o {bundle.folder}/result.json")
+    _print(f"took {(time.monotonic() - t_start) / 60.0:.1f} min")
+    _print(f"next: palmd reconstruct {bundle.folder} -o {bundle.folder}/result.json")
     print(bundle.pack() if arguments.zip else bundle.folder)
     return 0
 
 
 def _plan(path: Path | None, config: Config) -> Path:
-    """A plan that ends within the limits; CliError for another."""
+    """Return the plan, which must end and be within the limits; else CliError."""
     if path is None:
         raise CliError(BAD_INPUT, "the configuration names no plan: give one with --plan")
     try:
@@ -112,7 +115,7 @@ def _plan(path: Path | None, config: Config) -> Path:
 
 
 class Guide:
-    """Goes through the steps with whoever is at the rig, or with an emulated one, which has a `seed`."""
+    """Executes the steps with the user at the rig, or on an emulated rig, which has a `seed`."""
 
     def __init__(self, stack: Stack, config: Config, plan: Path, bundle: Bundle, seed: int | None) -> None:
         self.config = config
@@ -127,27 +130,27 @@ class Guide:
     # -- steps ------------------------------------------------------------------------------------------------
 
     def check(self, own: Config) -> None:
-        """What `palmd doctor` finds, kept in the bundle; `own` says where a daemon of the rig's would answer."""
-        _say("Step 1: check. Nothing moves.")
+        """Run `palmd doctor` and store its findings; `own` has the address of a daemon that may already run."""
+        _print("Step 1: check. Nothing moves.")
         if not self._emulated and daemon(own) is not None:
-            raise CliError(RIG_FAILED, "a palmd daemon runs already: stop it first (sudo systemctl stop palmd)")
+            raise CliError(RIG_FAILED, "a palmd daemon is already running: stop it first (sudo systemctl stop palmd)")
         each = [f"--cylinder={diameter_mm / 2:g},{mass_g:g}" for diameter_mm, mass_g in CYLINDERS]
         self._begin_rig(*each)
-        self._until_done(self._examine, "mend what is named; each line says how")
+        self._retry(self._examine, "fix the findings; each line says how")
 
     def calibrate(self) -> None:
-        """Both pads by one cylinder or two; from then on the daemon runs with what they have shown."""
-        _say("Step 2: calibrate the pads with cylinders. The palms move: hands off, one at the emergency stop.")
+        """Calibrate both pads with one or two cylinders and restart the daemon with the results."""
+        _print("Step 2: calibrate the pads with cylinders. The palms move: hands off, one hand at the emergency stop.")
         first, second = (f"{diameter_mm:g}" for diameter_mm, _ in CYLINDERS)
-        diameter_mm = self._ask("The cylinder's diameter in mm, by a micrometer", first, number(2, 200))
+        diameter_mm = self._ask("The cylinder's diameter in mm, measured by a micrometer", first, number(2, 200))
         other_mm = self._ask(
-            "A second one's diameter, different by a third or more, or none: then the pads' height over the hinge line"
-            " stays unknown", second if self._emulated else "none", _number_or("none", 2, 200),
+            "Diameter of a second cylinder, different by a third or more, or none: then the pads' height over the hinge"
+            " line stays unknown", second if self._emulated else "none", _number_or("none", 2, 200),
         )  # fmt: skip
         self._begin_daemon()
         arguments = argparse.Namespace(
             config=self._stack.path, radius_mm=diameter_mm / 2, second_radius_mm=other_mm / 2, key=None, curve=False,
-            output=self._bundle.calibration, resumes=self._goes_on,
+            output=self._bundle.calibration, resumes=self._confirm_resume,
         )  # fmt: skip
 
         def calibrated() -> None:
@@ -158,10 +161,10 @@ class Guide:
                 else:
                     standoff_calibration.measure(arguments, partial(self._exchanged, arguments))
 
-        self._until_done(calibrated, "wipe cylinder and pads, lay the cylinder across both, and let nothing else touch")
+        self._retry(calibrated, "clean cylinder and pads, lay the cylinder across both, and remove everything else")
         name = "pads.yaml" if math.isnan(other_mm) else standoff_calibration.FILE
         self.config = with_pads(self.config, _read(self._bundle.calibration / name)["configuration"])
-        _say("Taken over: there is nothing to write by hand.")
+        _print("The results are used from now on; nothing has to be written by hand.")
         if not self._emulated:
             there = self.config.model_copy(update={"bus": self._stack.bus})
             wait_until_removed(arguments, there, "the last cylinder")
@@ -175,22 +178,22 @@ class Guide:
             wait_until_removed(arguments, config, cylinder)
 
     def record(self, index: int) -> Measured:
-        """One object on the palms for the plan, then between calipers."""
-        _say(f"Step {2 + index}: object {index}. The palms move: hands off, one at the emergency stop.")
+        """Record one object during the plan, then ask for its caliper measurements."""
+        _print(f"Step {2 + index}: object {index}. The palms move: hands off, one hand at the emergency stop.")
         name = self._ask("Its name, one word", f"object-{index}", _word)
         mend = "put the object back across both pads; a lighter or rounder one, or a slower plan, is easier"
-        within = self._bundle.take_run(self._until_done(lambda: self._recorded(name), mend), f"{index}-{name}")
+        within = self._bundle.take_run(self._retry(lambda: self._recorded(name), mend), f"{index}-{name}")
         return self._measured(name, within)
 
     def _measured(self, name: str, path: str) -> Measured:
         if self._emulated:
             largest, smallest = extremes_mm(self._body["h_m"])
             return Measured(name, path, "", largest, smallest, EMULATED_SD_MM, self._body["mass_kg"] * 1e3)
-        _say(f"Take {name} out. Turn it between the jaws of the calipers, in the plane in which it moved.")
+        _print(f"Remove {name}. Turn it between the jaws of the calipers, in the plane in which it moved.")
         largest = self._ask("Its largest width in mm", "", number(1, 300))
         smallest = self._ask("Its smallest width in mm", "", number(1, largest))
         mass_g = self._ask("Its mass in g, or unknown", "unknown", _number_or("unknown", 0.1, 5000))
-        photo = self._ask("A photo of it, a ruler beside it: the file's name in photos/", f"{name}.jpg")
+        photo = self._ask("File name in photos/ of a photo with a ruler beside it", f"{name}.jpg")
         return Measured(name, path, photo, largest, smallest, CALIPERS_SD_MM, mass_g)
 
     # -- the rig ----------------------------------------------------------------------------------------------
@@ -203,9 +206,9 @@ class Guide:
     def _examine(self) -> None:
         found = list(findings(self._stack.path))
         lines = [finding.line() for finding in found]
-        _say("\n".join(lines))
+        _print("\n".join(lines))
         self._bundle.note_findings(lines)
-        grave = [each for each in found if each.what.startswith(_OURS) and each.verdict in ("missing", "off")]
+        grave = [each for each in found if each.what.startswith(_OURS) and each.verdict in ("missing", "mismatch")]
         if grave:
             raise CliError(RIG_FAILED, "\n".join(each.line() for each in grave))
 
@@ -215,7 +218,7 @@ class Guide:
             raise not_started(self._stack.children["daemon"])
 
     def _until_ready(self) -> None:
-        """The arm may be armed; what a fault has left is reset. CliError after `READY_S`."""
+        """Wait for state ready; resets faults. CliError after `READY_S`."""
         t_end = time.monotonic() + READY_S
         while time.monotonic() < t_end:
             status = self._stack.client.ask("status").get("result") or {}
@@ -223,10 +226,10 @@ class Guide:
                 return
             self._stack.client.ask("reset" if status.get("state") == "fault" else "stop")
             time.sleep(0.5)
-        raise CliError(RIG_FAILED, f"not ready within {READY_S:g} s: palmd doctor tells what is wrong")
+        raise CliError(RIG_FAILED, f"not ready within {READY_S:g} s: run palmd doctor to find the cause")
 
     def _recorded(self, name: str) -> Path:
-        """The recording of one run of the plan."""
+        """Run the plan once and return its recording."""
         self._until_ready()
         stack = self._stack
         if self._emulated:
@@ -238,7 +241,7 @@ class Guide:
                 wait_for_touch(stack.subscriber, stack.bus.publish, stop, name)
                 operation = PlanRun(
                     stack.client, self._listen, lambda _status, seconds: f"ended after {seconds:.0f} s",
-                    resumes=self._goes_on,
+                    resumes=self._confirm_resume,
                 )  # fmt: skip
                 operation.begin(self._plan)
                 try:
@@ -261,26 +264,26 @@ class Guide:
     # -- the terminal -----------------------------------------------------------------------------------------
 
     def _ask(self, text: str, default: str, read: Callable[[str], Any] = str) -> Any:
-        return read(default) if self._emulated else asked(Prompt(text, default, read), "capture")
+        return read(default) if self._emulated else ask(Prompt(text, default, read), "capture")
 
-    def _goes_on(self, status: Status) -> bool:
-        """Whether held palms may move again; CliError when whoever is at the rig says no."""
-        text = f"The palms are held: {why(status)}\nPut it right, hands off; then go on, yes or no"
+    def _confirm_resume(self, status: Status) -> bool:
+        """Whether held palms may move again; CliError if the user says no."""
+        text = f"The palms are held: {why(status)}\nFix the cause, hands off; then continue, yes or no"
         if self._ask(text, "yes", YES_OR_NO) == "no":
-            raise CliError(RIG_FAILED, f"given up while held: {why(status)}")
+            raise CliError(RIG_FAILED, f"stopped by the user while held: {why(status)}")
         return True
 
-    def _until_done(self, step: Callable[[], Found], mend: str) -> Found:
-        """Again and again, until it succeeds or somebody gives up; then CliError."""
+    def _retry(self, step: Callable[[], Found], mend: str) -> Found:
+        """Repeat a step until it succeeds; CliError if the user gives up."""
         for attempt in itertools.count(1):
             try:
                 return step()
             except CliError as error:
-                _say(f"It failed: {error}\nWhat to do: {mend}.")
+                _print(f"Failed: {error}\nWhat to do: {mend}.")
                 again = attempt < ATTEMPTS if self._emulated else self._ask("Try again, yes or no", "yes", YES_OR_NO)
                 if again not in (True, "yes"):
                     raise
-        raise AssertionError  # the count has no end
+        raise AssertionError  # unreachable
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -295,10 +298,10 @@ def _word(text: str) -> str:
 
 
 def _number_or(word: str, low: float, high: float) -> Callable[[str], float]:
-    """A number of the range, or NaN for the word."""
+    """Reader of a number within the range, or NaN for the word."""
     read = number(low, high)
     return lambda text: math.nan if text and word.startswith(text.lower()) else read(text)
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""The bundle of a capture: configuration, calibration, plan, recordings, photos and the caliper table in one folder."""
+"""Bundle of a capture: a folder with configuration, calibration, plan, recordings, photos and caliper table."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ CONFIGURATION, PLAN, RUNS, PHOTOS, CALIBRATION, FINDINGS = (
 )  # fmt: skip
 _README = """palmd capture: {count} objects, {kind}.
 
-palmd.yaml    the rig as it was calibrated; plan.yaml: the motion
-calibration/  what the cylinder has shown; doctor.txt: what was checked before
-runs/         one recording for each object; photos/: put the photos here that truth.csv names
-truth.csv     what calipers and scales say
+palmd.yaml    the rig's calibrated configuration; plan.yaml: the motion
+calibration/  results of the calibration with cylinders; doctor.txt: findings before it
+runs/         one recording of each object; photos/: put the photos named in truth.csv here
+truth.csv     measurements by calipers and scales
 
 palmd reconstruct . -o result.json    estimates each object and compares it with truth.csv
 """
 
 
 class Bundle:
-    """The folder, made anew; CliError for one that has something in it or cannot be made."""
+    """A new bundle folder; CliError if it is not empty or cannot be created."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -42,21 +42,21 @@ class Bundle:
 
     @property
     def calibration(self) -> Path:
-        """For what calibrations store."""
+        """Folder of the calibration results."""
         return self.folder / CALIBRATION
 
     def note_findings(self, lines: Sequence[str]) -> None:
-        """What was checked."""
+        """Store doctor's findings."""
         (self.folder / FINDINGS).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     def take_run(self, path: Path, name: str) -> str:
-        """A recording into the bundle, named after the object; returns its path within the bundle."""
+        """Move a recording into the bundle, named after the object; return its path within the bundle."""
         within = Path(RUNS) / f"{name}.mcap"
         shutil.move(path, self.folder / within)
         return str(within)
 
     def finish(self, config: Config, plan: Path, rows: Sequence[Measured], *, emulated: bool) -> None:
-        """Everything but what is there already."""
+        """Write plan, configuration, caliper table and README."""
         shutil.copyfile(plan, self.folder / PLAN)
         values = written(config) | {"plan": PLAN, "record": {"directory": RUNS}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
@@ -66,18 +66,18 @@ class Bundle:
         (self.folder / "README").write_text(_README.format(count=len(rows), kind=kind), encoding="utf-8")
 
     def pack(self) -> Path:
-        """The same as one zip file beside it."""
+        """Create a zip file of the bundle beside it."""
         return Path(shutil.make_archive(str(self.folder), "zip", self.folder.parent, self.folder.name))
 
 
 def written(config: Config) -> dict[str, Any]:
-    """A configuration as it stands in a file: what has its default is left out."""
+    """A configuration as in a file, without defaults."""
     values: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
     return values
 
 
 def with_pads(config: Config, settings: Mapping[str, Mapping[str, Any]]) -> Config:
-    """The configuration with what a calibration calls for, palm by palm."""
+    """Return the configuration with a calibration's settings for each palm."""
     values = written(config)
     for palm, new in settings.items():
         values["pads"][palm] |= new

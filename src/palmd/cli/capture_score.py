@@ -1,4 +1,4 @@
-"""A bundle of `palmd capture`: every recording reconstructed and compared with the caliper table."""
+"""Reconstructs every recording in a bundle of `palmd capture` and compares it with the caliper table."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from palmd.cli.logs import has_a_place, opened, read_any
+from palmd.cli.logs import check_writable, open_output, read_any
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
 from palmd.record.calipers import TRUTH, CaliperError, Measured, Score, read_table, scored
 from palmd.record.verdict import has_estimate
 
 SURE = 3.0
-"""Standard deviations that an estimate may be off by."""
+"""Acceptable error of an estimate in standard deviations."""
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    """One JSON object, and a table on standard error; CliError when the bundle cannot be used."""
+    """Write one JSON object, and a table on standard error; CliError if the bundle is invalid."""
     folder = arguments.log
     try:
         table = read_table(folder)
     except CaliperError as error:
         raise CliError(BAD_INPUT, str(error)) from None
-    has_a_place(arguments.output)
+    check_writable(arguments.output)
     objects = []
     for measured in table:
         system, log = read_any(folder / measured.run, arguments.calibration_sd)
@@ -36,9 +36,9 @@ def compare(arguments: argparse.Namespace) -> int:
     scores = [score for each in objects for score in each["scores"].values()]
     beyond = sum(abs(score["sigmas"]) > SURE for score in scores)
     summary = {"objects": objects, "compared": len(scores), "beyond_3_sigma": beyond}
-    with opened(arguments.output, folder / TRUTH) as stream:
+    with open_output(arguments.output, folder / TRUTH) as stream:
         stream.write(json.dumps(summary, allow_nan=False) + "\n")
-    print(f"{len(scores)} compared with {folder / TRUTH}, {beyond} off by more than {SURE:g} sigma", file=sys.stderr)
+    print(f"{len(scores)} compared with {folder / TRUTH}, {beyond} differ by more than {SURE:g} sigma", file=sys.stderr)
     return 0
 
 

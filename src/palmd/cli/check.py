@@ -1,7 +1,7 @@
-"""Validates configurations, motion plans and stored outlines; a plan's limits are those of the configurations given.
+"""Validates configurations, motion plans and stored outlines; plans are checked against the configurations' limits.
 
-What a configuration names is checked with it, and values that can hardly be meant are asked about. `--draw` makes a
-picture of what a plan does: angles and rates within their limits, where the palms go, and which limit is nearest.
+Files and devices named in a configuration are checked too, and implausible values are reported. `--draw` draws what a
+plan does: angles and rates with their limits, the palms' path, and the nearest limit.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
+from palmd.console.extras import missing, raise_if_other
 
 PICTURES = (".svg", ".pdf", ".png")
 _PLACED = re.compile(r"(.*?):(\d+):(\d+): (.*)", re.DOTALL)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="a configuration or a plan (YAML), an outline (.json, .csv)"
     )
-    parser.add_argument("--json", action="store_true", help="print what is wrong as one JSON map")
+    parser.add_argument("--json", action="store_true", help="print the errors as one JSON map")
     parser.add_argument(
-        "--draw", type=Path, metavar="OUT.svg", help="a picture of what the one plan among FILE does (or .pdf, .png)"
+        "--draw", type=Path, metavar="OUT.svg", help="draw the motion of the only plan among FILE (or .pdf, .png)"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Tells everything that is wrong at once; CliError when anything is."""
+    """Report all errors at once; CliError if there are any."""
     from palmd.motion.check import check_files, shaking_notes
     from palmd.outlinefile import SUFFIXES
 
     if arguments.draw is not None and arguments.draw.suffix.lower() not in PICTURES:
-        raise CliError(BAD_INPUT, f"{arguments.draw}: a picture is {', '.join(PICTURES)}; name it so")
+        raise CliError(BAD_INPUT, f"{arguments.draw}: use the suffix {', '.join(PICTURES)} for a picture")
     outlines = [path for path in arguments.files if path.suffix.lower() in SUFFIXES]
     files = [path for path in arguments.files if path not in outlines]
     errors = check_files(files) + _device_errors(files) + _outline_errors(outlines)
     notes = [] if errors else shaking_notes(files)
     if arguments.json:
-        told = {"good": not errors, "problems": [problem(each) for each in errors], "notes": notes}
-        print(json.dumps(told, indent=2))
+        report = {"good": not errors, "problems": [problem(each) for each in errors], "notes": notes}
+        print(json.dumps(report, indent=2))
         if errors:
             return BAD_INPUT
     if errors:
@@ -60,20 +60,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _device_errors(paths: Sequence[Path]) -> list[str]:
-    """What valid configurations say otherwise than the pads' devices that are there."""
+    """Contradictions between valid configurations and connected pads."""
     from palmd.doctor.pad_devices import device_errors
     from palmd.yamlfile import ConfigError, is_plan, parse_config, read_document
 
     errors = []
     for path in paths:
-        with contextlib.suppress(ConfigError):  # that is told already
+        with contextlib.suppress(ConfigError):  # already reported
             document = read_document(path)
             errors += [] if is_plan(document) else device_errors(document, parse_config(document))
     return errors
 
 
 def problem(error: str) -> dict[str, str | int | None]:
-    """An error line as a map; line and column are None where none is told."""
+    """An error line as a map; line and column are None if it has none."""
     placed = _PLACED.fullmatch(error)
     if placed is None:
         path, _, text = error.partition(": ")
@@ -82,7 +82,7 @@ def problem(error: str) -> dict[str, str | int | None]:
 
 
 def _draw(files: Sequence[Path], output: Path, *, quiet: bool) -> None:
-    """The picture of the one plan among the files, on the rig of the one configuration among them, else as shipped."""
+    """Draw the only plan among the files, for the only configuration among them, else the shipped one."""
     from palmd.console.shipped import shipped
     from palmd.motion.check import motion_limits
     from palmd.motion.plan import compile_plan
@@ -96,16 +96,16 @@ def _draw(files: Sequence[Path], output: Path, *, quiet: bool) -> None:
     try:
         from palmd.report.plan_figure import save
     except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
+        raise_if_other("matplotlib", error)
         raise missing("--draw", "matplotlib", "report") from None
     config = load_config(configs[0] if configs else shipped("palmd.yaml"))
     limits = motion_limits(config)
     try:
-        said = save(compile_plan(load_plan(plans[0]), limits), limits, config, output)
+        summary = save(compile_plan(load_plan(plans[0]), limits), limits, config, output)
     except OSError as error:
         raise CliError(BAD_INPUT, f"{output}: cannot be written: {error.strerror or error}") from None
     if not quiet:
-        print(f"{output}: {said}")
+        print(f"{output}: {summary}")
 
 
 def _outline_errors(paths: Sequence[Path]) -> list[str]:

@@ -1,9 +1,9 @@
-"""Compares runs with each other, with an emulated rig's truth or with an external track: a table of errors, a figure.
+"""Compares runs with each other, with an emulated rig's truth or with an external track: table of errors and figure.
 
 A file is a recording (.mcap), a result of `palmd reconstruct` (.json), a track of a camera (.csv with the columns t_s,
 object_x_mm, object_y_mm, object_angle_deg) or a track in the TUM format (.tum: time x y z qx qy qz qw, in s and m). The
 reference is the file of --reference; without it the truth, for recordings of an emulated rig, else the first file.
-Clock offset and frame of a track are found by fit, so are the constant rotation and the tracked point on the object.
+Clock offset, frame, constant rotation and the tracked point on the object are fitted.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from palmd.cli.logs import opened
+from palmd.cli.logs import open_output
 from palmd.console.columns import aligned
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
+from palmd.console.extras import missing, raise_if_other
 from palmd.jsonvalues import or_none
 from palmd.report.alignment import AlignmentError, Compared, compared
 from palmd.report.tracks import PoseTrack, TrackFileError, read_pose_track
@@ -28,23 +28,23 @@ _FIGURES = (".svg", ".png", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="RUN", help="recordings, results and tracks")
-    add("--reference", type=Path, metavar="FILE", help="what all are compared with")
-    add("-o", "--output", type=Path, metavar="FILE.json", help="everything found, as JSON; - for standard output")
+    add("--reference", type=Path, metavar="FILE", help="reference for all comparisons")
+    add("-o", "--output", type=Path, metavar="FILE.json", help="write all results as JSON; - for standard output")
     add("--figure", type=Path, metavar="FILE.svg", help="errors over time and outlines (.svg, .png, .pdf)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before all is compared; CliError for what cannot be read or aligned."""
+    """Compare first, then write the outputs; CliError for files that cannot be read or aligned."""
     files, reference = arguments.files, arguments.reference
     read = [*files, *([reference] if reference else [])]
     for output in (arguments.output, arguments.figure):
         if output is not None and output.exists() and any(path.exists() and output.samefile(path) for path in read):
-            raise CliError(BAD_INPUT, f"{output}: is read here; write to another file")
+            raise CliError(BAD_INPUT, f"{output}: is an input; write to another file")
     if arguments.figure is not None and arguments.figure.suffix not in _FIGURES:
-        raise CliError(BAD_INPUT, f"{arguments.figure}: a figure is {', '.join(_FIGURES)}; name it so")
+        raise CliError(BAD_INPUT, f"{arguments.figure}: use the suffix {', '.join(_FIGURES)} for a figure")
     try:
         sources = [read_pose_track(path) for path in files]
         common = read_pose_track(reference) if reference else None
@@ -55,21 +55,21 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.figure is not None:
         _draw(found, pairs, arguments.figure)
     if arguments.output is not None:
-        with opened(arguments.output, files[0]) as stream:
+        with open_output(arguments.output, files[0]) as stream:
             stream.write(json.dumps(or_none([_as_map(each) for each in found]), allow_nan=False) + "\n")
     print(_table(found), file=sys.stderr if arguments.output == Path("-") else sys.stdout)
     return 0
 
 
 def _pairs(sources: list[PoseTrack], common: PoseTrack | None) -> list[tuple[PoseTrack, PoseTrack]]:
-    """Each source with what it is compared with."""
+    """Pair each source with its reference."""
     if common is not None:
         return [(common, each) for each in sources]
     if all(each.truth is not None for each in sources):
         return [(each.truth, each) for each in sources if each.truth is not None]
     if len(sources) == 1:
         raise CliError(
-            BAD_INPUT, f"{sources[0].name}: has no truth to compare it with: name a second run or --reference FILE"
+            BAD_INPUT, f"{sources[0].name}: has no truth to compare with: name a second run or --reference FILE"
         )
     return [(sources[0], each) for each in sources[1:]]
 
@@ -97,7 +97,7 @@ def _number(value: float, factor: float, unit: str, digits: int) -> str:
 
 
 def _as_map(each: Compared) -> dict[str, Any]:
-    """All but the errors over time, units in the names."""
+    """All results except the errors over time, with units in the keys."""
     spreads = {"position": ("m", each.position), "rotation": ("rad", each.rotation), "outline": ("m", each.outline)}
     return {
         "file": each.source,
@@ -118,7 +118,7 @@ def _draw(found: list[Compared], pairs: list[tuple[PoseTrack, PoseTrack]], path:
     try:
         from palmd.report import compare_figure
     except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
+        raise_if_other("matplotlib", error)
         raise missing("--figure", "matplotlib", "report") from None
     try:
         compare_figure.save([(each, pair[1].body, pair[0].body) for each, pair in zip(found, pairs, strict=True)], path)

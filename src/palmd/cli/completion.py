@@ -1,7 +1,7 @@
-"""Prints what has a shell complete palmd's commands, options and files; each session sources it.
+"""Prints the shell completion script for palmd's commands, options and files.
 
 bash: `source <(palmd install completion bash)` in ~/.bashrc. zsh: `eval "$(palmd install completion zsh)"` in ~/.zshrc,
-after `compinit`. The manual page lies beside these files: `palmd install completion man` prints where, for `man -l`.
+after `compinit`. `palmd install completion man` prints the path of the manual page, for `man -l`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ SHELLS = ("bash", "zsh")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("shell", choices=(*SHELLS, "man"), help="which shell; or man: where the manual page is")
+    """Add the command's arguments."""
+    parser.add_argument("shell", choices=(*SHELLS, "man"), help="the shell, or man: print the path of the manual page")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the script, or the path of the manual page."""
+    """Print the script, or the path of the manual page."""
     if arguments.shell == "man":
         print(shipped("shell/palmd.1"))
     else:

@@ -1,4 +1,4 @@
-"""Tells a running daemon what to do, and prints what it answers."""
+"""Sends a command to a running daemon and prints its answer."""
 
 from __future__ import annotations
 
@@ -23,49 +23,51 @@ from palmd.systems import LIVE, load_part
 PLAN_BYTES_MAX = REQUEST_BYTES_MAX // 2
 
 KEPT_S = 3.0
-"""The lease that `--keep` declares, and renews six times in it."""
+"""Lease (s) of `--keep`, which is renewed six times as often."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments: those of every command that the daemon knows."""
+    """Add the arguments of every command of the daemon."""
     common = argparse.ArgumentParser(add_help=False)
-    for each in (parser, common):  # before the command and behind it
+    for each in (parser, common):  # both before and after the command
         each.add_argument("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
         add_config(each)
         add_key(each)
-        each.add_argument("--json", action="store_true", help="print the answer as it came")
+        each.add_argument("--json", action="store_true", help="print the answer as JSON")
     for action in common._actions:
-        action.default = argparse.SUPPRESS  # what stands behind the command, if anything, replaces what stands before
+        action.default = argparse.SUPPRESS  # options after the command override those before it
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, spec in COMMANDS.items():
         if not spec.by_hand:
             continue
         chosen = commands.add_parser(name, parents=[common], help=spec.does, description=spec.does)
         if spec.moves:
-            chosen.add_argument("--take", action="store_true", help="take control from the client that has it")
+            chosen.add_argument("--take", action="store_true", help="take control from another client")
             chosen.add_argument(
                 "--keep",
                 action="store_true",
-                help=f"keep control until Ctrl-C; {KEPT_S:g} s after the end of this command moving palms are held",
+                help=f"keep control until Ctrl-C; moving palms are held {KEPT_S:g} s after this command has ended",
             )
         if name == "plan":
             chosen.add_argument(
                 "path",
                 type=Path,
                 metavar="FILE",
-                help="the plan (YAML), or the name of one that lies beside the daemon's configured plan",
+                help="the plan (YAML), or the name of one in the folder of the daemon's configured plan",
             )
         elif name == "note":
-            chosen.add_argument("text", nargs="+", metavar="TEXT", help="what to write about this time of the run")
+            chosen.add_argument(
+                "text", nargs="+", metavar="TEXT", help="text of the note, stored with the current time of the run"
+            )
         elif name == "jog":
             for joint in JOINTS:
                 chosen.add_argument(
-                    f"--{joint}-deg", type=_angle, default=0.0, metavar="DEG", help=f"by how much to turn {joint}"
+                    f"--{joint}-deg", type=_angle, default=0.0, metavar="DEG", help=f"angle by which to turn {joint}"
                 )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Asks once, or for a jog until the palms have turned; CliError when refused or unanswered."""
+    """Send the command once, for a jog until the palms have turned; CliError if it is refused or unanswered."""
     whole_deg = {f"{joint}_deg": getattr(arguments, f"{joint}_deg", 0.0) for joint in JOINTS}
     if arguments.command == "jog" and not any(whole_deg.values()):
         options = [f"--{joint}-deg" for joint in JOINTS]
@@ -85,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
             reply = client.ask(arguments.command, take)
         _print(arguments, reply)
         if keeps and reply["ok"]:
-            _keep(client)
+            _keep_control(client)
     if reply["ok"]:
         return 0
     if arguments.json:
@@ -97,23 +99,23 @@ def _print(arguments: argparse.Namespace, reply: dict[str, Any]) -> None:
     if arguments.json:
         print(json.dumps(reply))
     elif reply["ok"]:
-        print(told(arguments.command, reply.get("result") or {}), flush=True)
+        print(as_text(arguments.command, reply.get("result") or {}), flush=True)
 
 
-def _keep(client: CommandClient) -> None:
-    """Renew the lease until SIGINT or SIGTERM; CliError when another client has taken control."""
+def _keep_control(client: CommandClient) -> None:
+    """Renew the lease until SIGINT or SIGTERM; CliError if another client has taken control."""
     print(f"{client.client} keeps control until Ctrl-C; then moving palms are held within {KEPT_S:g} s", flush=True)
     with StopRequest() as stop:
         while not stop.made:
             reply = client.ask("alive")
             owner = (reply.get("result") or {}).get("control", "")
             if owner != client.client:
-                raise CliError(RIG_FAILED, f"control has gone to {owner or 'nobody'}")
+                raise CliError(RIG_FAILED, f"control was taken by {owner or 'nobody'}")
             time.sleep(KEPT_S / 6)
 
 
 def _plan(path: Path) -> dict[str, Any]:
-    """The plan goes along, for the daemon opens no file of ours; what is not here is a name among its own plans."""
+    """Send the plan's text, since the daemon opens no files of clients; a missing file is a name of its own plans."""
     from palmd.yamlfile import ConfigError, read_text
 
     if not os.path.lexists(path):
@@ -125,12 +127,12 @@ def _plan(path: Path) -> dict[str, Any]:
     if not text:
         raise CliError(BAD_INPUT, f"{path}:1:1: the file is empty")
     if len(text.encode()) > PLAN_BYTES_MAX:
-        raise CliError(BAD_INPUT, f"{path}: larger than {PLAN_BYTES_MAX // 1000} kB, the most that can be sent along")
+        raise CliError(BAD_INPUT, f"{path}: larger than {PLAN_BYTES_MAX // 1000} kB, the maximum that can be sent")
     return {"path": str(path), "text": text}
 
 
-def told(command: str, result: dict[str, Any]) -> str:
-    """A result in words."""
+def as_text(command: str, result: dict[str, Any]) -> str:
+    """A result as text."""
     if command == "reset" and "cleared" in result:
         cleared = ", ".join(result["cleared"])
         return f"state {result['state']}, " + (f"cleared: {cleared}" if cleared else "there was nothing to reset")
@@ -151,30 +153,30 @@ def told(command: str, result: dict[str, Any]) -> str:
     lines = [f"state   {result['state']}{since}", *control, f"plan    {plan}"]
     lines += load_part(LIVE[_system(result.get("estimate", {}))].status)(result)
     if "explored" in result:
-        lines.append(f"        explored {_explored(**result['explored'])}")
+        lines.append(f"        explored {_exploration_text(**result['explored'])}")
     if "recorder" in result:
-        lines.append(f"record  {_recorded(result['recorder'])}")
+        lines.append(f"record  {_recorder_text(result['recorder'])}")
     lines.append(f"arm     {arm}")
     if result["arm_error"]:
         lines.append(f"        {result['arm_error']}")
     faults = zip(result["faults"], result["severities"], result["hints"], strict=True)
     lines += [f"fault   {code} ({severity}): {hint}" for code, severity, hint in faults]
-    lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(_logged(result))]
+    lines += [f"{'' if number else 'log':8}{line}" for number, line in enumerate(_log_lines(result))]
     return "\n".join(lines)
 
 
 def _system(estimate: Mapping[str, Any]) -> str:
-    """Whose estimate it is, by what it tells of; that of two palms, where there is none yet."""
+    """System of an estimate, by its fields; two palms if there is no estimate yet."""
     from palmd.topics import SYSTEM_TOPICS
 
-    def alike(name: str) -> int:
+    def matching_fields(name: str) -> int:
         return sum(each.name in estimate for each in SYSTEM_TOPICS[name].estimate.quantities)
 
-    return max(SYSTEM_TOPICS, key=alike)
+    return max(SYSTEM_TOPICS, key=matching_fields)
 
 
-def _logged(result: dict[str, Any]) -> list[str]:
-    """The last entries of the log that came with a status."""
+def _log_lines(result: dict[str, Any]) -> list[str]:
+    """The last log entries of a status reply."""
     if "log" not in result:
         return []
     from palmd.cli.board import ago
@@ -183,19 +185,19 @@ def _logged(result: dict[str, Any]) -> list[str]:
     return [f"{ago(result['t_s'] - entry.t_s)}  {entry.line}" for entry in entries_of(result["log"])]
 
 
-def _explored(coverage: float | None, reachable: float | None, reason: str) -> str:
-    """How much an exploration has touched, and what it says for itself."""
+def _exploration_text(coverage: float | None, reachable: float | None, reason: str) -> str:
+    """Coverage and reason of an exploration as text."""
     of = "" if reachable is None else f" of the {reachable:.0%} of the outline that can be reached"
     how_much = "nothing yet" if coverage is None else f"{coverage:.0%}{of}"
     return f"{how_much}: {reason}" if reason else how_much
 
 
-def _recorded(said: Mapping[str, Any]) -> str:
-    """What the recorder said last; fields that are not known here are passed over."""
-    text = f"{said.get('path', 'no file')}, {said['messages']:.0f} messages, {said['bytes'] / 1e6:.1f} MB"
-    text += f", {said['lost']:.0f} lost" if said["lost"] else ""
-    problem = said.get("problem")
-    return f"{text}: {problem}" if problem else f"{text}, {said['age_s']:.0f} s ago"
+def _recorder_text(status: Mapping[str, Any]) -> str:
+    """The recorder's last status as text; unknown fields are ignored."""
+    text = f"{status.get('path', 'no file')}, {status['messages']:.0f} messages, {status['bytes'] / 1e6:.1f} MB"
+    text += f", {status['lost']:.0f} lost" if status["lost"] else ""
+    problem = status.get("problem")
+    return f"{text}: {problem}" if problem else f"{text}, {status['age_s']:.0f} s ago"
 
 
 def _angle(text: str) -> float:

@@ -1,8 +1,8 @@
-"""An emulated rig, the daemon and the live page together, in closed loop on an object that palmd knows nothing about.
+"""Runs an emulated rig, the daemon and the live page in closed loop on an object unknown to palmd.
 
-The rig is as far off from its configuration as calibration leaves one, drawn by the seed (`--perfect`: not at all). The
-palms explore until the outline is complete, and then stand. Progress goes to standard error, and in the end one
-line that compares the estimate with the rig's truth to standard output. Without --seconds it runs until Ctrl-C.
+The rig has residual calibration errors, drawn by the seed (`--perfect`: none). The palms explore until the outline is
+complete, and then stop. Progress goes to standard error; at the end one line on standard output compares the estimate
+with the rig's truth. Without --seconds it runs until Ctrl-C.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from palmd.bus.command_client import CommandClient
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli.browser import open_page
-from palmd.cli.build import made_ready
+from palmd.cli.build import prepare_kernels
 from palmd.config.any_config import AnyConfig, BusConfig
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.console.extras import require
@@ -36,32 +36,34 @@ from palmd.yamlfile import ConfigError, load_any_config
 MOTION_START_S = 30.0
 LOOK_S = 0.1
 PROGRESS_S = 1.0
-RECORDED_S = 300.0  # to pack the recording of many hours
+RECORDED_S = 300.0  # for packing a recording of many hours
 RUNS = Path("runs")
 RIGS = {"adept": "demo.yaml", "tabletop": "tabletop.yaml"}
 DEMOS = {"cradle": "cradle.yaml"} | {name: live.demo for name, live in LIVE.items() if name != TWO_PALMS}
-_WORLDS = {"none": "perfect", "calibrated": "off as calibration leaves one"}
+_WORLDS = {"none": "perfect", "calibrated": "with residual calibration errors"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="how long to run")
-    parser.add_argument("--no-browser", action="store_true", help="serve the live page, but open no browser")
-    parser.add_argument("--seed", type=int, help="which object and noise; default: a random one, printed")
+    """Add the command's arguments."""
+    parser.add_argument("--seconds", type=_duration, default=math.inf, metavar="N", help="duration of the run in s")
+    parser.add_argument("--no-browser", action="store_true", help="serve the live page, but do not open a browser")
+    parser.add_argument("--seed", type=int, help="seed of object and noise; default: random, printed")
     add_object_arguments(parser)
-    parser.add_argument("--no-record", action="store_true", help=f"keep no recording; else it goes to {RUNS}/ here")
-    parser.add_argument("--perfect", action="store_true", help="a rig that is exactly as configured, which is known")
+    parser.add_argument(
+        "--no-record", action="store_true", help=f"do not record; the default is to record into {RUNS}/"
+    )
+    parser.add_argument("--perfect", action="store_true", help="use an exactly known rig")
     which = parser.add_mutually_exclusive_group()
     others = "; ".join(f"{name}: {SYSTEMS[name].words}" for name in LIVE if name != TWO_PALMS)
     which.add_argument("--system", choices=DEMOS, help="cradle: two concave palms; " + others)
-    which.add_argument("--rig", choices=RIGS, default="adept", help="an arm and VersaPads, or strips and servos")
-    which.add_argument("--config", type=Path, help="rig and plan; default: as shipped")
+    which.add_argument("--rig", choices=RIGS, default="adept", help="an arm with VersaPads, or servos with strips")
+    which.add_argument("--config", type=Path, help="configuration of rig and plan; default: the shipped one")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs to the end asked for and leaves nothing behind; 3 when no estimate ever settled.
+    """Run the demo and clean up; return 3 if no estimate converged.
 
-    Raises CliError when the rig or the daemon fail.
+    Raises CliError if the rig or the daemon fails.
     """
     try:
         config = load_any_config(arguments.config or shipped(DEMOS.get(arguments.system, RIGS[arguments.rig])))
@@ -72,31 +74,31 @@ def run(arguments: argparse.Namespace) -> int:
     physics = arguments.physics
     if physics == "mujoco":
         require("--physics mujoco", "mujoco", "mujoco")
-    made_ready(config, _tell)
-    asked = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
-    asked += [] if arguments.kind is None else ["--kind", arguments.kind]
+    prepare_kernels(config, _print)
+    rig_arguments = [] if arguments.seed is None else ["--seed", str(arguments.seed)]
+    rig_arguments += [] if arguments.kind is None else ["--kind", arguments.kind]
     with StopRequest() as stop, tempfile.TemporaryDirectory(prefix="palmd-demo-") as name, ExitStack() as leaving:
 
         def show(page: str) -> None:
-            _tell(f"  {page}")
+            _print(f"  {page}")
             if not arguments.no_browser:
                 open_page(page)
 
-        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, notify=_tell, show=show)
+        stack = Stack(Path(name), config, RUNS.absolute(), give_up=lambda: stop.made, notify=_print, show=show)
         leaving.enter_context(stack)
-        if not stack.start_rig("--sockets", "--physics", physics, *asked):
-            return 0  # the end was asked for before anything began
+        if not stack.start_rig("--sockets", "--physics", physics, *rig_arguments):
+            return 0  # stopped before the start
         _introduce(stack.rig_info["seed"], config.system)
         if not stack.start(record=not arguments.no_record, page=True):
             return 0
         comparison = _comparison(config, stack.rig_info["seed"], physics)
         if not stack.start_page() and not stop.made:
-            _tell(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
+            _print(f"no live page: {stack.children.pop('page').error_output() or 'it did not start'}")
         _name_other_views(stack.bus)
         _operate(stack, comparison, stop, arguments.seconds)
         if physics == "mujoco":
-            with suppress(CliError):  # it may have ended first
-                _tell(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
+            with suppress(CliError):  # the rig may have ended already
+                _print(f"deepest penetration in MuJoCo: {stack.rig_status()['penetration_m'] * 1e6:.1f} µm")
         _bring_to_rest(stack)
         if not arguments.no_record:
             _finish_recording(stack)
@@ -105,27 +107,27 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _comparison(config: AnyConfig, seed: int, physics: Physics) -> AnyComparison:
-    world = _WORLDS.get(str(config.rig.imperfections), "off as configured")
+    world = _WORLDS.get(str(config.rig.imperfections), "with configured imperfections")
     world += " in MuJoCo" if physics == "mujoco" else ""
     comparison: AnyComparison = load_part(LIVE[config.system].comparison)(seed, world)
     return comparison
 
 
 def _introduce(seed: int, system: str) -> None:
-    _tell(LIVE[system].shows)
-    _tell(f"Seed {seed}; the object is unknown to the daemon. Look at it with:")
+    _print(LIVE[system].shows)
+    _print(f"Seed {seed}; the object is unknown to the daemon. Watch it with:")
 
 
 def _name_other_views(bus: BusConfig) -> None:
     at = "" if bus.publish == PUBLISH else f" --address {bus.publish}"
     to = "" if bus.command == COMMAND else f" --address {bus.command}"
-    _tell(f"  palmd top{at}")
-    _tell(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
-    _tell(f"  palmd ctl status{to}")
+    _print(f"  palmd top{at}")
+    _print(f"  PlotJuggler: ZeroMQ subscriber, MessagePack, {bus.publish}")
+    _print(f"  palmd ctl status{to}")
 
 
 def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds: float) -> None:
-    """Does what an operator does, for so many seconds of motion or until the end is asked for."""
+    """Act as the operator, for `seconds` of motion or until a stop is requested."""
     operator = Operator()
     t_begin = time.monotonic()
     t_progress = -math.inf
@@ -138,7 +140,7 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
         started = comparison.t_started
         if started is None and t > t_begin + MOTION_START_S:
             raise CliError(
-                RIG_FAILED, f"the palms were not brought to move\n{stack.children['daemon'].error_output()}".strip()
+                RIG_FAILED, f"the palms did not start moving\n{stack.children['daemon'].error_output()}".strip()
             )
         if started is not None and t > started + seconds:
             return
@@ -148,26 +150,26 @@ def _operate(stack: Stack, comparison: AnyComparison, stop: StopRequest, seconds
         if started is not None and t >= t_progress + PROGRESS_S:
             t_progress = t
             if line := comparison.progress(t):
-                _tell(line)
+                _print(line)
 
 
 def _is_done(client: CommandClient, command: str) -> bool:
-    """Give a command that the bus has called for, if the daemon still does."""
+    """Give a command if the daemon's status still requires it; return whether it succeeded."""
     status = do(client, "status")
     if status["control"] not in ("", client.client) or not still_needed(command, status):
         return False
     reply = client.ask(command)
     if not reply["ok"]:
-        _tell(str(reply.get("error")))
+        _print(str(reply.get("error")))
     elif command == "reset":
-        _tell("reset")
+        _print("reset")
     return bool(reply["ok"])
 
 
 def _bring_to_rest(stack: Stack) -> None:
-    """A planned stop, then the daemon's end before the rig's; what it estimates meanwhile is not compared.
+    """Stop the motion, then the daemon, before the rig ends; estimates meanwhile are not compared.
 
-    The page ends before all that: it shows what has come of it, and not that nothing comes any more.
+    The page is stopped first, so that it keeps showing the last state instead of missing data.
     """
     if "page" in stack.children:
         stack.children["page"].stop()
@@ -177,15 +179,15 @@ def _bring_to_rest(stack: Stack) -> None:
 
 
 def _finish_recording(stack: Stack) -> None:
-    """Let the recorder hear the daemon's end and pack what it has; says where that is."""
+    """Let the recorder receive the daemon's end and pack the recording; print its path."""
     recorder, paths = stack.children["recorder"], stack.recorded(RECORDED_S)
     for path in paths:
-        _tell(f"recorded in {path}")
+        _print(f"recorded in {path}")
     if recorder.status != 0 or not paths:
-        _tell(f"not recorded: {recorder.error_output() or recorder.status}")
+        _print(f"not recorded: {recorder.error_output() or recorder.status}")
 
 
-def _tell(text: str) -> None:
+def _print(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 

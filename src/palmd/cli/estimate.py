@@ -1,4 +1,4 @@
-"""Replays an event log or recorded run causally through exactly the daemon's observer: one JSON line each 10 ms."""
+"""Replays an event log or recorded run causally through the daemon's observer: one JSON line every 10 ms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from palmd import observer
-from palmd.cli.logs import add_calibration_argument, opened, read_any
+from palmd.cli.logs import add_calibration_argument, open_output, read_any
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress, working
@@ -15,7 +15,7 @@ from palmd.record.systems import NotYetError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.jsonl", help="- for standard output")
     parser.add_argument(
@@ -29,13 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--shape",
         type=Path,
         metavar="OUTLINE|FOLDER",
-        help="the object is that of the stored outline, or one of those in the folder, or none",
+        help="stored outline or folder of outlines, one of which the object may have",
     )
     add_calibration_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Reads the whole log before it writes anything; CliError when the log cannot be used."""
+    """Read the whole log before writing; CliError if the log is invalid."""
     if arguments.shape is not None and arguments.observer != "shape":
         raise CliError(BAD_INPUT, f"--shape needs --observer shape: {arguments.observer} cannot use a stored outline")
     outlines = () if arguments.shape is None else read_outlines(arguments.shape)
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     except NotYetError as error:
         raise CliError(BAD_INPUT, f"{arguments.log}: {error}") from None
     with (
-        opened(arguments.output, arguments.log) as stream,
+        open_output(arguments.output, arguments.log) as stream,
         Progress(f"{arguments.observer} observer", system.tick_count(log), "ticks") as progress,
     ):
         for tick in ticks:
@@ -60,4 +60,4 @@ def _observer(name: str) -> str:
     if name in observer.OBSERVERS:
         return name
     known = ", ".join(observer.OBSERVERS)
-    raise argparse.ArgumentTypeError(f"there is no observer {name!r}; there are {known}")
+    raise argparse.ArgumentTypeError(f"there is no observer {name!r}; choose from {known}")

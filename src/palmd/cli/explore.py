@@ -1,6 +1,6 @@
-"""Has a running daemon find the whole outline of what lies on the palms, and tells how far it has come.
+"""Makes a running daemon explore the whole outline of the object on the palms, and shows the progress.
 
-Arms the arm if that has not been done, and then stops it in the end. After Ctrl-C the palms are held,
+If the arm is not armed, it is armed first and stopped at the end. After Ctrl-C the palms are held,
 then the arm is stopped.
 """
 
@@ -23,20 +23,31 @@ PLAN = "explore"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     add, default = parser.add_argument, ExploreGoal()
     add("--coverage", type=_share, default=default.coverage, metavar="SHARE",
-        help="of the normals that can be reached, after which it is enough (default: %(default)s)")  # fmt: skip
-    add("--band-mm", type=_band, metavar="MM", help="go on until the outline's sd is below this on all of them too")
-    add("--seconds", type=_seconds, default=default.time_limit_s, metavar="S", help="at most (default: %(default)g)")
+        help="share of the reachable normals at which it ends (default: %(default)s)")  # fmt: skip
+    add(
+        "--band-mm",
+        type=_band,
+        metavar="MM",
+        help="also require that the outline's standard deviation is below this at all of them",
+    )
+    add(
+        "--seconds",
+        type=_seconds,
+        default=default.time_limit_s,
+        metavar="S",
+        help="time limit in s (default: %(default)g)",
+    )
     add("--address", help=f"the daemon's command socket (default: as configured, {COMMAND})")
-    add("--listen", metavar="ADDRESS", help=f"where it publishes (default: as configured, {PUBLISH})")
+    add("--listen", metavar="ADDRESS", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
     add_config(parser)
     add_key(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Explores to the end; CliError when the daemon refuses, does not answer, or the rig fails meanwhile."""
+    """Explore to the end; CliError if the daemon refuses or does not answer, or the rig fails."""
     goal = ExploreGoal(coverage=arguments.coverage, band_mm=arguments.band_mm, time_limit_s=arguments.seconds)
     key = credentials(arguments)
     with (
@@ -56,38 +67,38 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _Band:
-    """Listens for the outline; `sd_m` is the largest sd of the last one heard."""
+    """Receives outlines; `sd_m` is the largest standard deviation of the last one."""
 
     def __init__(self, subscriber: Subscriber) -> None:
         self.sd_m = math.nan
         self._subscriber = subscriber
 
     def listen(self, t_end: float) -> None:
-        """Until t_end (s, monotonic clock)."""
+        """Listen until t_end (s, monotonic clock)."""
         for message in self._subscriber.until(t_end):
             self.sd_m = max(message.fields["h_sd_m"])
 
 
 def progress(status: Mapping[str, Any], seconds: float, band_m: float) -> str:
-    """One line on how it stands."""
+    """One line of progress."""
     explored = status.get("explored") or {}
     share = explored.get("coverage")
     parts = [f"{seconds:5.0f} s  {status['state']:8}", f"touched {_percent(share)}", f"largest sd {_mm(band_m)}"]
     if status["state"] == "hold":
-        parts.append(f"{why(status)} (palmd ctl start goes on)")
+        parts.append(f"{why(status)} (palmd ctl start continues)")
     elif explored.get("reason"):
         parts.append(explored["reason"])
     return "  ".join(parts)
 
 
 def concluded(status: Mapping[str, Any], seconds: float, band_m: float) -> str:
-    """How far it has come, and why it ended."""
+    """One line on the result and the reason for the end."""
     explored = status.get("explored") or {}
-    told = (
+    text = (
         f"explored {_percent(explored.get('coverage'))} of the {_percent(explored.get('reachable'))} of the outline "
         f"that can be reached in {seconds:.0f} s, largest sd {_mm(band_m)}"
     )
-    return f"{told}: {explored['reason']}" if explored.get("reason") else told
+    return f"{text}: {explored['reason']}" if explored.get("reason") else text
 
 
 def _percent(share: float | None) -> str:
@@ -113,6 +124,6 @@ def _seconds(text: str) -> float:
 def _within(text: str, most: float) -> float:
     value = float(text)
     if not 0.0 < value <= most:
-        share = "; is a share of 1 meant, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
+        share = "; did you mean a share of 1, such as 0.95?" if most == 1.0 and 1.0 < value <= 100.0 else ""
         raise argparse.ArgumentTypeError(f"must be more than 0 and at most {most:g}, got {text}{share}")
     return value

@@ -1,7 +1,7 @@
-"""Writes a recorded run in the form of other programs: event log, CSV, MCAP with JSON, rerun, LeRobot, CAD.
+"""Converts a recorded run to the formats of other programs: event log, CSV, MCAP with JSON, rerun, LeRobot, CAD.
 
-A drawing (.svg, .dxf, .csv) is of the last valid outline, in mm, with its band; or of a RESULT.json that
-`palmd reconstruct` has written.
+A drawing (.svg, .dxf, .csv) shows the last valid outline of the run, or that of a RESULT.json written by
+`palmd reconstruct`, in mm, with its band.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, p
 from palmd.record.run import RunError, read_any_run
 
 _NEEDED = {"lerobot": ("pandas", "lerobot")}
-"""The package and the extra of a form, where it is not rerun."""
+"""Package and extra that a format needs; default rerun."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), or a RESULT.json")
     parser.add_argument(
         "-o",
@@ -32,20 +32,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="FILE|FOLDER",
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
-        "--as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
+        "with --as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
     )
-    parser.add_argument("--as", dest="form", choices=FORMS, help="the form, where the name does not tell it")
+    parser.add_argument("--as", dest="form", choices=FORMS, help="the format, if the name does not determine it")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Leaves no half of an output; CliError when the run cannot be used or the output not be written."""
+    """Write the output completely or not at all; CliError if the run is invalid or the output cannot be written."""
     source, target = arguments.run, arguments.output
     form = arguments.form or form_of(target)
     if form is None:
-        raise CliError(BAD_INPUT, f"{target}: the name does not tell the form; add --as {'|'.join(FORMS)}")
+        raise CliError(BAD_INPUT, f"{target}: the name does not determine the format; add --as {'|'.join(FORMS)}")
     if source.suffix.lower() == ".json":
         if form not in DRAWINGS:
-            raise CliError(BAD_INPUT, f"{source}: of a result only the outline is exported: .svg, .dxf or .csv")
+            raise CliError(BAD_INPUT, f"{source}: only the outline of a result can be exported: .svg, .dxf or .csv")
         write_drawing(curves_of_result(source), target, drawing(DRAWINGS[form]), source)
         return 0
     if form in DRAWINGS:
@@ -61,9 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
         package, extra = _NEEDED.get(form, ("rerun-sdk", "rerun"))
         if (error.name or "").partition(".")[0] not in ("rerun", "pandas", "pyarrow"):
             raise
-        raise missing(f"the form {form}", package, extra) from None
-    except ImportError as error:  # of pandas, which has no pyarrow
-        raise missing(f"the form {form}", "pyarrow", "lerobot") from error
+        raise missing(f"the format {form}", package, extra) from None
+    except ImportError as error:  # raised by pandas without pyarrow
+        raise missing(f"the format {form}", "pyarrow", "lerobot") from error
     except OSError as error:
         raise CliError(BAD_INPUT, f"{target}: cannot be written: {error.strerror or error}") from None
     print_notes(recording.notes)

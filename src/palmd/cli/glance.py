@@ -1,4 +1,4 @@
-"""An estimate's first look in words."""
+"""Short text of an estimate."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from typing import Any
 from palmd.quantities import Topic
 
 
-def known_in_words(topic: Topic, told: Mapping[str, Any]) -> str:
-    """Those quantities of `topic` that are told at a glance and have a value, with their bands."""
-    known = []
+def main_values(topic: Topic, estimate: Mapping[str, Any]) -> str:
+    """Main quantities of `topic` that have a value, with their standard deviations, as text."""
+    values = []
     for each in topic.quantities:
-        if each.glance and told[each.name] is not None:
+        if each.glance and estimate[each.name] is not None:
             factor, digits, unit = each.shown.factor, each.shown.digits, each.shown.unit
-            sd = told["sd"].get(each.name)
+            sd = estimate["sd"].get(each.name)
             band = "" if sd is None else f" ± {sd * factor:.{digits}f}"
-            known.append(f"{each.symbol} {told[each.name] * factor:.{digits}f}{band} {unit}".rstrip())
-    return ", ".join(known)
+            values.append(f"{each.symbol} {estimate[each.name] * factor:.{digits}f}{band} {unit}".rstrip())
+    return ", ".join(values)
 
 
-def status_of(topic: Topic, told: Mapping[str, Any], felt: str, where: str, places: Sequence[str]) -> list[str]:
-    """A status in lines: the joints' `places` under the word `where`, and how far the object is known and `felt`."""
-    word = "valid" if told["valid"] else f"not valid: {told['reason']}"
-    lines = [f"{where:7} {', '.join(places)}"] if places else []
-    lines.append(f"object  {word}; {told['touched']:.0%} of the {felt} felt")
-    known = known_in_words(topic, told)
-    return [*lines, f"        {known}"] if known else lines
+def status_of(
+    topic: Topic, estimate: Mapping[str, Any], directions: str, label: str, positions: Sequence[str]
+) -> list[str]:
+    """Status as text lines: the joints' `positions` labelled `label`, validity, and coverage of `directions`."""
+    word = "valid" if estimate["valid"] else f"not valid: {estimate['reason']}"
+    lines = [f"{label:7} {', '.join(positions)}"] if positions else []
+    lines.append(f"object  {word}; {estimate['touched']:.0%} of the {directions} touched")
+    values = main_values(topic, estimate)
+    return [*lines, f"        {values}"] if values else lines

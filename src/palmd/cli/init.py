@@ -1,6 +1,6 @@
-"""Asks what your rig is made of and writes a configuration of it, checked.
+"""Asks for the parts of your rig and writes a checked configuration.
 
-Enter takes what stands in brackets. Nothing is opened, nothing moves; what a rig measures is for `palmd calibrate`.
+Enter accepts the value in brackets. No device is opened, nothing moves; `palmd calibrate` measures the rig afterwards.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ PLAN = "plans/explore.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """One question: what it asks, what Enter means, and what an answer may be; `read` raises ValueError for others."""
+    """One question: its text, its default, and the parser of answers; `read` raises ValueError for invalid ones."""
 
     text: str
-    usual: str
+    default: str
     read: Callable[[str], Any] = str
 
 
 def one_of(meanings: Mapping[str, str]) -> Callable[[str], str]:
-    """Of some words; their first letters will do where they tell them apart."""
+    """Reader of one of several words; unambiguous abbreviations are accepted."""
 
     def read(answer: str) -> str:
         found = [word for word in meanings if word.startswith(answer.lower())]
@@ -48,7 +48,7 @@ def one_of(meanings: Mapping[str, str]) -> Callable[[str], str]:
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Of a range."""
+    """Reader of a number within a range."""
 
     def read(answer: str) -> float:
         value = float(answer)
@@ -56,17 +56,17 @@ def number(low: float, high: float) -> Callable[[str], float]:
             raise ValueError
         return value
 
-    def said(answer: str) -> float:
+    def checked(answer: str) -> float:
         try:
             return read(answer)
         except ValueError:
             raise ValueError(f"a number from {low:g} to {high:g}") from None
 
-    return said
+    return checked
 
 
 def whole(*allowed: int) -> Callable[[str], int]:
-    """One of some whole numbers."""
+    """Reader of one of several whole numbers."""
 
     def read(answer: str) -> int:
         if answer not in map(str, allowed):
@@ -80,7 +80,7 @@ REPORTED = "reported"
 
 
 def reported_or(read: Callable[[str], float]) -> Callable[[str], float | str]:
-    """What `read` takes, or the word for what a device reports itself."""
+    """Reader that also accepts `REPORTED`, for the value that the device reports."""
 
     def either(answer: str) -> float | str:
         return REPORTED if answer and REPORTED.startswith(answer.lower()) else read(answer)
@@ -91,7 +91,7 @@ def reported_or(read: Callable[[str], float]) -> Callable[[str], float | str]:
 PADS = {
     "versapad": "Interlink VersaPads on serial lines",
     "strip": "force-sensing strips with palmd's firmware",
-    "evdev": "touch devices that Linux knows, touchpads and touch screens",
+    "evdev": "touch devices of Linux: touchpads and touch screens",
     "taxels": "arrays of pressure sensors on serial lines",
 }
 ARMS = {
@@ -105,63 +105,63 @@ PORT = "/dev/palmd-pad{}"
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """A kind of array of pressure sensors: what it is, how many rows it may have, and usually has, and its pitch."""
+    """A kind of pressure sensor array: description, allowed and default number of rows, and pitch."""
 
     meaning: str
     rows: tuple[int, ...]
-    usual_rows: int
+    default_rows: int
     pitch_mm: float
 
 
 _ST0001_ROWS = tuple(rows for rows in range(3, ST0001_TAXELS + 1) if ST0001_TAXELS % rows == 0)
 ARRAYS = {
     "tsf85": Array("one or two modules of 7 x 4 (Robotiq TSF-85) in a row", TSF85_ROWS, max(TSF85_ROWS), 4.5),
-    "st0001": Array("60 taxels asked by Modbus (Synria ST-00-01)", _ST0001_ROWS, 15, 4.0),
+    "st0001": Array("60 taxels polled by Modbus (Synria ST-00-01)", _ST0001_ROWS, 15, 4.0),
     "text": Array("numbers that a microcontroller prints, a line for each reading", tuple(range(3, 65)), 20, 3.0),
 }
 
 
 def questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
-    """Each with its key; what comes later may depend on the `answers` so far."""
-    yield "pads", Prompt(f"The pads are\n{_listed(PADS)}", "strip", one_of(PADS))
+    """Yield the questions with their keys; later ones may depend on the `answers` so far."""
+    yield "pads", Prompt(f"Kind of the pads\n{_choices(PADS)}", "strip", one_of(PADS))
     for palm in PALMS:
-        yield f"pad{palm}", Prompt(f"Pad {palm} is at", PORTS.get(answers["pads"], PORT).format(palm))
+        yield f"pad{palm}", Prompt(f"Port of pad {palm}", PORTS.get(answers["pads"], PORT).format(palm))
     if answers["pads"] == "evdev":
-        yield "counts_per_mm", Prompt("Its units for each mm, or reported: as the device reports them", REPORTED,
+        yield "counts_per_mm", Prompt("Its counts per mm, or reported: as reported by the device", REPORTED,
                                         reported_or(number(1e-3, 1000)))  # fmt: skip
-        yield "pressure", Prompt("Does it tell a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
+        yield "pressure", Prompt("Does it report a pressure, yes or no", "no", one_of({"yes": "", "no": ""}))
     if answers["pads"] == "taxels":
-        yield from _of_an_array(answers)
+        yield from _array_questions(answers)
     if answers["pads"] == "strip":
-        yield "strip_start", Prompt("A strip begins to sense so many mm from the axis", f"{TABLETOP.strip_start:g}",
-                                    number(0, 100))  # fmt: skip
-        yield "strip_length", Prompt("It senses over so many mm", f"{TABLETOP.strip_length:g}", number(10, 500))
-    yield "arm", Prompt(f"The palms are turned by\n{_listed(ARMS)}", "dynamixel", one_of(ARMS))
-    yield "port", Prompt("It is at", "/dev/palmd-arm")
+        yield "strip_start", Prompt("Distance in mm from the axis to the strip's active area",
+                                    f"{TABLETOP.strip_start:g}", number(0, 100))  # fmt: skip
+        yield "strip_length", Prompt("Length of the active area in mm", f"{TABLETOP.strip_length:g}", number(10, 500))
+    yield "arm", Prompt(f"Actuator of the palms\n{_choices(ARMS)}", "dynamixel", one_of(ARMS))
+    yield "port", Prompt("Its port", "/dev/palmd-arm")
     length = "120" if answers["arm"] == "adept" else f"{TABLETOP.palm_length:g}"
     for palm in PALMS:
-        yield f"palm{palm}", Prompt(f"Palm {palm} is so many mm long", length, number(10, 2000))
-    yield "tilt", Prompt("The palms' plane is tilted from the horizontal by so many degrees (90: upright)", "90",
+        yield f"palm{palm}", Prompt(f"Length of palm {palm} in mm", length, number(10, 2000))
+    yield "tilt", Prompt("Tilt of the palms' plane from the horizontal in degrees (90: upright)", "90",
                            number(1, 90))  # fmt: skip
 
 
-def _of_an_array(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
+def _array_questions(answers: Mapping[str, Any]) -> Iterator[tuple[str, Prompt]]:
     meanings = {name: each.meaning for name, each in ARRAYS.items()}
-    yield "protocol", Prompt(f"An array speaks\n{_listed(meanings)}", "text", one_of(meanings))
+    yield "protocol", Prompt(f"Protocol of the arrays\n{_choices(meanings)}", "text", one_of(meanings))
     array = ARRAYS[answers["protocol"]]
-    yield "rows", Prompt("It has so many rows along the palm", str(array.usual_rows), whole(*array.rows))
+    yield "rows", Prompt("Number of rows along the palm", str(array.default_rows), whole(*array.rows))
     if answers["protocol"] == "text":
-        yield "columns", Prompt("and so many columns across it", "4", whole(*range(1, 65)))
-    yield "pitch", Prompt("Neighbouring taxels are so many mm apart", f"{array.pitch_mm:g}", number(0.1, 20))
-    yield "first_row", Prompt("The middle of the first row is so many mm from the axis", "1", number(0, 300))
+        yield "columns", Prompt("Number of columns across the palm", "4", whole(*range(1, 65)))
+    yield "pitch", Prompt("Pitch of the taxels in mm", f"{array.pitch_mm:g}", number(0.1, 20))
+    yield "first_row", Prompt("Distance in mm from the axis to the middle of the first row", "1", number(0, 300))
 
 
-def _listed(words: Mapping[str, str]) -> str:
+def _choices(words: Mapping[str, str]) -> str:
     return "\n".join(f"  {word:10} {meaning}" for word, meaning in words.items()) + "\nWhich"
 
 
 def configuration(answers: Mapping[str, Any]) -> dict[str, Any]:
-    """What the answers come to, as it stands in the file; what has its default is left out."""
+    """Build the configuration from the answers, as in the file, without defaults."""
     rig: dict[str, Any] = {}
     if answers["tilt"] != 90.0:
         rig["gravity_m_s2"] = round(STANDARD_GRAVITY * math.sin(math.radians(answers["tilt"])), 4)
@@ -196,20 +196,20 @@ def _array(answers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("output", nargs="?", type=Path, default=Path("palmd.yaml"), metavar="FILE",
                         help="the configuration to write (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="write over what is there")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes the configuration, and the exploring plan beside it; CliError when nothing can be written."""
+    """Write the configuration, and the exploring plan beside it; CliError if they cannot be written."""
     path: Path = arguments.output
     if path.exists() and not arguments.force:
-        raise CliError(BAD_INPUT, f"{path} is there already: name another file, or give --force")
+        raise CliError(BAD_INPUT, f"{path} exists: name another file, or give --force")
     answers: dict[str, Any] = {}
     for key, question in questions(answers):
-        answers[key] = asked(question)
+        answers[key] = ask(question)
         if key == "pads" and (note := pad_note(answers[key])):
             print(f"Note: {note}.", file=sys.stderr)
     try:
@@ -221,18 +221,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def asked(question: Prompt, command: str = "init") -> Any:
-    """The answer; asked again until it is one, CliError when nobody answers."""
+def ask(question: Prompt, command: str = "init") -> Any:
+    """Ask until the answer is valid and return it; CliError at the end of the input."""
     while True:
-        print(f"{question.text} [{question.usual}]: ", end="", flush=True, file=sys.stderr)
+        print(f"{question.text} [{question.default}]: ", end="", flush=True, file=sys.stderr)
         line = sys.stdin.readline()
         if not line:
             print(file=sys.stderr)
             raise CliError(
-                BAD_INPUT, f"nobody answers: palmd {command} asks at a terminal, or takes a line for each answer"
+                BAD_INPUT, f"no answer: run palmd {command} at a terminal, or provide one line for each answer"
             )
         try:
-            return question.read(line.strip() or question.usual)
+            return question.read(line.strip() or question.default)
         except ValueError as error:
             print(f"  it must be {error}", file=sys.stderr)
 

@@ -1,7 +1,7 @@
-"""Puts palmd's services in place: units, account, udev rules, and a first configuration in /etc/palmd.
+"""Installs palmd's services: units, account, udev rules, and a first configuration in /etc/palmd.
 
-The files get the paths of the palmd that is called. What a machine owns (the configuration, the ports' names) is never
-overwritten. Nothing is enabled or started. With --root the files go into another tree, such as an image.
+The files contain the paths of the palmd that runs this command. Configuration and port names of the machine are never
+overwritten. Nothing is enabled or started. With --root the files are installed into another tree, such as an image.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ LOCAL = Path("usr/local/lib")
 SETTINGS = Path("etc/palmd")
 CACHE = "/var/cache/palmd"
 RUNS = "/var/lib/palmd"
-# of these a service sees nothing but what it is given: checkouts lie there, too
+# folders that are hidden from services except for listed paths; checkouts may be in them
 HIDDEN = (Path("/home"), Path("/root"), Path("/run/user"), Path("/tmp"), Path("/var/tmp"))
-EMPTIED = Path("/tmp")  # at each boot, most often
+EMPTIED = Path("/tmp")  # usually at each boot
 
 _SHIPPED_COMMAND = "/opt/palmd/bin/palmd"
 _SHIPPED_HOME = "ProtectHome=yes\n"
@@ -38,7 +38,7 @@ _SHIPPED_RUNS = "record: {directory: runs}        # relative to this file's fold
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A file to be put in place, relative to the root; an `own` one of the machine stays as it is if it exists."""
+    """A file to install, relative to the root; an `own` file belongs to the machine and is kept if it exists."""
 
     target: Path
     text: str
@@ -47,24 +47,24 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A command that follows the files; what is not `vital` the next boot does as well."""
+    """A command to run after the files; one that is not `vital` is repeated by the next boot."""
 
     words: list[str]
     vital: bool = True
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("--root", type=Path, default=Path("/"), help="the tree to install into (default: this machine)")
-    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+    parser.add_argument("--dry-run", action="store_true", help="only print what would be done")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises CliError where it may not write, and when what must follow the files fails."""
+    """Install; CliError if files cannot be written or a vital command fails."""
     root: Path = arguments.root
     command = Path(sys.prefix) / "bin/palmd"
     if not command.exists():
-        raise CliError(BAD_INPUT, f"there is no {command}: install palmd with pip before its services")
+        raise CliError(BAD_INPUT, f"{command} does not exist: install palmd with pip before its services")
     items = [*_services(command), *_settings()]
     follow = _following(command) if root == Path("/") else ()
     for item in items:
@@ -72,10 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     for step in follow:
         _follow(step, arguments.dry_run)
     for part in passing_parts(_parts()):
-        print(f"note     {part} may be gone after the next boot, and the services with it: /opt/palmd would last")
-    print(f"next: put the rig into {root / SETTINGS / 'palmd.yaml'} and the ports' names into", end=" ")
+        print(f"note     {part} may be deleted by the next boot, and the services with it: install into /opt/palmd")
+    print(f"next: describe the rig in {root / SETTINGS / 'palmd.yaml'} and the port names in", end=" ")
     print(f"{root / _NAMES}, then: systemctl enable --now palmd palmd-record palmd-view")
-    print("the members of the group palmd may command the rig, nobody else: usermod -aG palmd USER, and log in again")
+    print("only members of the group palmd may command the rig: usermod -aG palmd USER, then log in again")
     return 0
 
 
@@ -83,7 +83,7 @@ _NAMES = Path("etc/udev/rules.d/71-palmd-names.rules")
 
 
 def adapted(unit: str, command: Path, hidden: Sequence[Path]) -> str:
-    """A shipped unit for a palmd at `command`; of what is hidden it sees only the `hidden` paths that it needs."""
+    """Adapt a shipped unit to a palmd at `command`; of hidden folders it sees only the `hidden` paths."""
     unit = unit.replace(_SHIPPED_COMMAND, str(command))
     if not hidden:
         return unit
@@ -91,13 +91,13 @@ def adapted(unit: str, command: Path, hidden: Sequence[Path]) -> str:
 
 
 def hidden_parts(parts: Sequence[Path]) -> list[Path]:
-    """Those of an installation's folders that lie in somebody's home or among temporary files, each once. Pure."""
+    """Return an installation's folders that are in home or temporary folders, without nested ones. Pure."""
     inside = {part for part in parts if any(part.is_relative_to(home) for home in HIDDEN)}
     return sorted(part for part in inside if not any(part != other and part.is_relative_to(other) for other in inside))
 
 
 def passing_parts(parts: Sequence[Path]) -> list[Path]:
-    """Those of an installation's folders that a boot may take away. Pure."""
+    """Return an installation's folders that a boot may delete. Pure."""
     return [part for part in hidden_parts(parts) if part.is_relative_to(EMPTIED)]
 
 
@@ -125,11 +125,11 @@ def _settings() -> Iterator[Item]:
 
 
 def _following(command: Path) -> Iterator[Step]:
-    """What makes the account, has those who run take notice, and compiles the observers for the services."""
+    """Yield the commands that create the account, reload systemd and udev, and compile the observers."""
     yield Step(["systemd-sysusers", f"/{LOCAL}/sysusers.d/palmd.conf"])
     if Path("/run/systemd/system").exists():
         yield Step(["systemctl", "daemon-reload"])
-        # a service that is started before its ports' drivers are known may not open them when they are plugged in
+        # a service that starts before its ports' drivers are loaded may not open ports plugged in later
         yield Step(["systemctl", "restart", "systemd-modules-load"], vital=False)
     if Path("/run/udev/control").exists():
         yield Step(["udevadm", "control", "--reload"])
@@ -163,12 +163,12 @@ def _follow(step: Step, dry_run: bool) -> None:
     try:
         status = subprocess.run(words, check=False).returncode
     except FileNotFoundError:
-        raise CliError(RIG_FAILED, f"there is no {words[0]}: palmd's services need systemd and udev") from None
+        raise CliError(RIG_FAILED, f"{words[0]} not found: palmd's services need systemd and udev") from None
     if status == 0:
         return
     if step.vital:
         raise CliError(RIG_FAILED, f"{' '.join(words)} failed with status {status}; the files are in place")
-    print(f"note     that failed with status {status}; the next boot does it")
+    print(f"note     this failed with status {status}; the next boot repeats it")
 
 
 def _read(path: Path) -> str:

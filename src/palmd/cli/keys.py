@@ -1,6 +1,6 @@
-"""Makes keys for the bus, and keeps the list of who may listen to a daemon (watch) or command it (operate).
+"""Creates keys for the bus, and manages the clients that may listen to a daemon (watch) or command it (operate).
 
-DIR is the folder that the configuration names as bus.keys; a change of the list counts from the daemon's next start.
+DIR is the folder that the configuration names as bus.keys; changes of the list take effect at the daemon's next start.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ from palmd import keys
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.keys import PUBLIC, SERVER, KeysError, Role
 
-RESTART = "restart palmd for it to count"
+RESTART = "takes effect after a restart of palmd"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("-d", type=Path, default=Path("keys"), metavar="DIR", dest="folder",
                         help="folder of the keys (default: %(default)s)")  # fmt: skip
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    new = actions.add_parser("new", help="make a pair of keys").add_subparsers(
+    new = actions.add_parser("new", help="create a pair of keys").add_subparsers(
         dest="whose", metavar="WHOSE", required=True
     )
     new.add_parser("server", parents=[common], help="for a daemon")
-    client = new.add_parser("client", parents=[common], help="for a client, on the machine where that runs")
-    client.add_argument("name", metavar="NAME", help="what it is called")
-    _add_role(client, required=False, help="DIR is a daemon's: allow the client at once")
-    allow = actions.add_parser("allow", parents=[common], help="let a client in")
-    allow.add_argument("file", type=Path, metavar="FILE", help="its public key, NAME.key")
-    _add_role(allow, required=True, help="listen and ask for the status, or give every command")
-    revoke = actions.add_parser("revoke", parents=[common], help="let a client in no longer")
-    revoke.add_argument("name", metavar="NAME", help="what it is called")
-    actions.add_parser("list", parents=[common], help="who may come in")
+    client = new.add_parser("client", parents=[common], help="for a client, on the client's machine")
+    client.add_argument("name", metavar="NAME", help="name of the client")
+    _add_role(client, required=False, help="if DIR is a daemon's: allow the client at once")
+    allow = actions.add_parser("allow", parents=[common], help="allow a client")
+    allow.add_argument("file", type=Path, metavar="FILE", help="the client's public key, NAME.key")
+    _add_role(allow, required=True, help="watch: listen and query the status; operate: all commands")
+    revoke = actions.add_parser("revoke", parents=[common], help="remove a client")
+    revoke.add_argument("name", metavar="NAME", help="name of the client")
+    actions.add_parser("list", parents=[common], help="list the allowed clients")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Does one action; CliError where a file cannot be made, read or trusted."""
+    """Execute one action; CliError if a file cannot be created, read or trusted."""
     try:
         for line in _ACTIONS[arguments.action](arguments):
             print(line)
@@ -50,14 +50,14 @@ def _new(arguments: argparse.Namespace) -> list[str]:
     folder: Path = arguments.folder
     if arguments.whose == "server":
         secret, public = keys.make_pair(folder, SERVER)
-        return [f"{secret}: stays here", f"{public}: give this to the clients"]
+        return [f"{secret}: keep it here", f"{public}: give this to the clients"]
     name: str = arguments.name
     if name == SERVER:
         raise KeysError(f"a client cannot be called {SERVER}")
     secret, public = keys.make_pair(folder, name)
     if arguments.role is None:
         return [
-            f"{secret}: stays here, for --key",
+            f"{secret}: keep it here, for --key",
             f"{public}: give this to the daemon's machine, for palmd keys allow",
         ]
     keys.allow(folder, public, arguments.role)
@@ -71,14 +71,14 @@ def _allow(arguments: argparse.Namespace) -> list[str]:
 
 def _revoke(arguments: argparse.Namespace) -> list[str]:
     keys.revoke(arguments.folder, arguments.name)
-    return [f"{arguments.name} may not come in any more; {RESTART}"]
+    return [f"{arguments.name} is removed; {RESTART}"]
 
 
 def _list(arguments: argparse.Namespace) -> list[str]:
     listed = keys.members(arguments.folder)
     width = max((len(member.name) for member in listed), default=0)
     lines = [f"{member.name:{width}}  {member.role:7}  {member.public.decode('ascii')}" for member in listed]
-    return lines or [f"{arguments.folder}: nobody may come in; palmd keys allow NAME{PUBLIC} --role watch|operate"]
+    return lines or [f"{arguments.folder}: no client is allowed; palmd keys allow NAME{PUBLIC} --role watch|operate"]
 
 
 _ACTIONS = {"new": _new, "allow": _allow, "revoke": _revoke, "list": _list}

@@ -1,4 +1,4 @@
-"""How a command reads a log, be it an event log or a recorded run, and where it writes what it makes of it."""
+"""Input of event logs and recorded runs, and output files, for commands."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ STDOUT = Path("-")
 
 
 def add_calibration_argument(parser: argparse.ArgumentParser) -> None:
-    """How well the rig is known, where that is not what the log says."""
+    """Add the argument that replaces the log's standard deviations of the rig's constants."""
     parser.add_argument(
         "--calibration-sd",
         type=_calibration_sd,
         nargs="+",
         default=[],
         metavar="KEY=VALUE",
-        help=f"one-sigma of the rig's constants, instead of the log's: {', '.join(_names())}",
+        help=f"standard deviations of the rig's constants, instead of the log's: {', '.join(_names())}",
     )
 
 
@@ -45,7 +45,7 @@ def _calibration_sd(text: str) -> tuple[str, float]:
     key, _, value = text.partition("=")
     names = _names()
     if key not in names:
-        raise argparse.ArgumentTypeError(f"there is no {key!r}; there are {', '.join(names)}")
+        raise argparse.ArgumentTypeError(f"there is no {key!r}; choose from {', '.join(names)}")
     try:
         sd = float(value)
     except ValueError:
@@ -58,9 +58,9 @@ def _calibration_sd(text: str) -> tuple[str, float]:
 
 
 def read(path: Path) -> EventLog:
-    """The log of two palms on a hinge at `path`, its notes told on standard error; CliError when it cannot be used.
+    """Read a log of two palms on a hinge; its notes go to standard error. CliError if it is invalid.
 
-    What the file is shows in its first bytes; one that is named as a recording is taken for one even so.
+    The format is determined by the first bytes; a file with a recording's suffix is always read as a recording.
     """
     system, log = read_any(path)
     if not isinstance(log, EventLog):
@@ -69,9 +69,9 @@ def read(path: Path) -> EventLog:
 
 
 def read_any(path: Path, calibration_sd: Sequence[tuple[str, float]] = ()) -> tuple[System, Any]:
-    """As `read`, of whichever system, with that system.
+    """As `read`, for any system; returns the system too.
 
-    `calibration_sd`: as `RigDescription.known_to` takes them, in place of the log's own.
+    `calibration_sd`: arguments of `RigDescription.known_to`, instead of the log's own.
     """
     try:
         with working(f"reading {path}"):
@@ -91,19 +91,19 @@ def _recorded(path: Path) -> tuple[System, EventLog]:
     return system_of(None), read_run(path).event_log()
 
 
-def has_a_place(path: Path) -> None:
-    """Whether `opened` will find the folder for `path`: told before long work by CliError, not after it."""
+def check_writable(path: Path) -> None:
+    """Raise CliError if `open_output` cannot write `path`; called before long computations."""
     code = errno.EISDIR if path.is_dir() else 0 if path.parent.is_dir() else errno.ENOENT
     if path != STDOUT and code:
         raise CliError(BAD_INPUT, f"{path}: cannot be written: {os.strerror(code)}")
 
 
 @contextlib.contextmanager
-def opened(path: Path, log: Path) -> Iterator[TextIO]:
-    """`path` for writing, `-` for standard output; CliError when that cannot be, or when it is the `log` itself."""
+def open_output(path: Path, log: Path) -> Iterator[TextIO]:
+    """Open `path` for writing, `-` for standard output; CliError if that fails or if it is the `log` itself."""
     if path == STDOUT:
         if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(encoding="utf-8")  # as in a file: what a terminal cannot show must not be lost
+            sys.stdout.reconfigure(encoding="utf-8")  # as in a file: no character may be lost
         try:
             with strict_output():
                 yield sys.stdout

@@ -1,4 +1,4 @@
-"""How a command reads stored outlines."""
+"""Input of stored outlines for commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from palmd.outlinefile import Outline, OutlineError, read_library
 
 
 def read_outlines(path: Path) -> tuple[Outline, ...]:
-    """The outline in a file, or all in a folder; CliError when one cannot be used."""
+    """Read the outline in a file, or all in a folder; CliError if one is invalid."""
     try:
         return read_library(path)
     except OutlineError as error:

@@ -1,4 +1,4 @@
-"""A pivoting grasp in words."""
+"""Status of a pivoting grasp as text."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ from palmd.system.pivot import AXES
 
 
 def status_lines(result: Mapping[str, Any]) -> list[str]:
-    """Where the gripper is, and what is known of the body in it, as a status tells it."""
-    places = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES if axis + "_m" in result]
-    return status_of(PIVOT, result["estimate"], "normals", "pivot", places)
+    """Return the gripper's position and the estimate from a status reply, as text lines."""
+    positions = [f"{axis} {result[axis + '_m'] * 1e3:.1f} mm" for axis in AXES if axis + "_m" in result]
+    return status_of(PIVOT, result["estimate"], "normals", "pivot", positions)

@@ -1,4 +1,4 @@
-"""Which of the stored outlines lies on the palms, from a log: each one's probability, and that of none."""
+"""Finds which of the stored outlines the object of a log has: the probability of each, and of none."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from palmd import observer
-from palmd.cli.logs import STDOUT, opened, read
+from palmd.cli.logs import STDOUT, open_output, read
 from palmd.cli.outlines import read_outlines
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import Progress
@@ -19,23 +19,25 @@ from palmd.record.replay import replay, tick_count
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("log", type=Path, metavar="LOG", help="an event log (JSON lines) or a recorded run (.mcap)")
     parser.add_argument("library", type=Path, metavar="LIBRARY", help="a folder of outlines (.json, .csv), or one file")
-    parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="as JSON; - for standard output alone")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT.json", help="write JSON; - for standard output, without the table"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the table after the last event; CliError when log or library cannot be used, or nothing was felt."""
+    """Print the table after the last event; CliError if log or library are invalid, or nothing was touched."""
     outlines = read_outlines(arguments.library)
     log = read(arguments.log)
     found = verdict(_estimates(log, observer.make("shape", log.rig, outlines=outlines)))
     if found is None:
-        raise CliError(BAD_INPUT, f"{arguments.log}: the object never touched both palms: nothing to recognise")
+        raise CliError(BAD_INPUT, f"{arguments.log}: the object never touched both palms: it cannot be recognised")
     if arguments.output != STDOUT:
         print(table(found))
     if arguments.output is not None:
-        with opened(arguments.output, arguments.log) as stream:
+        with open_output(arguments.output, arguments.log) as stream:
             stream.write(json.dumps(as_line(found), allow_nan=False, ensure_ascii=False) + "\n")
     return 0
 

@@ -1,8 +1,8 @@
-"""Reconstructs outline and motion from a whole event log or recorded run at once, offline: one JSON object.
+"""Reconstructs outline and motion from a whole event log or recorded run, offline; writes one JSON object.
 
-With -o FILE.svg, .dxf or .csv only the outline is written, with its band, in mm; `palmd export` draws it from
-RESULT.json too. Of a body between three palms, -o FILE.stl, .ply or .obj writes the surface, in mm, --mesh FILE beside
-the result; a PLY is coloured by the band.
+With -o FILE.svg, .dxf or .csv only the outline is written, with its band, in mm; `palmd export` also draws it from
+RESULT.json. For a body between three palms, -o FILE.stl, .ply or .obj writes the surface in mm, --mesh FILE in addition
+to the result; a PLY is coloured by the band.
 
 LOG may be a bundle of `palmd capture`: each of its recordings is reconstructed and compared with its caliper table.
 """
@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from palmd.cli.drawings import drawing, write_drawing
-from palmd.cli.logs import add_calibration_argument, has_a_place, opened, read_any
+from palmd.cli.logs import add_calibration_argument, check_writable, open_output, read_any
 from palmd.console.arguments import seed
 from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.progress import working
@@ -26,7 +26,7 @@ from palmd.record.systems import Reconstructed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument(
         "log",
         type=Path,
@@ -46,14 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mesh",
         type=Path,
         metavar="FILE",
-        help="write the surface of a body in space too: .stl, .ply (coloured by its band) or .obj, in mm",
+        help="also write the surface of a body in space: .stl, .ply (coloured by its band) or .obj, in mm",
     )
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the blind start (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="seed of the blind search (default: %(default)s)"
+    )
     add_calibration_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes nothing before the answer is there; CliError when the log cannot be used."""
+    """Reconstruct first, then write the outputs; CliError if the log is invalid."""
     if (arguments.log / TRUTH).exists() or (arguments.log / "runs").is_dir():  # a bundle of `capture`
         from palmd.cli.capture_score import compare
 
@@ -61,12 +63,12 @@ def run(arguments: argparse.Namespace) -> int:
     suffix = arguments.output.suffix.lower()
     beside: Path | None = arguments.mesh
     if beside is not None and beside.suffix.lower() not in MESHES:
-        raise CliError(BAD_INPUT, f"{beside}: a surface is {', '.join(MESHES)}; name it so")
+        raise CliError(BAD_INPUT, f"{beside}: use the suffix {', '.join(MESHES)} for a surface")
     made = drawing(suffix) if suffix in SUFFIXES else None
     system, log = read_any(arguments.log, arguments.calibration_sd)
     for target in (arguments.output, beside):
         if target is not None:
-            has_a_place(target)
+            check_writable(target)
     with working("reconstructing") as say:
         answer = system.reconstruct(log, arguments.seed, say)
     if suffix in MESHES:
@@ -77,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise CliError(BAD_INPUT, f"{arguments.log}: {why}")
         write_drawing(answer.curves(arguments.log.stem), arguments.output, made, arguments.log)
     else:
-        with opened(arguments.output, arguments.log) as stream:
+        with open_output(arguments.output, arguments.log) as stream:
             stream.write(json.dumps(answer.line, allow_nan=False) + "\n")
     if beside is not None:
         _write_mesh(answer, beside, arguments.log)
@@ -86,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_mesh(answer: Reconstructed, target: Path, log: Path) -> None:
-    """CliError when there is no surface."""
+    """Write the surface; CliError if there is none."""
     if answer.mesh is None:
         why = f"not converged: {answer.reason}" if answer.reason else "a body between two palms has an outline only"
         raise CliError(BAD_INPUT, f"{log}: {why}: there is no surface to write")

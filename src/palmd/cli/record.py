@@ -1,7 +1,7 @@
-"""Record what a daemon publishes: one MCAP file a run, in the configuration's record.directory.
+"""Records what a daemon publishes: one MCAP file per run, in the configuration's record.directory.
 
-It listens until SIGTERM or SIGINT, whether or not a daemon is there, and begins a file with the daemon's first message.
-A run that has ended is packed into compressed chunks. Standard output tells when it listens, and each run's path at the
+It listens until SIGTERM or SIGINT, with or without a daemon, and begins a file with the daemon's first message.
+Finished runs are packed into compressed chunks. Standard output reports when it listens, and each run's path at the
 end.
 """
 
@@ -35,19 +35,19 @@ log = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration, palmd.yaml")
     parser.add_argument(
         "--key",
         type=Path,
         metavar="FILE",
-        help="a secret key that may operate, for a daemon with keys (default: the daemon's own, from its bus.keys)",
+        help="secret key with role operate, for a daemon with keys (default: the daemon's own, from its bus.keys)",
     )
-    parser.add_argument("--truth", metavar="ADDRESS", help="where an emulated rig publishes its truth")
+    parser.add_argument("--truth", metavar="ADDRESS", help="address at which an emulated rig publishes its truth")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises CliError for a configuration that cannot be read, and for what is no address."""
+    """Record; CliError if the configuration or an address is invalid."""
     try:
         config = load_any_config(arguments.config)
     except ConfigError as error:
@@ -86,18 +86,18 @@ def _alone(directory: Path, publish: str) -> Iterator[None]:
 
 
 class _Packing:
-    """Packs what has ended: in a process beside the recording, or when that is over."""
+    """Packs finished runs: in a separate process during the recording, or at its end."""
 
     def __init__(self) -> None:
         self._ended: list[tuple[Ended, subprocess.Popen[bytes] | None]] = []
 
     def take(self, ended: Ended, *, in_time: bool) -> None:
-        """Pack it now if it is whole and the recording goes on."""
+        """Register a finished run; pack it now if it is complete and the recording continues."""
         beside = start_beside(["runs", "recover", str(ended.path)]) if in_time and ended.whole else None
         self._ended.append((ended, beside))
 
     def finish(self) -> None:
-        """Pack what is left. What cannot be packed stays as it is, and `palmd runs recover` may have more luck."""
+        """Pack the remaining runs. A run that cannot be packed is left unchanged; try `palmd runs recover` on it."""
         for ended, beside in self._ended:
             if beside is not None:
                 beside.wait()
@@ -112,7 +112,7 @@ class _Packing:
 
 @contextlib.contextmanager
 def _terminal() -> Iterator[TextIO]:
-    """Standard error, or nothing where another command has the terminal by now."""
+    """Standard error, or /dev/null if another command has the terminal now."""
     with contextlib.ExitStack() as stack:
         try:
             ours = os.tcgetpgrp(sys.stderr.fileno()) == os.getpgrp()

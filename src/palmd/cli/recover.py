@@ -1,8 +1,8 @@
-"""Make a whole, compressed recording of one that was cut off or damaged.
+"""Repairs a recording that was cut off or damaged: writes a complete, compressed one.
 
-What was only never finished is finished in place. Where something cannot be read, or other programs have added messages
-to a run that is not packed, RUN stays as it is, and palmd's messages that can be read go to RUN.recovered.mcap beside
-it, or to the FILE given. Exit status 0 if all of RUN is in the result, 1 if something is missing, which is said.
+An unfinished recording is finished in place. If a part cannot be read, or other programs have added messages to a run
+that is not packed, RUN is left unchanged, and palmd's readable messages are written to RUN.recovered.mcap beside it, or
+to FILE. Exit status 0 if the result has all of RUN, 1 if something is missing, which is reported.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ RECOVERED = ".recovered"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="the recording (.mcap)")
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
-        help="where to; default: in place of RUN, or RUN.recovered.mcap where something of RUN cannot be read",
+        help="output; default: in place of RUN, or RUN.recovered.mcap if a part of RUN cannot be read",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Says how much was saved; 1 when something is missing. CliError when nothing can be, or the output not written."""
+    """Repair and report; return 1 if something is missing. CliError if nothing is readable or the output fails."""
     source: Path = arguments.run
     target: Path = arguments.output or source
     try:
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.output is None and (layout.damage.unread_bytes or (layout.foreign and not finished)):
             target = source.with_name(source.name.removesuffix(SUFFIX) + RECOVERED + SUFFIX)
         elif arguments.output is None and finished:
-            print(f"{source}: is whole already")
+            print(f"{source}: is already complete")
             return 0
         with Progress("packing", layout.count, "messages") as bar:
             pack(source, target, bar.at)

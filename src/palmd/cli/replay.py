@@ -1,7 +1,7 @@
-"""Publishes a recorded run again, message by message, for the live page and every other subscriber.
+"""Publishes a recorded run again, message by message, for the live page and other subscribers.
 
-With --check nothing is published: the recorded events go through the same observer again, and its estimates are
-compared with the recorded ones, to the last bit; and the lifecycle's rules are applied to what was commanded and done.
+With --check nothing is published: the recorded events are processed by the same observer again, and its estimates are
+compared bit by bit with the recorded ones; the commands and states are checked against the lifecycle's rules.
 """
 
 from __future__ import annotations
@@ -27,28 +27,36 @@ from palmd.record.player import SETTLE_S, RecordedPublisher, RepublishError, pau
 from palmd.record.recheck import Difference, Recheck
 from palmd.record.run import AnyRun, RunError, read_any_run
 
-TOLD_BROKEN = 10
+MAX_BROKEN_SHOWN = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap)")
-    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times the recorded pace (default: 1)")
     parser.add_argument(
-        "--publish", type=_address, default=PUBLISH, metavar="ADDRESS", help="where to (default: %(default)s)"
+        "--speed", type=_speed, default=1.0, metavar="X", help="factor of the recorded speed (default: 1)"
     )
     parser.add_argument(
-        "--frames", type=int, choices=FRAMES, default=3, help="of each message; 2 leaves out the time (default: 3)"
+        "--publish",
+        type=_address,
+        default=PUBLISH,
+        metavar="ADDRESS",
+        help="address to publish at (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frames", type=int, choices=FRAMES, default=3, help="frames of each message; 2 omits the time (default: 3)"
     )
     either = parser.add_mutually_exclusive_group()
-    either.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
+    either.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     either.add_argument(
-        "--check", action="store_true", help="compare with what the observer says now, and with the lifecycle's rules"
+        "--check",
+        action="store_true",
+        help="compare with the observer's present estimates, and check the lifecycle's rules",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Ends with the run or when asked to; status 1 when a check finds a difference. CliError for an unusable run."""
+    """Publish or check the run; return 1 if a check finds a difference. CliError for an invalid run."""
     try:
         recording = read_any_run(arguments.run)
         print_notes(recording.notes)
@@ -95,30 +103,30 @@ def _check(recording: AnyRun) -> int:
             found += tick.differences
             progress.at(tick.number)
     kept = check_run(recording)
-    print("\n".join(_told(recording.path, total, ticks, agree, found) + _rules_told(kept)))
+    print("\n".join(_comparison_lines(recording.path, total, ticks, agree, found) + _rule_lines(kept)))
     return BAD_INPUT if found or kept.broken else 0
 
 
-def _rules_told(kept: RulesReport) -> list[str]:
-    """Whether the run has kept the lifecycle's rules, in words."""
+def _rule_lines(kept: RulesReport) -> list[str]:
+    """Result of the check of the lifecycle's rules, as text lines."""
     what = f"{kept.states} states and {kept.entries} entries of the log"
     if not kept.broken:
         return [f"the lifecycle's rules hold in {what}"]
     lines = [f"the lifecycle's rules are broken {len(kept.broken)} times in {what}"]
-    return lines + [f"at {broken}" for broken in kept.broken[:TOLD_BROKEN]]
+    return lines + [f"at {broken}" for broken in kept.broken[:MAX_BROKEN_SHOWN]]
 
 
-def _told(path: Path, total: int, ticks: int, agree: int, found: list[Difference]) -> list[str]:
-    """The outcome of a check, in words."""
+def _comparison_lines(path: Path, total: int, ticks: int, agree: int, found: list[Difference]) -> list[str]:
+    """Result of the comparison, as text lines."""
     lines = [f"{path}: {agree} of {ticks} ticks agree to the last bit"]
     if ticks < total:
-        lines[0] += f"; {total - ticks} more could not be compared: what was published between is missing"
+        lines[0] += f"; {total - ticks} more could not be compared: messages between them are missing"
     if found:
         first = found[0]
         lines.append(f"first difference in tick {first.number}: {first.name} was {first.recorded!r}, is {first.now!r}")
-    weighed = [each for each in found if math.isfinite(each.sigmas)]
-    if weighed:
-        most = max(weighed, key=lambda each: each.sigmas)
+    finite = [each for each in found if math.isfinite(each.sigmas)]
+    if finite:
+        most = max(finite, key=lambda each: each.sigmas)
         lines.append(f"largest difference in tick {most.number}: {most.name} by {most.sigmas:.2g} sd")
     return lines
 

@@ -1,4 +1,4 @@
-"""Makes a printable report of a recorded run."""
+"""Creates a printable report of a recorded run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOGS = (".jsonl", ".jsonl.gz")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument(
         "run",
         type=Path,
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Makes the report; CliError when something cannot be used."""
+    """Create the report; CliError for invalid inputs."""
     subject: Path = arguments.run
     output: Path = arguments.output or Path(f"{Path(subject.name.removesuffix('.gz')).stem}.html")
     if not subject.name.lower().endswith(LOGS) or is_recording(subject):
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     report = SYSTEMS[system.name].log_report
     if not report:
         known = ", ".join(each.name for each in SYSTEMS.values() if each.log_report)
-        raise CliError(BAD_INPUT, f"{subject}: of an event log there is a report for {known} only; record the run")
+        raise CliError(BAD_INPUT, f"{subject}: reports of event logs exist for {known} only; record the run")
     with working("reconstructing") as say:
         answer = system.reconstruct(log, 0, say)
     status: int = load_part(report)(subject, answer.line, answer.told, output)

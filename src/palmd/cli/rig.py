@@ -1,4 +1,4 @@
-"""The emulated rig alone: far ends of both pads and the arm on pseudo-terminals, told in one JSON line."""
+"""Runs the emulated rig alone: pads and arm on pseudo-terminals, whose names are printed in one JSON line."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from palmd.rig import app
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     app.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs until SIGTERM, SIGINT or the parent's end."""
-    realtime.prepare(realtime.RIG_PRIORITY)  # what is not allowed makes it no worse than it was
+    """Run until SIGTERM, SIGINT or the parent's end."""
+    realtime.prepare(realtime.RIG_PRIORITY)  # without permission the priority stays unchanged
     return app.run_rig(arguments)

@@ -1,4 +1,4 @@
-"""The daemon: both pads and the arm on their ports, estimates on the bus, motion when it is asked for."""
+"""Runs the daemon: reads the pads and the arm, publishes estimates on the bus, and moves the arm on command."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from palmd.harness.processes import start_beside
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("config", type=Path, metavar="CONFIG", help="the rig's configuration, palmd.yaml")
-    parser.add_argument("--no-record", action="store_true", help="start no recorder beside it")
+    parser.add_argument("--no-record", action="store_true", help="do not start a recorder")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs until SIGTERM or SIGINT, then brings the arm to a planned stop."""
+    """Run until SIGTERM or SIGINT, then stop the arm by a planned stop."""
 
     def recorder() -> subprocess.Popen[bytes]:
         return start_beside(["record", str(arguments.config)])
 
-    gc.disable()  # what a start makes stays; the loop has its collector once it is frozen
+    gc.disable()  # objects of the start-up are permanent; the loop collects itself after freezing them
     try:
         from palmd.daemon import app
 

@@ -1,7 +1,7 @@
 """Lists, searches and compares recordings: object, time, fault, accuracy, note.
 
-Each recording is read once; what was found lies in a small index beside them, which may be deleted at any time. A note
-lies beside its recording, in a file of the same name that ends in .note.
+Each recording is read once; the results are stored in a small index beside them, which may be deleted at any time. A
+note is stored beside its recording, in a file of the same name with the suffix .note.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ _HEAD = ("run", "for", "object", "touched", "outline ±", "worst ±", "mass", "f
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     add = parser.add_argument
     add("folder", nargs="?", type=Path, metavar="FOLDER",
-        help=f"of the recordings (default: {HERE}/ here, else that of the installed configuration)")  # fmt: skip
+        help=f"folder of the recordings (default: {HERE}/, else that of the installed configuration)")  # fmt: skip
     add("--search", nargs="+", default=[], metavar="WORD",
-        help="only runs that have every WORD in name, time, object, plan, fault or note")  # fmt: skip
+        help="only runs with every WORD in name, time, object, plan, fault or note")  # fmt: skip
     add("--since", type=_day, metavar="DATE", help="only runs from this day on, such as 2026-11-23")
-    add("--objects", action="store_true", help="group the runs by the object that was recognised")
-    add("--compare", nargs="+", metavar="RUN", help="these runs side by side; a beginning of the name is enough")
+    add("--objects", action="store_true", help="group the runs by recognised object")
+    add("--compare", nargs="+", metavar="RUN", help="show these runs side by side; the beginning of a name suffices")
     add("--note", nargs=2, metavar=("RUN", "TEXT"), help="write a note beside a run")
     add("--rebuild", action="store_true", help="read every recording again")
-    add("--json", action="store_true", help="print the runs as JSON, SI")
+    add("--json", action="store_true", help="print the runs as JSON, in SI units")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises CliError for a folder that cannot be read, and for a run that is not there."""
+    """List, compare or annotate runs; CliError if the folder cannot be read or a run does not exist."""
     folder = arguments.folder or (HERE if HERE.is_dir() else _configured())
     found = _indexed(folder, rebuild=arguments.rebuild)
     if arguments.note:
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         shown = [each for each in found if matches(each, arguments.search, arguments.since or "")]
     if arguments.json:
-        print(json.dumps([_plain(each) for each in shown], indent=2))
+        print(json.dumps([_as_map(each) for each in shown], indent=2))
     elif arguments.compare:
         print("\n".join(compared(shown)))
     elif arguments.objects:
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _day(text: str) -> str:
-    """A day, or a time of a day."""
+    """Argument type: an ISO date or time."""
     try:
         datetime.fromisoformat(text)
     except ValueError:
@@ -75,9 +75,9 @@ def _day(text: str) -> str:
 
 
 def _configured() -> Path:
-    from palmd.console.configured import configured, usual
+    from palmd.console.configured import configured, default_path
 
-    return configured(usual(None)).record.directory
+    return configured(default_path(None)).record.directory
 
 
 def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:
@@ -91,10 +91,10 @@ def _indexed(folder: Path, *, rebuild: bool) -> list[IndexedRun]:
     try:
         return indexed(folder, rebuild=rebuild, progress=progress)
     except FileNotFoundError:
-        text = f"{folder}: no such folder: no run has been recorded into it; `palmd demo` records one into {HERE}/ here"
+        text = f"{folder}: no such folder: no run has been recorded into it; `palmd demo` records one into {HERE}/"
         raise CliError(BAD_INPUT, text) from None
     except NotADirectoryError:
-        raise CliError(BAD_INPUT, f"{folder}: is a file; name the folder that it lies in") from None
+        raise CliError(BAD_INPUT, f"{folder}: is a file; name its folder") from None
     except OSError as error:
         raise CliError(BAD_INPUT, f"{folder}: {error.strerror or error}") from None
     finally:
@@ -112,27 +112,31 @@ def _write_note(folder: Path, found: Sequence[IndexedRun], name: str, text: str)
 
 
 def _named(found: Sequence[IndexedRun], name: str, folder: Path) -> IndexedRun:
-    """The one run whose name begins so; CliError where there is none, or several."""
+    """Return the only run whose name begins with `name`; CliError if there is none, or several."""
     wanted = Path(name).name
     hits = [each for each in found if each.name.startswith(wanted)]
     exact = [each for each in hits if each.name == wanted]
     if len(exact or hits) != 1:
-        text = f"{len(hits)} runs begin so; write more of the name" if hits else f"there is no such run in {folder}"
+        text = (
+            f"{len(hits)} runs have names that begin so; write more of the name"
+            if hits
+            else f"there is no such run in {folder}"
+        )
         raise CliError(BAD_INPUT, f"{name}: {text}")
     return (exact or hits)[0]
 
 
 def matches(run: IndexedRun, words: Sequence[str], since: str) -> bool:
-    """Whether a run has every word somewhere, whatever its case, and is not from before that day. Pure."""
-    told = run.summary
-    text = " ".join((run.name, told.started, told.object or NOT_RECOGNISED, *told.plans, *told.faults, *told.notes,
-                     told.damage,
-                     told.problem)).lower()  # fmt: skip
-    return all(word.lower() in text for word in words) and (told.started or run.name) >= since
+    """Whether a run has all words in its texts, ignoring case, and is not older than `since`. Pure."""
+    summary = run.summary
+    text = " ".join((run.name, summary.started, summary.object or NOT_RECOGNISED, *summary.plans, *summary.faults,
+                     *summary.notes, summary.damage,
+                     summary.problem)).lower()  # fmt: skip
+    return all(word.lower() in text for word in words) and (summary.started or run.name) >= since
 
 
 def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
-    """A line a run under a head, in columns. Pure."""
+    """Yield a table: a head and one line per run. Pure."""
     rows = [_HEAD, *map(_row, runs)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
     for row in rows:
@@ -140,28 +144,33 @@ def table(runs: Sequence[IndexedRun]) -> Iterator[str]:
 
 
 def _row(run: IndexedRun) -> tuple[str, ...]:
-    told = run.summary
-    lost = [f"lost {told.lost}×"] if told.lost else []
-    lost += ["not valid at the end"] if told.lost and not told.valid else []
-    last = [*lost, *told.faults, *(f'"{note}"' for note in told.notes), *([told.problem] if told.problem else [])]
-    if told.damage:
-        last.append(told.damage)
-    elif not told.complete and not told.problem:
+    summary = run.summary
+    lost = [f"lost {summary.lost}×"] if summary.lost else []
+    lost += ["not valid at the end"] if summary.lost and not summary.valid else []
+    last = [
+        *lost,
+        *summary.faults,
+        *(f'"{note}"' for note in summary.notes),
+        *([summary.problem] if summary.problem else []),
+    ]
+    if summary.damage:
+        last.append(summary.damage)
+    elif not summary.complete and not summary.problem:
         last.append("not finished")
     return (
         run.name.removesuffix(".mcap"),
-        _number(told.seconds, 1.0, " s", 0),
-        told.object or "–",
-        _number(told.touched, 100.0, " %", 0),
-        _number(told.sd_m, 1e6, " µm", 0),
-        _number(told.worst_sd_m, 1e6, " µm", 0),
-        _number(told.mass_kg, 1e3, " g", 1),
+        _number(summary.seconds, 1.0, " s", 0),
+        summary.object or "–",
+        _number(summary.touched, 100.0, " %", 0),
+        _number(summary.sd_m, 1e6, " µm", 0),
+        _number(summary.worst_sd_m, 1e6, " µm", 0),
+        _number(summary.mass_kg, 1e3, " g", 1),
         ", ".join(last),
     )
 
 
 def compared(runs: Sequence[IndexedRun]) -> Iterator[str]:
-    """One column a run. Pure."""
+    """Yield a table with one column per run. Pure."""
     columns = [_HEAD, *map(_row, runs)]
     columns = [(*column[:-1], *_plans(run)) for column, run in zip(columns, (None, *runs), strict=True)]
     widths = [max(map(len, column)) for column in columns]
@@ -170,15 +179,15 @@ def compared(runs: Sequence[IndexedRun]) -> Iterator[str]:
 
 
 def _plans(run: IndexedRun | None) -> tuple[str, ...]:
-    """The last rows of a comparison: their heads without a run."""
+    """Last rows of a comparison; without a run, their heads."""
     if run is None:
         return ("plans", "faults", "notes")
-    told = run.summary
-    return (", ".join(told.plans), ", ".join(told.faults) or "none", "; ".join(told.notes) or told.problem)
+    summary = run.summary
+    return (", ".join(summary.plans), ", ".join(summary.faults) or "none", "; ".join(summary.notes) or summary.problem)
 
 
 def grouped(runs: Sequence[IndexedRun]) -> Iterator[str]:
-    """The runs under the name of the object that each was recognised as, most often seen first. Pure."""
+    """Yield the runs grouped by recognised object, most frequent first. Pure."""
     groups: dict[str, list[IndexedRun]] = {}
     for each in runs:
         groups.setdefault(each.summary.object or NOT_RECOGNISED, []).append(each)
@@ -202,7 +211,7 @@ def _cut(lines: Iterator[str]) -> Iterator[str]:
     return (line[:columns] for line in lines)
 
 
-def _plain(run: IndexedRun) -> dict[str, Any]:
-    told = asdict(run.summary)
-    values = {name: None if value != value else value for name, value in told.items()}
+def _as_map(run: IndexedRun) -> dict[str, Any]:
+    fields = asdict(run.summary)
+    values = {name: None if value != value else value for name, value in fields.items()}
     return {"run": run.name, "size_bytes": run.size_bytes} | values

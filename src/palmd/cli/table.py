@@ -1,4 +1,4 @@
-"""The table of commands: what each is called, what it is for, and the module that is imported when it is called."""
+"""Table of commands: name, module and description of each; modules are imported when called."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from palmd.console.arguments import Parser
 class Command(NamedTuple):
     """One command.
 
-    `module`, in the package, has a docstring, `add_arguments(parser)` and `run(arguments) -> int`; it is None where
-    only the commands below do something.
+    `module`, in the package, has a docstring, `add_arguments(parser)` and `run(arguments) -> int`; it is None for a
+    group of commands.
     """
 
     name: str
@@ -35,7 +35,7 @@ COMMANDS = (
     Command("view", "cli.view", "serve the live page of a running daemon to browsers on this machine"),
     Command("record", "cli.record", "record what a daemon publishes, one file a run"),
     Command("runs", "cli.runs", "list, search and compare recordings"),
-    Command("runs recover", "cli.recover", "repair a recording that was cut off"),
+    Command("runs recover", "cli.recover", "repair a recording that was cut off or damaged"),
     Command("replay", "cli.replay", "publish a recorded run again, or check that the observer repeats its estimates"),
     Command("why", "cli.why", "explain why a recorded run held or stopped"),
     Command("report", "cli.report", "make a page or PDF of a recorded run"),
@@ -45,26 +45,42 @@ COMMANDS = (
     Command("estimate", "cli.estimate", "run the daemon's observer over an event log or a recorded run"),
     Command("reconstruct", "cli.reconstruct", "estimate outline and motion from a whole event log or recorded run"),
     Command("recognise", "cli.recognise", "find which of the stored outlines the object of a run has"),
-    Command("calibrate", None, "measure what the configuration must know"),
-    Command("calibrate pad", "calibration.pad", "a touchpad's noise, resolution, timing and dead band, with a marble"),
-    Command("calibrate arm", "calibration.arm", "the arm's base and the palms' lengths, swung by hand"),
-    Command("calibrate gravity", "calibration.gravity", "gravity's direction and the arm's yaw, with a rolling ball"),
-    Command("calibrate pads", "calibration.pads", "both touchpads' zero, scale and sign, with a turned cylinder"),
+    Command("calibrate", None, "measure values for the configuration"),
+    Command(
+        "calibrate pad",
+        "calibration.pad",
+        "measure a touchpad's noise, resolution, timing and dead band, with a marble",
+    ),
+    Command(
+        "calibrate arm", "calibration.arm", "measure the arm's base and the palms' lengths, by swinging them by hand"
+    ),
+    Command(
+        "calibrate gravity", "calibration.gravity", "measure gravity's direction and the arm's yaw, with a rolling ball"
+    ),
+    Command(
+        "calibrate pads", "calibration.pads", "measure both touchpads' zero, scale and sign, with a turned cylinder"
+    ),
     Command(
         "calibrate standoff",
         "calibration.standoff",
-        "both touchpads' height above the hinge line, zero, scale and sign, with two turned cylinders",
+        "measure both touchpads' height above the hinge line, zero, scale and sign, with two turned cylinders",
     ),
-    Command("calibrate force", "calibration.force", "both touchpads' newtons per count, with a cylinder's weight"),
-    Command("calibrate curvature", "calibration.curvature", "the curvature of palms that are arcs, with a cylinder"),
     Command(
-        "calibrate height", "calibration.height", "a pivoting gripper's height over the pad, with a dragged cylinder"
+        "calibrate force", "calibration.force", "measure both touchpads' newtons per count, with a cylinder's weight"
     ),
-    Command("calibrate vibration", "calibration.vibration", "the palms' vibration speed, with an accelerometer"),
+    Command("calibrate curvature", "calibration.curvature", "measure the curvature of curved palms, with a cylinder"),
+    Command(
+        "calibrate height",
+        "calibration.height",
+        "measure a pivoting gripper's height over the pad, with a dragged cylinder",
+    ),
+    Command(
+        "calibrate vibration", "calibration.vibration", "measure the palms' vibration speed, with an accelerometer"
+    ),
     Command(
         "calibrate self",
         "calibration.self_calibration",
-        "the pads' zeros and the palms' angles, from recorded runs with any objects",
+        "estimate the pads' zeros and the palms' angles, from recorded runs with any objects",
     ),
     Command("check", "cli.check", "validate configurations and motion plans"),
     Command("init", "cli.init", "write a configuration from questions about the rig"),
@@ -72,11 +88,11 @@ COMMANDS = (
     Command("doctor latency", "doctor.latency", "measure how late the loop is on this machine, idle and busy"),
     Command("doctor build", "cli.build", "compile the observers now instead of at the first run"),
     Command("bundle", "cli.bundle", "pack a recorded run, versions and findings for a bug report"),
-    Command("install", "cli.install", "install this palmd as services of systemd"),
-    Command("install completion", "cli.completion", "print or install the completion of commands for shells"),
-    Command("keys", "cli.keys", "create and manage the keys of daemon and clients"),
+    Command("install", "cli.install", "install palmd's systemd services"),
+    Command("install completion", "cli.completion", "print the shell completion script"),
+    Command("keys", "cli.keys", "create and manage the keys of daemons and clients"),
 )
-"""In the order in which `palmd --help` lists them. A name of two words belongs to the command of its first word."""
+"""In the order of `palmd --help`. A name of two words is a subcommand of its first word."""
 
 RENAMED = {
     "explore": "ctl explore",
@@ -85,10 +101,10 @@ RENAMED = {
     "build": "doctor build",
     "completion": "install completion",
 }
-"""Spellings of before 1.0, which work until 2.0, and what they stand for."""
+"""Command names before 1.0, which work until 2.0, and their new names."""
 
 STUDIES = "python -m tools.studies"
-"""Runs a study, in a checkout."""
+"""Command that runs a study in a checkout."""
 
 _STUDY = f"studies are not installed; in a checkout run: {STUDIES}"
 
@@ -98,41 +114,41 @@ MOVED = {
     "report paper": f"{_STUDY} paper",
     "outlook": "this study is finished; its results are in docs/theory/outlook.md",
 }
-"""What is said of former commands that are studies now; NAME stands for the word behind it."""
+"""Messages for former commands that are studies now; NAME is replaced by the next word."""
 
 
-def below(name: str = "") -> dict[str, Command]:
-    """The commands one level below another, by their last word; by default those without one above them."""
+def subcommands(name: str = "") -> dict[str, Command]:
+    """Return the subcommands of a command by their last word; by default the top-level commands."""
     head = f"{name} " if name else ""
     found = {each.name.removeprefix(head): each for each in COMMANDS if each.name.startswith(head)}
     return {word: each for word, each in found.items() if " " not in word}
 
 
-def said(command: Command) -> str:
-    """The description in a list, with the names of the commands below it."""
-    names = ", ".join(below(command.name))
+def description(command: Command) -> str:
+    """Return the description for a list, for a group with the names of its commands."""
+    names = ", ".join(subcommands(command.name))
     return f"{command.help}: {names}" if names and not command.module else command.help
 
 
-def loaded(command: Command) -> ModuleType:
-    """The command's module."""
+def load_module(command: Command) -> ModuleType:
+    """Import and return the command's module."""
     return importlib.import_module(f"palmd.{command.module}")
 
 
 def parser_of(command: Command, module: ModuleType, program: str = "palmd") -> argparse.ArgumentParser:
-    """The parser of a command that has a module; its help names the commands below it."""
-    names = below(command.name)
+    """Create the parser of a command that has a module; its help lists the subcommands."""
+    names = subcommands(command.name)
     parser = Parser(
         prog=f"{program} {command.name}",
         description=module.__doc__,
-        epilog=f"commands below it:\n{listed(names)}" if names else None,
+        epilog=f"subcommands:\n{listing(names)}" if names else None,
         formatter_class=argparse.RawDescriptionHelpFormatter if names else argparse.HelpFormatter,
     )
     module.add_arguments(parser)
     return parser
 
 
-def listed(commands: Mapping[str, Command]) -> str:
-    """One line a command: its word and its description."""
+def listing(commands: Mapping[str, Command]) -> str:
+    """One line per command: word and description."""
     width = max(map(len, commands))
-    return "\n".join(f"  {name:{width}}  {said(each)}" for name, each in commands.items())
+    return "\n".join(f"  {name:{width}}  {description(each)}" for name, each in commands.items())

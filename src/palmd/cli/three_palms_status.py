@@ -1,4 +1,4 @@
-"""Three palms in space, in words."""
+"""Status of three palms as text."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ from palmd.three_palms_quantities import PALM3
 
 
 def status_lines(result: Mapping[str, Any]) -> list[str]:
-    """Where the palms are, and what is known of the body between them, as a status tells it."""
-    places = [f"{joint} {math.degrees(result[joint + '_rad']):.1f}°" for joint in JOINTS if joint + "_rad" in result]
-    return status_of(PALM3, result["estimate"], "directions", "palms", places)
+    """Return the palms' angles and the estimate from a status reply, as text lines."""
+    positions = [f"{joint} {math.degrees(result[joint + '_rad']):.1f}°" for joint in JOINTS if joint + "_rad" in result]
+    return status_of(PALM3, result["estimate"], "directions", "palms", positions)

@@ -1,6 +1,6 @@
-"""Live status of a running daemon: state, estimate, contacts, motion, faults with hints, punctuality.
+"""Shows the live status of a running daemon: state, estimate, contacts, motion, faults with hints, timing.
 
-Ends with q or Ctrl-C. Where standard output is no terminal it prints a plain frame each second.
+Ends with q or Ctrl-C. If standard output is no terminal, it prints plain text each second.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from palmd.keys import Credentials
 
 REDRAW_S = 0.1
 PLAIN_S = 1.0
-ONCE_S = 1.2  # long enough for the topics of 1 Hz
+ONCE_S = 1.2  # covers the topics of 1 Hz
 _WIDE, _HIGH = 1000, 1000
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 _COLOURS = {"plain": "", "title": "1", "good": "32", "bad": "31;1", "warning": "33", "faint": "2"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("--address", help=f"where the daemon publishes (default: as configured, {PUBLISH})")
+    """Add the command's arguments."""
+    parser.add_argument("--address", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
     add_config(parser)
     add_key(parser)
-    parser.add_argument("--once", action="store_true", help="print one frame and end")
+    parser.add_argument("--once", action="store_true", help="print the status once and exit")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Shows until asked to end; CliError when asked for one frame and nothing comes."""
+    """Show the status until the end is requested; CliError with --once if there is no data."""
     address, key = publish_address(arguments.address, arguments.config), credentials(arguments)
     board = Board(address)
     with Subscriber(address, topics=("palm/",), key=key) as subscriber:
@@ -95,7 +95,7 @@ def _listen(board: Board, subscriber: Subscriber, seconds: float) -> None:
 
 @contextmanager
 def _screen(keys: int | None) -> Iterator[None]:
-    """The alternate screen with keys unbuffered; restored however it ends."""
+    """Context: alternate screen and unbuffered keys; restored in any case."""
     handler = signal.signal(signal.SIGTERM, _interrupt)
     try:
         with nullcontext() if keys is None else unbuffered(keys):
@@ -114,7 +114,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 def painted(rows: list[BoardRow], columns: int, lines: int) -> str:
-    """The rows for a terminal of this size, drawn over what was there."""
+    """Return the rows for a terminal of this size as an update of the screen."""
     shown = fitted(rows, columns, lines)
     drawn = [f"\x1b[{_COLOURS[row.style]}m{row.text}\x1b[m\x1b[K" for row in shown]
     return "\x1b[H" + "\n".join(drawn) + "\x1b[J"

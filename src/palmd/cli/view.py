@@ -1,7 +1,7 @@
-"""The live page of a running daemon, or of a replayed run, served to browsers on this machine.
+"""Serves the live page of a running daemon, or of a replayed run, to browsers on this machine.
 
-The first line of standard output is its address. Whoever has the token in it may give commands, like any other client
-of the daemon's command socket; without it the page only watches. Ends with Ctrl-C.
+The first line of standard output is its address. With the token in it, a browser may give commands like any other
+client of the daemon's command socket; without it the page only watches. Ends with Ctrl-C.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TRIGGERS = {
     "stop": Trigger.STOP,
     "reset": Trigger.CLEARED,
 }
-"""The page's buttons, and what each would trigger."""
+"""The page's buttons and their triggers."""
 
 FORMS = {
     "jog": (State.TRACKING, State.HOLD),
@@ -37,23 +37,29 @@ FORMS = {
     "new_object": (State.READY, State.TRACKING, State.HOLD),
     "note": tuple(State),
 }
-"""Its other commands, which change no state, and the states in which they apply."""
+"""The page's other commands, which change no state, and the states in which they apply."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("--address", help=f"where the daemon publishes (default: as configured, {PUBLISH})")
+    """Add the command's arguments."""
+    parser.add_argument("--address", help=f"the daemon's publisher (default: as configured, {PUBLISH})")
     parser.add_argument("--command", help=f"the daemon's command socket (default: as configured, {COMMAND})")
     add_config(parser)
     add_key(parser)
-    parser.add_argument("--truth", default="", metavar="ADDRESS", help="where an emulated rig publishes its truth")
-    parser.add_argument("--runs", type=Path, metavar="FOLDER", help="of the recordings (default: the configuration's)")
-    parser.add_argument("--port", type=_port, default=PORT, help="of the page; 0: any free one (default: %(default)s)")
-    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+    parser.add_argument(
+        "--truth", default="", metavar="ADDRESS", help="address at which an emulated rig publishes its truth"
+    )
+    parser.add_argument(
+        "--runs", type=Path, metavar="FOLDER", help="folder of the recordings (default: the configuration's)"
+    )
+    parser.add_argument(
+        "--port", type=_port, default=PORT, help="port of the page; 0: any free port (default: %(default)s)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serves until asked to end; CliError for a wrong address and for a port that cannot be had."""
+    """Serve until the end is requested; CliError for an invalid address or an unavailable port."""
     settings = Settings(
         publish=publish_address(arguments.address, arguments.config),
         command=command_address(arguments.command, arguments.config),
@@ -70,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def allowed() -> dict[str, list[str]]:
-    """The states in which each of the page's commands applies, from the daemon's own table."""
+    """Return the states in which each of the page's commands applies, from the daemon's table."""
     buttons = {
         command: [str(state) for state, trigger in TRANSITIONS if trigger is triggered]
         for command, triggered in TRIGGERS.items()

@@ -1,6 +1,6 @@
-"""What made a recorded run hold or stop, in plain words with the evidence: which byte, which age, which limit.
+"""Explains why a recorded run held or stopped, with the evidence: which byte, which age, which limit.
 
-Asked without a time it tells of the last time that a fault held or stopped it, and lists the others.
+Without a time it explains the last hold or stop by a fault, and lists the others.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from palmd.report.why import Explanation, explain, lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("run", type=Path, metavar="RUN", help="a recorded run (.mcap), finished or not")
     parser.add_argument(
         "--at",
         type=_time,
         metavar="T",
-        help="seconds since its first message, as in reports (default: the last time by a fault)",
+        help="time in s since the first message, as in reports (default: the last hold or stop by a fault)",
     )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the answer; CliError for an unusable run, or a time that is not in it."""
+    """Print the answer; CliError for an invalid run, or a time outside it."""
     try:
         recording = read_any_run(arguments.run)
         print_notes(recording.damage_notes)
@@ -45,9 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def as_json(answer: Explanation) -> dict[str, Any]:
-    """The answer's fields; null for a time that has not come."""
-    told = asdict(answer) | {"cause": asdict(answer.cause) | {"name": answer.cause.name}}
-    return {name: or_none(value) for name, value in told.items()}
+    """The answer's fields; null for times that do not exist."""
+    fields = asdict(answer) | {"cause": asdict(answer.cause) | {"name": answer.cause.name}}
+    return {name: or_none(value) for name, value in fields.items()}
 
 
 def _time(text: str) -> float:

@@ -1,1 +1,1 @@
-"""Configuration and motion plans as strict, frozen models: units in every key, nothing unknown accepted."""
+"""Configuration and motion plans as strict, frozen models: units in every key, unknown keys are errors."""

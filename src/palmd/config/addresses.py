@@ -1,4 +1,4 @@
-"""ZeroMQ addresses that a configuration may name."""
+"""Validators of ZeroMQ addresses in configurations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import AfterValidator
 
 
 def _host(address: str) -> str | None:
-    """The machine in a TCP address, None for a local socket."""
+    """The host of a TCP address, None for a local socket."""
     if address.startswith("ipc://") and len(address) > len("ipc://"):
         return None
     try:
@@ -24,7 +24,7 @@ def _host(address: str) -> str | None:
 
 
 def local_address(address: str) -> str:
-    """Loopback TCP or a local socket; anything wider needs keys."""
+    """Loopback TCP or a local socket; other addresses need keys."""
     host = _host(address)
     if host not in (None, "localhost") and not _is_loopback(host):
         raise ValueError(
@@ -35,10 +35,10 @@ def local_address(address: str) -> str:
 
 
 def guarded_address(address: str) -> str:
-    """Any address of this machine: for a bus with keys."""
+    """Any address of this machine, for a bus with keys."""
     host = _host(address)
     if host not in (None, "localhost") and _ipv4(host) is None:
-        raise ValueError(f"must be an IPv4 address of this machine, or 0.0.0.0 for all it has; got {host}")
+        raise ValueError(f"must be an IPv4 address of this machine, or 0.0.0.0 for all of them; got {host}")
     return address
 
 
@@ -58,5 +58,5 @@ LocalAddress = Annotated[str, AfterValidator(local_address)]
 
 
 def from_here(address: str) -> str:
-    """Where a program on the daemon's own machine connects to what the daemon binds at `address`."""
+    """The address to which a program on the daemon's machine connects if the daemon binds `address`."""
     return address.replace("tcp://0.0.0.0:", "tcp://127.0.0.1:")

@@ -1,4 +1,4 @@
-"""What the configurations of all systems have."""
+"""Parts that the configurations of all systems have in common."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ class LoopConfig(Strict):
     """The control loop."""
 
     rate_hz: Annotated[FiniteFloat, Field(ge=10, le=1000), Plausible(20, 500)] = 100.0
-    """How many ticks a second."""
+    """Ticks per second."""
 
 
 class BusConfig(Strict):
-    """The ZeroMQ addresses; without a folder of keys on this machine only."""
+    """The ZeroMQ addresses; without a folder of keys, on this machine only."""
 
     keys: FilePath | None = None
-    """A folder of CURVE keys; with it other machines may listen and command."""
+    """Folder of CURVE keys; with it other machines may listen and command."""
     publish: str = "tcp://127.0.0.1:9872"
-    """Where everything is published."""
+    """Address of the publisher."""
     command: str = "tcp://127.0.0.1:9873"
-    """Where commands are taken."""
+    """Address of the command socket."""
     frames: Annotated[int, one_of(3, 2)] = 3
-    """Of each message: topic, map and the time it was sent; 2 leaves out the time, for readers that mistake it."""
+    """Frames of each message: topic, map and send time; 2 omits the time, for readers that do not expect it."""
     group: Annotated[str, Field(min_length=1)] | None = None
-    """The group whose members may use local sockets (ipc://) at these addresses; without it the daemon's user alone."""
+    """Group whose members may use local sockets (ipc://) at these addresses; without it, the daemon's user only."""
 
     @field_validator("publish", "command")
     @classmethod
-    def _not_for_strangers(cls, address: str, info: ValidationInfo) -> str:
-        guarded = info.data.get("keys", "wrong, which is said at its own place") is not None
+    def _remote_needs_keys(cls, address: str, info: ValidationInfo) -> str:
+        guarded = info.data.get("keys", "invalid: reported at this key") is not None
         return guarded_address(address) if guarded else local_address(address)
 
     @field_validator("command")
@@ -52,48 +52,48 @@ class BusConfig(Strict):
 
     @field_validator("group")
     @classmethod
-    def _of_local_sockets(cls, group: str | None, info: ValidationInfo) -> str | None:
-        away = [info.data.get(key, "") for key in ("publish", "command")]
-        over_tcp = [address for address in away if address.startswith("tcp://")]
+    def _group_needs_local_sockets(cls, group: str | None, info: ValidationInfo) -> str | None:
+        addresses = [info.data.get(key, "") for key in ("publish", "command")]
+        over_tcp = [address for address in addresses if address.startswith("tcp://")]
         if group is not None and over_tcp:
-            raise ValueError(f"a group can be given to local sockets (ipc://PATH) alone, not to {over_tcp[0]}")
+            raise ValueError(f"only local sockets (ipc://PATH) can have a group, not {over_tcp[0]}")
         return group
 
 
 class RecordConfig(Strict):
-    """Where runs are recorded."""
+    """Recordings of runs."""
 
     directory: FilePath = Field(default="runs", validate_default=True)
-    """Where runs are put."""
+    """Folder of the recordings."""
 
 
 class AnyConfig(Strict):
-    """What the configurations of all systems have; each is a model of its own.
+    """Base of the configurations of all systems.
 
-    Paths are those of the file, joined to the file's folder.
+    Relative paths are relative to the file's folder.
     """
 
     system: ClassVar[str]
-    """Whose it is, by the table of `palmd.systems`."""
+    """Name of the system in the table of `palmd.systems`."""
 
     rig: Any
-    """Geometry and gravity; of the emulated rig alone there are `imperfections` in it."""
+    """Geometry and gravity; `imperfections` apply to the emulated rig only."""
     pads: AnyPads
     """The touchpads."""
     arm: ArmConfig
     """The robot arm."""
     limits: Any
-    """What may be done with it."""
+    """Limits of the motion."""
     loop: LoopConfig = LoopConfig()
     """The control loop."""
     bus: BusConfig = BusConfig()
     """The addresses."""
-    record: RecordConfig = Field(default_factory=dict, validate_default=True)  # its default needs the folder
+    record: RecordConfig = Field(default_factory=dict, validate_default=True)  # the default depends on the folder
     """Recordings."""
     plan: FilePath | None = None
-    """The motion plan that `start` runs, unless another is chosen."""
+    """The motion plan that `start` runs unless another is loaded."""
     autostart: bool = False
-    """Whether the rig moves without having been told to."""
+    """Whether the rig starts the plan automatically, without a command."""
 
     @field_validator("arm")
     @classmethod
@@ -101,26 +101,26 @@ class AnyConfig(Strict):
         pads: AnyPads | None = info.data.get("pads")
         ports = [] if pads is None else [pad.port for pad in pads.each()]
         if arm.port in ports:
-            raise ValueError(f"port {arm.port} is already that of {'a' if len(ports) > 1 else 'the'} pad")
+            raise ValueError(f"port {arm.port} is already used by {'a' if len(ports) > 1 else 'the'} pad")
         return arm
 
     @property
     def outlines(self) -> Path | None:
-        """Where stored outlines are; None where none are compared with."""
+        """File or folder of stored outlines; None if none are used."""
         return None
 
     @property
     def explores(self) -> bool:
-        """Whether its observer knows an outline to explore by."""
+        """Whether its observer estimates an outline, which exploring needs."""
         return True
 
 
 def as_yaml(config: Strict) -> str:
-    """An effective configuration, defaults included, as it is kept with a run."""
+    """The effective configuration, defaults included, as it is stored with a run."""
     return yaml.safe_dump(config.model_dump(mode="json"), allow_unicode=True)
 
 
 def config_hash(config: Strict) -> str:
-    """Sha256 (hex) of an effective configuration or a section of one, defaults included, as canonical JSON."""
+    """SHA-256 (hex) of the canonical JSON of a configuration or a section of it, defaults included."""
     canonical = json.dumps(config.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()

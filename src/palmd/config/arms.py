@@ -1,4 +1,4 @@
-"""The kinds of actuators that turn the palms."""
+"""Configuration of the actuators."""
 
 from __future__ import annotations
 
@@ -13,129 +13,129 @@ from palmd.system.mechanism import PALMS
 
 
 class AdeptConfig(Strict):
-    """The serial line of an Adept controller, and where its arm's base stands in the world frame."""
+    """An Adept controller on a serial line, and the pose of its arm's base in the world frame."""
 
     kind: Literal["adept"] = Field(default="adept", exclude=True)
-    """What kind of actuator it is; may be left out."""
+    """Kind of actuator; optional."""
     port: PortPath
-    """The serial port to the controller."""
+    """Serial port of the controller."""
     baud: Baud = 38400
-    """Of the serial line."""
+    """Baud rate of the serial line."""
     base_x_mm: FiniteFloat = -300.0
-    """Where the arm's base stands in the world frame."""
+    """x of the arm's base in the world frame."""
     base_y_mm: FiniteFloat = 0.0
-    """Its other coordinate."""
+    """y of the arm's base in the world frame."""
     base_yaw_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] = 0.0
-    """By how much the arm's own x axis is turned from the world's."""
+    """Angle of the arm's x axis in the world frame."""
 
     @property
     def hinge(self) -> HingeMode:
-        """Which hinge it can drive."""
+        """The hinge that it drives."""
         return "arc"
 
     @property
     def angle_noise_rad(self) -> float:
-        """One sigma of a palm's reported angle by itself."""
+        """Standard deviation (rad) of the noise of a palm's reported angle."""
         return 2e-4
 
     @property
     def goal_rounding_rad(self) -> float:
-        """To what steps of a palm's angle set-points are rounded: the link's are too fine to matter."""
+        """Steps (rad) of a palm's angle to which set-points are rounded; negligible on the arm link."""
         return 0.0
 
     @property
     def play_sd_deg(self) -> float:
-        """One sigma of what play adds to a palm's angle, all along."""
+        """Standard deviation (°) of the constant error of a palm's angle due to play."""
         return 0.0
 
 
 class ServoConfig(Strict):
-    """One servo, which turns one palm against the base."""
+    """One servo, which turns one palm."""
 
     id: Annotated[int, Field(ge=0, le=252)]
-    """Its number on the bus; new ones are all 1."""
+    """Id on the bus; factory default 1."""
     sign: Annotated[int, one_of(1, -1)] = 1
-    """1 where its counts grow with the palm's direction, counted anticlockwise from the world X axis."""
+    """1 if its counts increase with the palm's direction, anticlockwise from the world X axis."""
     centre_deg: Annotated[FiniteFloat, Field(ge=-180, le=360)] = 90.0
-    """The palm's direction where the servo counts 2048, the middle of its turn."""
+    """The palm's direction at 2048 counts, the middle of the servo's range."""
     range_deg: AngleRange = (2.0, 178.0)
-    """The palm's directions that the servo itself allows."""
+    """Range of the palm's directions, enforced by the servo."""
 
 
 class ServosConfig(Strict):
-    """Two servos on one bus, palm 1's and palm 2's, about a fixed hinge."""
+    """Two servos on one bus, for palm 1 and palm 2, about a fixed hinge."""
 
     port: PortPath
-    """The serial port to the bus."""
+    """Serial port of the bus."""
     baud: ServoBaud = 1000000
-    """Of the bus."""
+    """Baud rate of the bus."""
     servo1: ServoConfig = ServoConfig(id=1)
     """The servo of palm 1."""
     servo2: ServoConfig = ServoConfig(id=2, sign=-1)
-    """The other palm's, which faces it."""
+    """The servo of palm 2, which faces servo 1."""
     backlash_deg: Annotated[NotNegative, Field(le=5)] = 0.25
-    """Play of the gears between servo and palm, from end to end."""
+    """Total play of the gears between servo and palm."""
     angle_noise_deg: Annotated[Positive, Field(le=1)] = 0.04
-    """One sigma of a servo's angle by itself: a count is 0.088°, and flickers."""
+    """Standard deviation of the noise of a servo's angle; one count is 0.088°."""
 
     @field_validator("servo2")
     @classmethod
     def _own_id(cls, servo2: ServoConfig, info: ValidationInfo) -> ServoConfig:
         servo1: ServoConfig | None = info.data.get("servo1")
         if servo1 is not None and servo1.id == servo2.id:
-            raise ValueError(f"id {servo2.id} is already that of servo1")
+            raise ValueError(f"id {servo2.id} is already used by servo1")
         return servo2
 
     @property
     def angle_noise_rad(self) -> float:
-        """One sigma of a palm's reported angle by itself."""
+        """Standard deviation (rad) of the noise of a palm's reported angle."""
         return math.radians(self.angle_noise_deg)
 
     @property
     def goal_rounding_rad(self) -> float:
-        """To what steps of a palm's angle set-points are rounded: the servo's counts, 4096 a turn."""
+        """Steps (rad) of a palm's angle to which set-points are rounded: the servo's counts, 4096 a turn."""
         return math.tau / 4096
 
     @property
     def servos(self) -> tuple[ServoConfig, ...]:
-        """In the order of their palms."""
+        """The servos, in the order of their palms."""
         return tuple(getattr(self, f"servo{palm}") for palm in PALMS)
 
     @property
     def hinge(self) -> HingeMode:
-        """Which hinge it can drive."""
+        """The hinge that it drives."""
         return "fixed"
 
     @property
     def play_sd_deg(self) -> float:
-        """One sigma of what play adds to a palm's angle: weight holds it at one end, nobody knows at which."""
+        """Standard deviation (°) of the constant error due to play: weight holds the palm at an unknown end."""
         return 0.5 * self.backlash_deg
 
 
 class DynamixelConfig(ServosConfig):
-    """Two DYNAMIXEL servos of the X series on one bus, palm 1's and palm 2's, about a fixed hinge."""
+    """Two DYNAMIXEL servos of the X series on one bus, for palm 1 and palm 2, about a fixed hinge."""
 
     kind: Literal["dynamixel"]
-    """What kind of actuator it is."""
+    """Kind of actuator."""
     baud: ServoBaud = 1000000
-    """Of the bus; servos leave the factory with 57600, too slow for a hundred cycles a second."""
+    """Baud rate of the bus; the factory default, 57600, is too slow for 100 cycles a second."""
 
 
 class FeetechConfig(ServosConfig):
-    """Two Feetech STS3215 servos on one bus, palm 1's and palm 2's, about a fixed hinge."""
+    """Two Feetech STS3215 servos on one bus, for palm 1 and palm 2, about a fixed hinge."""
 
     kind: Literal["feetech"]
-    """What kind of actuator it is."""
+    """Kind of actuator."""
     baud: Annotated[int, one_of(115200, 1000000)] = 1000000
-    """Of the bus; servos leave the factory with 1000000."""
+    """Baud rate of the bus; factory default 1000000."""
     backlash_deg: Annotated[NotNegative, Field(le=5)] = 1.0
-    """Play of the gears between servo and palm, from end to end."""
+    """Total play of the gears between servo and palm."""
     friction_deg: Annotated[NotNegative, Field(le=5)] = 0.4
-    """By how much a goal must move before the servo does, from one direction to the other."""
+    """Dead band: change of the goal after a reversal before the servo moves."""
 
     @property
     def goal_rounding_rad(self) -> float:
-        """To what steps of a palm's angle set-points are rounded: friction holds the servo against smaller ones."""
+        """Steps (rad) of a palm's angle to which set-points are rounded: friction prevents smaller ones."""
         return max(math.radians(self.friction_deg), super().goal_rounding_rad)
 
 
@@ -149,4 +149,4 @@ ArmConfig = Annotated[
         custom_error_message="kind must be one of adept, dynamixel, feetech",
     ),
 ]
-"""The kinds of actuators."""
+"""Union of the kinds of actuators."""

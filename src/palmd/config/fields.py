@@ -1,7 +1,7 @@
-"""What the models of configurations and plans are made of: strictness, units, ranges, and kinds told apart.
+"""Building blocks of configuration and plan models: strict base class, units, ranges, and unions of kinds.
 
-Reading files and saying where an error stands (file:line:col) is `palmd.yamlfile`'s job; the models only say what is
-allowed, in words that name the bound.
+`palmd.yamlfile` reads files and locates errors (file:line:col); the models only define what is allowed, and their
+error texts name the bound.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SERVO_BAUDS = (115200, 1000000, 2000000, 3000000, 4000000)
 
 
 def one_of(*allowed: int) -> AfterValidator:
-    """A whole number out of a short list (Literal would let `true` pass for 1)."""
+    """An integer from a short list (Literal would accept `true` for 1)."""
 
     def check(value: int) -> int:
         if value not in allowed:
@@ -39,19 +39,19 @@ def _rising_within(low: float, high: float) -> Callable[[tuple[float, float]], t
     return check
 
 
-def _beside_the_file(value: object, info: ValidationInfo) -> Path:
-    """A path as text, relative to the folder of the file it stands in (validation context `folder`)."""
+def _relative_to_file(value: object, info: ValidationInfo) -> Path:
+    """A path as text, relative to the folder of the file that contains it (validation context `folder`)."""
     if not isinstance(value, str) or not value.strip():
         raise ValueError("must be a path as text")
     folder: Path = (info.context or {}).get("folder", Path())
     try:
         return folder / Path(value).expanduser()
     except RuntimeError:
-        raise ValueError(f"{value}: nobody knows whose home that is; write the path out") from None
+        raise ValueError(f"{value}: unknown home folder; write the full path") from None
 
 
 def exists(path: Path) -> bool:
-    """Whether there is such a file or folder; raises ValueError where that may not be known."""
+    """Whether a file or folder exists; raises ValueError if that cannot be determined."""
     try:
         return path.exists()
     except OSError as error:
@@ -62,24 +62,24 @@ UNITS = {
     "counts_per_mm": "counts/mm", "newtons_per_count": "N/count", "_m_s2": "m/s²", "_deg_s2": "°/s²", "_deg_s": "°/s",
     "_deg": "°", "_mm": "mm", "_mm_per_n": "mm/N", "_hz": "Hz", "_ms": "ms", "_s": "s", "baud": "bit/s",
 }  # fmt: skip
-"""By how a key ends."""
+"""Units by the ending of a key."""
 
 
 def unit_of(key: str) -> str:
-    """The unit in a key's name, nothing for one without."""
+    """The unit in a key's name, empty if there is none."""
     return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 
 def size(value: float | tuple[float, ...]) -> float:
-    """Of a value without its sign, or of the larger one of several."""
+    """Absolute value; of several values, the largest."""
     return max(map(abs, value)) if isinstance(value, tuple) else abs(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Plausible:
-    """What rigs of this kind have: `low` to `high` in size, or 0 where `or_zero`; of two values the larger counts.
+    """Plausible range of an absolute value: `low` to `high`, or 0 if `or_zero`; of two values the larger counts.
 
-    Another value is taken all the same by whoever reads the configuration. `palmd check` asks whether it is meant.
+    Other values are accepted too; `palmd check` asks the user to confirm them.
     """
 
     low: float
@@ -87,7 +87,7 @@ class Plausible:
     or_zero: bool = False
 
     def holds(self, value: float | tuple[float, ...]) -> bool:
-        """Whether a value, or the larger of two, is one of these."""
+        """Whether a value, or the larger of two, is plausible."""
         return self.low <= size(value) <= self.high or (self.or_zero and size(value) == 0.0)
 
     def __str__(self) -> str:
@@ -104,17 +104,17 @@ Pair = Annotated[tuple[FiniteFloat, FiniteFloat], Field(strict=False)]  # a YAML
 OpeningRange = Annotated[Pair, AfterValidator(_rising_within(1.0, 179.0))]
 AngleRange = Annotated[Pair, AfterValidator(_rising_within(0.0, 180.0))]
 TiltRange = Annotated[Pair, AfterValidator(_rising_within(-30.0, 180.0))]
-FilePath = Annotated[Path, PlainValidator(_beside_the_file)]
+FilePath = Annotated[Path, PlainValidator(_relative_to_file)]
 
 
 class Strict(BaseModel):
-    """Base of every model here: unknown keys, wrong types and later changes are errors."""
+    """Base of all models: unknown keys, wrong types and later changes are errors."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
 def by_kind(usual: str) -> Callable[[Any], str]:
-    """The tag of a union of kinds, in angle brackets so that it never looks like a key of the file."""
+    """Discriminator of a union by `kind`; its tags are in angle brackets, so that they differ from keys of the file."""
 
     def tag(value: Any) -> str:
         kind = value.get("kind", usual) if isinstance(value, dict) else getattr(value, "kind", usual)

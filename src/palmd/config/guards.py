@@ -1,4 +1,4 @@
-"""Limits of the guards that watch the arm and the pads: following error and contact force."""
+"""Limits of the guards for the arm and the pads: following error and contact force."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Millimetres = Annotated[FiniteFloat, Field(gt=0, le=500), Plausible(0.2, 100)]
 
 
 class FollowingError(Strict):
-    """How far the arm may be from its delayed set-point: at rest, and at the full rate; linear in between."""
+    """Largest distance of the arm from its delayed set-point, at rest and at the full rate; linear in between."""
 
     @field_validator("at_full_rate_deg", "at_full_rate_mm", check_fields=False)
     @classmethod
@@ -27,37 +27,37 @@ class FollowingError(Strict):
 
 
 class JointFollowingError(FollowingError):
-    """Of joints that turn."""
+    """Following error of joints that turn."""
 
     at_rest_deg: Degrees = 1.0
-    """Of each joint angle at rest."""
+    """Largest error of each joint angle at rest."""
     at_full_rate_deg: Degrees = 6.0
-    """Of each joint angle at the largest rate that the limits allow."""
+    """Largest error of each joint angle at the maximum rate."""
 
 
 class PalmFollowingError(JointFollowingError):
-    """Of two palms: their angles, and the gripper of an arm that holds palm 2."""
+    """Following error of two palms: their angles, and the gripper of an arm that holds palm 2."""
 
     at_rest_mm: Millimetres = 4.0
-    """Of the gripper at rest."""
+    """Largest error of the gripper at rest."""
     at_full_rate_mm: Millimetres = 24.0
-    """Of the gripper at the largest rate that the limits allow."""
+    """Largest error of the gripper at the maximum rate."""
 
 
 class AxisFollowingError(FollowingError):
-    """Of a gripper that is moved along axes."""
+    """Following error of a gripper that is moved along axes."""
 
     at_rest_mm: Millimetres = 1.0
-    """Along each axis at rest."""
+    """Largest error along each axis at rest."""
     at_full_rate_mm: Millimetres = 3.0
-    """Along each axis at the largest speed that the limits allow."""
+    """Largest error along each axis at the maximum speed."""
 
 
 Newtons = Annotated[Positive, Field(le=50), Plausible(0.3, 20)]
 
 
 PadForces = dict[str, Newtons]
-"""A limit for each pad by itself, by its name under `pads`; a pad that is left out has its default."""
+"""Limits by the pads' names under `pads`; omitted pads have their default."""
 
 
 def _number_or_pads(value: Any) -> str:
@@ -67,14 +67,14 @@ def _number_or_pads(value: Any) -> str:
 ForceLimits = Annotated[
     Annotated[Newtons, Tag("<number>")] | Annotated[PadForces, Tag("<pads>")], Discriminator(_number_or_pads)
 ]
-"""One number for all pads, or a number for each."""
+"""One limit for all pads, or one for each."""
 
 
 def known_pads(limits: float | PadForces | None, names: Iterable[str]) -> float | PadForces | None:
-    """The limits; raises ValueError where they name a pad that is not among these names."""
+    """Return the limits; raises ValueError if they name an unknown pad."""
     names = [*names]
-    if isinstance(limits, dict) and (strange := [name for name in limits if name not in names]):
-        raise ValueError(f"there is no {strange[0]}: name {', '.join(names[:-1])} or {names[-1]}, or give one number")
+    if isinstance(limits, dict) and (unknown := [name for name in limits if name not in names]):
+        raise ValueError(f"unknown pad {unknown[0]}: use {', '.join(names[:-1])} or {names[-1]}, or one number for all")
     return limits
 
 
@@ -84,12 +84,12 @@ class _HasFullScale(Protocol):
 
 
 def pad_force_limits(limits: float | PadForces | None, pads: Mapping[int, _HasFullScale]) -> tuple[float, ...]:
-    """What may press on each pad (N), the pads by their numbers."""
+    """Force limit (N) of each pad; `pads` by their numbers."""
     return force_limits(limits, {f"palm{number}": pad.full_scale_n for number, pad in pads.items()})
 
 
 def force_limits(limits: float | PadForces | None, full_scales: Mapping[str, float]) -> tuple[float, ...]:
-    """What may press on each pad (N), as given; or the force at which it saturates, by the pads' names."""
+    """Force limit (N) of each pad: the configured one, else the pad's full scale; `full_scales` by the pads' names."""
     if isinstance(limits, float):
         return (limits,) * len(full_scales)
     given = limits or {}

@@ -1,4 +1,4 @@
-"""The configuration of a rig with a pivoting gripper: one pad, an arm that moves the pivot along and over it."""
+"""Configuration and plans of a rig with a pivoting gripper: one pad, and an arm that moves the pivot above it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from palmd.config.fields import NotNegative, Pair, Plausible, Positive, Strict
 from palmd.config.guards import AxisFollowingError
 from palmd.config.pads import AnyPads, PadConfig, pad_sensor
 from palmd.config.plans import AnyPlanSpec, ExploreSpec, one_key_of
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.config.vibration import VibrationConfig, vibration_of
 from palmd.system.pivot import SYSTEM, PivotRig
 
@@ -31,81 +31,81 @@ class PivotRigConfig(Strict):
     """The gripper and gravity."""
 
     system: Literal["pivot"]
-    """What kind of rig it is."""
+    """Kind of rig."""
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
-    """In the plane of the motion, towards the pad."""
+    """Component in the plane of motion, towards the pad."""
     vertical: Literal["rigid", "float"] = "rigid"
     """`rigid`: the arm holds the pivot's height; `float`: a carriage slides on the arm by its own weight."""
     carriage_mass_kg: Annotated[
         Annotated[Positive, Field(le=5), Plausible(0.005, 0.5)] | None, Field(validate_default=True)
     ] = None
-    """Of what slides, without the body; of a slide only."""
+    """Mass of the sliding part without the body; with `vertical: float` only."""
     damping_n_s_m: Annotated[NotNegative, Field(le=100), Plausible(0.001, 5, or_zero=True)] = 0.0
-    """Of the slide: force by speed."""
+    """Damping of the slide, force per speed."""
     z_measured: bool = True
-    """Whether the arm's reports have the pivot's own height, a slide's travel included: live they must."""
+    """Whether the arm reports the pivot's height, including a slide's travel; must be true for live estimation."""
     arm_noise_mm: Annotated[Positive, Field(le=1), Plausible(0.001, 0.2)] = 0.02
-    """One sigma of the pivot's reported position by itself, along and over the pad."""
+    """Standard deviation of the noise of the pivot's reported position, along and above the pad."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
-    """How well the pad's slope along the arm's x is known, one sigma."""
+    """Standard deviation of the pad's slope along the arm's x."""
     vibration: VibrationConfig = VibrationConfig()
-    """Of the pad along itself, which breaks friction; its relation says no more than whether it vibrates."""
-    imperfections: Annotated[Drawn, Field(exclude=True)] = "none"
-    """Of the emulated rig alone: `none`, or drawn from all the `_sd` (`calibrated`)."""
+    """Vibration of the pad along itself, which breaks friction; `relation` only states whether it vibrates."""
+    imperfections: Annotated[DrawnImperfections, Field(exclude=True)] = "none"
+    """For the emulated rig only: `none`, or drawn from all `_sd` (`calibrated`)."""
 
     @field_validator("carriage_mass_kg")
     @classmethod
     def _slides(cls, mass: float | None, info: ValidationInfo) -> float | None:
         slides = info.data.get("vertical") == "float"
         if slides and mass is None:
-            raise ValueError("a slide must be weighed, without the body: carriage_mass_kg is missing")
+            raise ValueError("a slide needs the mass of its carriage without the body: set carriage_mass_kg")
         if mass is not None and not slides:
-            raise ValueError("only a slide has a carriage: leave carriage_mass_kg out, or set vertical: float")
+            raise ValueError("only a slide has a carriage: remove carriage_mass_kg, or set vertical: float")
         return mass
 
     @field_validator("z_measured")
     @classmethod
-    def _tells_its_height(cls, measured: bool) -> bool:
+    def _height_is_measured(cls, measured: bool) -> bool:
         if not measured:
             raise ValueError(
-                "without the pivot's height the body's mean radius stays open: let the controller report it"
+                "without the pivot's height the body's mean radius is unobservable: the controller must report it"
             )
         return measured
 
 
 class PivotPadsConfig(AnyPads):
-    """The one touchpad."""
+    """The touch pad."""
 
     palm1: PadConfig
-    """The pad that the body is dragged over; its zero is where the arm's x is 0."""
+    """The pad over which the body is dragged; its zero is at the arm's x = 0."""
 
 
 class PivotLimitsConfig(Strict):
-    """What the gripper may do."""
+    """Limits of the gripper's motion."""
 
     x_mm: Range = (2.0, 53.0)
-    """The pivot along the pad, from the pad's zero."""
+    """Range of the pivot along the pad, from the pad's zero."""
     z_mm: Range = (8.0, 70.0)
-    """The pivot over the pad's surface."""
+    """Range of the pivot's height above the pad's surface."""
     speed_mm_s: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(1, 300)] = 40.0
-    """Along each of them."""
+    """Maximum speed along each axis."""
     acceleration_mm_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 5000)] = 400.0
-    """Along each of them."""
+    """Maximum acceleration along each axis."""
     stop_deceleration_mm_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 20000)] | None = 2000.0
-    """Along each of them when the motion is held."""
+    """Deceleration along each axis when the motion is held."""
     force_n: Annotated[Positive, Field(le=50), Plausible(0.3, 20)] = 2.0
-    """What the body may press on the pad, a slide's carriage included; an exploration turns back well before."""
+    """Largest force on the pad, including a slide's carriage; an exploration stays well below."""
     following_error: AxisFollowingError = AxisFollowingError()
-    """How far the gripper may be from its delayed set-point; beyond it the arm is stopped."""
+    """Largest distance of the gripper from its delayed set-point; beyond it the arm is stopped."""
 
     @property
     def ranges_mm(self) -> tuple[tuple[float, float], ...]:
-        """Of each axis."""
+        """Range of each axis."""
         return (self.x_mm, self.z_mm)
 
 
 class PivotConfig(AnyConfig):
-    """The whole of a `palmd.yaml` with `rig: {system: pivot}`."""
+    """A complete `palmd.yaml` with `rig: {system: pivot}`."""
 
     system: ClassVar[str] = SYSTEM
 
@@ -114,17 +114,17 @@ class PivotConfig(AnyConfig):
     pads: PivotPadsConfig
     """The touchpad."""
     arm: AdeptConfig
-    """The robot arm: its tool is the pivot, its x along the pad and its y over it."""
+    """The robot arm: its tool is the pivot, its x lies along the pad and its y above it."""
     limits: Annotated[PivotLimitsConfig, Field(validate_default=True)] = PivotLimitsConfig()
-    """What the gripper may do."""
+    """Limits of the gripper's motion."""
 
     @field_validator("limits")
     @classmethod
-    def _felt(cls, limits: PivotLimitsConfig, info: ValidationInfo) -> PivotLimitsConfig:
+    def _measurable_force(cls, limits: PivotLimitsConfig, info: ValidationInfo) -> PivotLimitsConfig:
         pads: PivotPadsConfig | None = info.data.get("pads")
-        most = None if pads is None else 100 * pads.palm1.newtons_per_count  # no pad counts less far
+        most = None if pads is None else 100 * pads.palm1.newtons_per_count  # no pad has fewer counts
         if most is not None and limits.force_n > most:
-            raise ValueError(f"force_n is {limits.force_n:g} N, but the pad may tell no more than {most:g} N apart")
+            raise ValueError(f"force_n is {limits.force_n:g} N, but the pad may measure no more than {most:g} N")
         rig: PivotRigConfig | None = info.data.get("rig")
         weight = (rig.carriage_mass_kg or 0.0) * rig.gravity_m_s2 if rig is not None else 0.0
         if limits.force_n <= weight:
@@ -136,7 +136,7 @@ class PivotConfig(AnyConfig):
 
 
 def pivot_rig(config: PivotConfig) -> PivotRig:
-    """What an observer must know of the configured rig (SI)."""
+    """Convert the configuration to the observers' description (SI)."""
     return PivotRig(
         gravity=config.rig.gravity_m_s2,
         vertical=config.rig.vertical,
@@ -152,33 +152,33 @@ def pivot_rig(config: PivotConfig) -> PivotRig:
 # ------------------------------------------------------------------------------------------------------ plans
 
 
-class PivotPlace(Strict):
-    """Where the pivot shall go; what is left out stays."""
+class PivotTarget(Strict):
+    """Target of the pivot; an omitted coordinate stays unchanged."""
 
     x_mm: FiniteFloat | None = None
-    """Along the pad."""
+    """Position along the pad."""
     z_mm: FiniteFloat | None = None
-    """Over the pad."""
+    """Height above the pad."""
 
 
 class PivotMoveSpec(Strict):
     """From rest to rest on a minimum-jerk path."""
 
-    move: PivotPlace
-    """Where to."""
+    move: PivotTarget
+    """Target."""
     duration_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
-    """How long it takes."""
+    """Duration."""
 
 
 class PivotHoldSpec(Strict):
     """Stand still."""
 
     hold_s: Annotated[FiniteFloat, Field(gt=0, le=3600)]
-    """For how long."""
+    """Duration."""
 
 
 class PivotExploreSpec(ExploreSpec):
-    """Drags that seek the parts of the outline not felt yet, on both sides of the dead centre."""
+    """Drags that touch the parts of the outline not touched yet, on both sides of the dead centre."""
 
 
 PivotSegmentSpec = Annotated[
@@ -190,7 +190,7 @@ PivotSegmentSpec = Annotated[
 
 
 class PivotPlanSpec(AnyPlanSpec):
-    """A motion plan of a pivoting grasp as it stands in its file."""
+    """Model of the plan file of a pivoting grasp."""
 
     segments: Annotated[list[PivotSegmentSpec], Field(min_length=1, max_length=200)]
     """Motions, one after the other."""

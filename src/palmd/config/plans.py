@@ -1,4 +1,4 @@
-"""Motion plans as they stand in their files: what those of all systems have."""
+"""Parts that the motion plans of all systems have in common."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class JointValues(Strict):
     """One value for each joint."""
 
     def each(self) -> tuple[float | None, ...]:
-        """Them, in the order of the joints."""
+        """The values, in the order of the joints."""
         return tuple(getattr(self, name) for name in type(self).model_fields)
 
 
@@ -37,32 +37,32 @@ class HoldSpec(Strict):
     """Stand still."""
 
     hold_s: Duration
-    """For how long."""
+    """Duration."""
 
 
 class ExploreGoal(Strict):
-    """When an exploration has seen enough."""
+    """When an exploration ends."""
 
     coverage: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.95
-    """Share of the normals that can be reached."""
+    """Required share of the reachable normals."""
     band_mm: Annotated[FiniteFloat, Field(gt=0, le=10)] | None = None
-    """One sigma of the outline, all over them; left out, coverage alone counts."""
+    """Required standard deviation of the outline at all of them; if omitted, only coverage counts."""
     time_limit_s: Duration = 60.0
-    """When to give up."""
+    """Time limit."""
 
 
 class ExploreSpec(Strict):
-    """Closed-loop motion that seeks the parts of the outline not touched yet."""
+    """Closed-loop motion that touches the parts of the outline not touched yet."""
 
     explore: ExploreGoal
-    """When it has seen enough; must be the last segment."""
+    """When it ends; must be the last segment."""
 
 
 def one_key_of(kinds: tuple[str, ...]) -> Discriminator:
-    """Tells which of several segments is meant by the one of these keys that it has."""
+    """Discriminator of segment models: each has exactly one of these keys."""
 
     def kind(value: Any) -> str | None:
-        """The union's tag; in angle brackets so that it never looks like a key of the file."""
+        """The union's tag, in angle brackets, so that it differs from keys of the file."""
         found = [each for each in kinds if each in value] if isinstance(value, dict) else []
         return f"<{found[0]}>" if len(found) == 1 else None
 
@@ -71,9 +71,9 @@ def one_key_of(kinds: tuple[str, ...]) -> Discriminator:
 
 
 class AnyPlanSpec(Strict):
-    """What the motion plans of all systems have; each is a model of its own."""
+    """Base of the motion plans of all systems."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
-    """What it is called on the bus."""
+    """Name of the plan on the bus."""
     segments: Annotated[list[Any], Field(min_length=1, max_length=200)]
-    """Motions, one after the other."""
+    """Motions in the order of execution."""

@@ -1,6 +1,6 @@
-"""The geometry of the tabletop rig: the one source of its configuration defaults, drawings, printed parts and models.
+"""Geometry of the tabletop rig: the only source of its configuration defaults, drawings, printed parts and models.
 
-`tools/tabletop` makes the drawing, the OpenSCAD parameters, the figures and the MuJoCo model from it.
+`tools/tabletop` generates the drawing, the OpenSCAD parameters, the figures and the MuJoCo model from it.
 """
 
 from __future__ import annotations
@@ -8,57 +8,57 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 STRIP_COUNTS = 16383
-"""Counts over a strip's active length: 14 bits of the firmware's report."""
+"""Counts over a strip's active length: 14 bits in the firmware's report."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tabletop:
-    """Lengths in mm. Along the axis they are counted from the middle of the palms, which is the plane of motion."""
+    """Lengths in mm. Positions along the axis are measured from the middle of the palms, the plane of motion."""
 
     # palm
     palm_length: float = 75.0
     """From the axis to the palm's end."""
     palm_width: float = 16.0
-    """Along the axis."""
+    """Width along the axis."""
     palm_thickness: float = 5.0
-    """Of the plate behind the strip."""
+    """Thickness of the plate behind the strip."""
     palm_start: float = 2.0
-    """From the axis to the plate's inner end: the pins are put in from between the palms."""
+    """From the axis to the plate's inner end; the pins are inserted from between the palms."""
     strip_start: float = 2.5
     """From the axis to where the strip begins to sense."""
     strip_length: float = 60.0
     """Active length of the strip."""
     strip_width: float = 14.5
-    """Of the whole strip."""
+    """Width of the whole strip."""
     strip_edge: float = 2.5
-    """At each end of the strip, where it does not sense."""
+    """Length at each end of the strip that does not sense."""
     strip_thickness: float = 0.5
-    """With its adhesive."""
+    """Thickness with adhesive."""
     skin_thickness: float = 0.1
-    """Of the film over the strip, whose surface must go through the axis."""
+    """Thickness of the film over the strip, whose surface must pass through the axis."""
     tail_width: float = 12.0
-    """Of the slot for the strip's leads."""
+    """Width of the slot for the strip's leads."""
     tail_slot: float = 2.0
-    """The same slot's extent along the palm."""
+    """Extent of this slot along the palm."""
     end_hole: float = 3.2
     """Diameter of the two holes at the palm's end, for a cable tie and a rubber band."""
     # hinge
     clearance: float = 0.5
-    """Between parts that move against each other, along the axis."""
+    """Gap along the axis between parts that move against each other."""
     bearing_outer: float = 10.0
     """Outer diameter of a 623 ball bearing."""
     bearing_width: float = 4.0
-    """Of the same bearing."""
+    """Width of this bearing."""
     pin: float = 3.0
     """Diameter of the two dowel pins about which the palms turn."""
     pin_length: float = 8.0
-    """Of each pin, which begins at a palm's bearing and ends in the other palm's cheek."""
+    """Length of each pin, which reaches from a palm's bearing into the other palm's cheek."""
     eye_wall: float = 2.5
-    """Round a bearing."""
+    """Wall around a bearing."""
     arm_length: float = 60.0
-    """How far the arm beside the plate, which stiffens it, reaches from the axis."""
+    """From the axis to the end of the arm that stiffens the plate."""
     arm_depth: float = 16.0
-    """Of that arm, measured behind the palm's surface."""
+    """Depth of that arm, measured behind the palm's surface."""
     arm_start: float = 12.0
     """From the axis to where arm and plate are joined: outside the other palm's eye."""
     # servo, of X430 size
@@ -75,114 +75,114 @@ class Tabletop:
     horn_boss_depth: float = 3.0
     """Depth of that pocket."""
     cheek_thickness: float = 7.0
-    """Of the disc that is screwed to the horn."""
+    """Thickness of the disc that is screwed to the horn."""
     cheek_edge: float = 4.0
-    """Of the disc, outside the circle of screws."""
+    """Width of the disc outside the circle of screws."""
     servo_gap: float = 1.0
-    """Between cheek and servo case."""
+    """Gap between cheek and servo case."""
     servo_width: float = 28.5
-    """Of the case; width, height and depth as in the maker's table."""
+    """Width of the case; width, height and depth are from the manufacturer's table."""
     servo_height: float = 46.5
-    """Of the case."""
+    """Height of the case."""
     servo_depth: float = 34.0
-    """Of the case, along the axis."""
+    """Depth of the case along the axis."""
     servo_axis: float = 11.25
     """From the case's top to its shaft."""
     servo_screws: float = 24.0
-    """Between the screws in the case's back."""
+    """Distance of the screws in the case's back."""
     servo_screw: float = 2.7
     """Diameter of their holes, for M2.5."""
     # bracket and base
     axis_height: float = 70.0
-    """Of the axis above the base plate."""
+    """Height of the axis above the base plate."""
     bracket_thickness: float = 4.0
-    """Of its back and its foot."""
+    """Thickness of the bracket's back and foot."""
     bracket_side: float = 4.0
-    """By which the bracket is wider than the servo, on each side."""
+    """Excess of the bracket's width over the servo on each side."""
     foot_length: float = 30.0
-    """Of the bracket's foot, which lies below the servo."""
+    """Length of the bracket's foot, which lies below the servo."""
     rib_height: float = 30.0
-    """Of the ribs between back and foot."""
+    """Height of the ribs between back and foot."""
     rib_thickness: float = 2.0
-    """Of each rib."""
+    """Thickness of each rib."""
     cable_width: float = 14.0
-    """Of the opening for the servo's cables in the bracket's back."""
+    """Width of the opening for the servo's cables in the bracket's back."""
     cable_height: float = 10.0
-    """Of that opening."""
+    """Height of that opening."""
     base_length: float = 160.0
-    """Across the axis."""
+    """Length of the base plate across the axis."""
     base_width: float = 124.0
-    """Along the axis."""
+    """Width of the base plate along the axis."""
     base_thickness: float = 6.0
-    """Of the plate."""
+    """Thickness of the base plate."""
     screw: float = 3.4
     """Diameter of the holes for M3."""
     nut: float = 6.4
-    """Diameter of the circle round an M3 nut."""
+    """Diameter of the circumscribed circle of an M3 nut."""
     nut_depth: float = 2.6
-    """Of the nuts' pockets in the base plate."""
+    """Depth of the nuts' pockets in the base plate."""
     foot_screw_x: float = 11.0
-    """Of the four screws of a foot, from its middle line."""
+    """Distance of a foot's four screws from its middle line."""
     foot_screw_spacing: float = 14.0
-    """Between its two rows of screws."""
+    """Distance of its two rows of screws."""
     foot_screw_inset: float = 7.0
     """From the foot's inner end to the first row."""
     base_hole_inset: float = 5.0
     """From the base plate's edges to the four holes at its corners."""
     # printing
     bed: float = 180.0
-    """Side of the printer's bed."""
+    """Side length of the printer's bed."""
 
     @property
     def strip_end(self) -> float:
-        """From the axis to where the strip stops sensing: `length_mm` of the pad."""
+        """From the axis to the end of the strip's active length: the pad's `length_mm`."""
         return self.strip_start + self.strip_length
 
     @property
     def counts_per_mm(self) -> float:
-        """Of the strip."""
+        """The strip's scale."""
         return round(STRIP_COUNTS / self.strip_length, 2)
 
     @property
     def surface(self) -> float:
-        """From the plate up to the axis: strip and skin."""
+        """Distance from the plate to the axis: strip and skin."""
         return self.strip_thickness + self.skin_thickness
 
     @property
     def eye_radius(self) -> float:
-        """Of the eye round a bearing."""
+        """Radius of the eye around a bearing."""
         return 0.5 * self.bearing_outer + self.eye_wall
 
     @property
     def cheek_radius(self) -> float:
-        """Of the disc on the horn."""
+        """Radius of the disc on the horn."""
         return 0.5 * self.horn_circle + self.cheek_edge
 
     @property
     def eye_start(self) -> float:
-        """Along the axis."""
+        """Position of the eye along the axis."""
         return 0.5 * self.palm_width + self.clearance
 
     @property
     def cheek_start(self) -> float:
-        """Along the axis: beyond the other palm's eye."""
+        """Position of the cheek along the axis, beyond the other palm's eye."""
         return self.eye_start + self.bearing_width + self.clearance
 
     @property
     def cheek_end(self) -> float:
-        """Along the axis: where the horn is."""
+        """Position of the horn along the axis."""
         return self.cheek_start + self.cheek_thickness
 
     @property
     def servo_start(self) -> float:
-        """Along the axis."""
+        """Position of the servo along the axis."""
         return self.cheek_end + self.servo_gap
 
     @property
     def bracket_start(self) -> float:
-        """Along the axis: the case's back."""
+        """Position of the case's back along the axis."""
         return self.servo_start + self.servo_depth
 
 
 TABLETOP = Tabletop()
-"""The rig of docs/start/tabletop.md."""
+"""The rig described in docs/start/tabletop.md."""

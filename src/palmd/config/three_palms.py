@@ -1,4 +1,4 @@
-"""The configuration of a rig of three palms in space: three pads that read both coordinates, an arm of three joints."""
+"""Configuration and plans of a rig of three palms: three pads that read both coordinates, an arm with three joints."""
 
 from __future__ import annotations
 
@@ -21,46 +21,46 @@ class ThreePalmsRigConfig(Strict):
     """The mechanism and gravity."""
 
     system: Literal["three_palms"]
-    """What kind of rig it is."""
+    """Kind of rig."""
     mechanism: Literal["edge-axis"] = MECHANISM
-    """How the palms are joined: palm 1 tilts about its edge, palms 2 and 3 turn about the axis along its normal."""
+    """Mechanism: palm 1 tilts about its edge, palms 2 and 3 turn about the axis along its normal."""
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
-    """Straight down."""
+    """Gravity, vertical."""
     angle_noise_deg: Annotated[Positive, Field(le=1), Plausible(0.001, 0.2)] = 0.015
-    """One sigma of a joint's reported angle by itself."""
+    """Standard deviation of the noise of a joint's reported angle."""
     vibration: VibrationConfig = VibrationConfig()
-    """Of each palm along its pad's a, independently of the others; left out: nothing else is known."""
+    """Vibration of each palm along its pad's a, independent of the others; omitted values are unknown."""
     imperfections: Annotated[Literal["none"], Field(exclude=True)] = "none"
-    """Of the emulated rig alone: it is as described, for its observer takes a rig to be so."""
+    """For the emulated rig only: always `none`, since the observer assumes an exactly known rig."""
 
     @field_validator("vibration")
     @classmethod
     def _independent(cls, vibration: VibrationConfig) -> VibrationConfig:
         if vibration.relation not in RELATIONS:
-            raise ValueError(f"relation must be {' or '.join(RELATIONS)}: no phase between three palms is modelled")
+            raise ValueError(f"relation must be {' or '.join(RELATIONS)}: other phases of three palms are not modelled")
         return vibration
 
 
 class PlanePadConfig(VersaPadConfig):
-    """A VersaPad of which both coordinates are read: b from the apex along its `axis`, and a across."""
+    """A VersaPad that reads both coordinates: b from the apex along its `axis`, and a across."""
 
     zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = 37.5
-    """b of the place where the pad counts 0 along its `axis`."""
+    """b at which the pad counts 0 along its `axis`."""
     across_zero_mm: Annotated[FiniteFloat, Field(ge=-1000, le=1000), Plausible(0.1, 300, or_zero=True)] = 37.5
-    """a of the same place."""
+    """a at which the pad counts 0 across."""
     across_sign: Literal[1, -1] = 1
-    """1 where the counts across grow with a."""
+    """1 if the counts across increase with a."""
     length_mm: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(10, 500)] = 75.0
-    """The side of the square that it feels, the place where it counts 0 in its middle across."""
+    """Side of its sensitive square; across, the count 0 is in the middle."""
 
     @property
     def across(self) -> tuple[float, int]:
-        """As configured."""
+        """The configured zero (mm) and sign across."""
         return self.across_zero_mm, self.across_sign
 
 
 class ThreePadsConfig(AnyPads):
-    """The touchpads, one on each palm."""
+    """The touch pads, one on each palm."""
 
     palm1: PlanePadConfig
     """The pad of palm 1: a along the edge about which it tilts."""
@@ -71,38 +71,38 @@ class ThreePadsConfig(AnyPads):
 
     @property
     def planes(self) -> tuple[PlanePadConfig, ...]:
-        """They, in the order of their numbers."""
+        """The pads, in the order of their numbers."""
         return (self.palm1, self.palm2, self.palm3)
 
     @field_validator("*")
     @classmethod
-    def _alike(cls, pad: PlanePadConfig, info: ValidationInfo) -> PlanePadConfig:
+    def _same_kind(cls, pad: PlanePadConfig, info: ValidationInfo) -> PlanePadConfig:
         for palm, other in info.data.items():
             for name in ("length_mm", "noise_mm", "counts_per_mm"):
                 if getattr(other, name) != getattr(pad, name):
-                    raise ValueError(f"{name} is another than that of {palm}: the pads must be of one kind")
+                    raise ValueError(f"{name} differs from that of {palm}: all pads must be of one kind")
         return pad
 
 
 class ThreePalmsLimitsConfig(Strict):
-    """What the palms may do."""
+    """Limits of the palms' motion."""
 
     beta_deg: AngleRange = (30.0, 73.0)
-    """Tilt of palm 1 from the horizontal."""
+    """Range of palm 1's tilt from the horizontal."""
     gamma2_deg: AngleRange = (25.0, 67.0)
-    """Palm 2 about its axis."""
+    """Range of palm 2's angle about the axis."""
     gamma3_deg: AngleRange = (25.0, 67.0)
-    """Palm 3 about it."""
+    """Range of palm 3's angle about the axis."""
     rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=1000), Plausible(1, 360)] = 90.0
-    """Of each joint."""
+    """Maximum rate of each joint."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 5000)] = 400.0
-    """Of each joint."""
+    """Maximum acceleration of each joint."""
     stop_deceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=20000), Plausible(10, 5000)] | None = 400.0
-    """Of each joint when the motion is held: harder, and the body leaves the palms."""
+    """Deceleration of each joint when the motion is held; larger ones make the body leave the palms."""
     following_error: JointFollowingError = JointFollowingError()
-    """How far the joints may be from their delayed set-points; beyond it the arm is stopped."""
+    """Largest distance of the joints from their delayed set-points; beyond it the arm is stopped."""
     force_n: ForceLimits | None = None
-    """What may press on each pad before the motion is held; left out: nine tenths of the pad's full scale."""
+    """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
 
     @field_validator("force_n")
     @classmethod
@@ -111,36 +111,36 @@ class ThreePalmsLimitsConfig(Strict):
 
     @property
     def ranges_deg(self) -> tuple[tuple[float, float], ...]:
-        """Of each joint."""
+        """Range of each joint."""
         return (self.beta_deg, self.gamma2_deg, self.gamma3_deg)
 
 
 class ThreePalmsConfig(AnyConfig):
-    """The whole of a `palmd.yaml` with `rig: {system: three_palms}`."""
+    """A complete `palmd.yaml` with `rig: {system: three_palms}`."""
 
     system: ClassVar[str] = SYSTEM
 
     rig: ThreePalmsRigConfig
-    """The mechanism."""
+    """Mechanism and gravity."""
     pads: ThreePadsConfig
     """The touchpads."""
     arm: AdeptConfig
-    """The controller of the joints: its line's x and y are beta and gamma2 in 1/1000 degree, its t is gamma3."""
+    """Controller of the joints: x and y on its line are beta and gamma2 in 1/1000 degree, t is gamma3."""
     limits: ThreePalmsLimitsConfig = ThreePalmsLimitsConfig()
-    """What the palms may do."""
+    """Limits of the palms' motion."""
 
     @field_validator("arm")
     @classmethod
     def _without_base(cls, arm: AdeptConfig) -> AdeptConfig:
-        plain = AdeptConfig(port=arm.port)
+        defaults = AdeptConfig(port=arm.port)
         names = sorted(name for name in AdeptConfig.model_fields if name.startswith("base_"))
-        if based := [name for name in names if getattr(arm, name) != getattr(plain, name)]:
-            raise ValueError(f"{', '.join(based)}: an arm whose axes are the joints stands nowhere; leave it out")
+        if based := [name for name in names if getattr(arm, name) != getattr(defaults, name)]:
+            raise ValueError(f"{', '.join(based)}: an arm whose axes are the joints has no base; remove it")
         return arm
 
 
 def three_palms_rig(config: ThreePalmsConfig) -> ThreePalmsRig:
-    """What an observer must know of the configured rig (SI)."""
+    """Convert the configuration to the observers' description (SI)."""
     pad = config.pads.palm1
     return ThreePalmsRig(
         gravity=config.rig.gravity_m_s2,
@@ -154,30 +154,30 @@ def three_palms_rig(config: ThreePalmsConfig) -> ThreePalmsRig:
 
 
 class TiltAngles(JointValues):
-    """Where the joints shall go; what is left out stays."""
+    """Target of the joints; an omitted angle stays unchanged."""
 
     beta_deg: FiniteFloat | None = None
     """Tilt of palm 1."""
     gamma2_deg: FiniteFloat | None = None
-    """Palm 2 about its axis."""
+    """Angle of palm 2 about the axis."""
     gamma3_deg: FiniteFloat | None = None
-    """Palm 3 about it."""
+    """Angle of palm 3 about the axis."""
 
 
 class TiltMoveSpec(Strict):
     """From rest to rest on a minimum-jerk path."""
 
     move: TiltAngles
-    """Where to."""
+    """Target."""
     duration_s: Duration
-    """How long it takes."""
+    """Duration."""
 
 
 class TiltHoldSpec(Strict):
     """Stand still."""
 
     hold_s: Duration
-    """For how long."""
+    """Duration."""
 
 
 def _for_all_joints(value: Any) -> Any:
@@ -185,37 +185,37 @@ def _for_all_joints(value: Any) -> Any:
 
 
 class TiltSineSpec(Strict):
-    """Swing about the pose where it starts, growing in and dying away."""
+    """Swing about the start pose, with a smooth onset and decay."""
 
     sine: TiltAngles
-    """How far to either side; left out: not at all."""
+    """Amplitudes; 0 if omitted."""
     frequency_hz: Annotated[list[SwingFrequency], Field(min_length=3, max_length=3)] | SwingFrequency
-    """Of all joints, or one for each."""
+    """Frequency of all joints, or one for each."""
     duration_s: Duration
-    """How long it takes, growing in and dying away included."""
+    """Duration, including onset and decay."""
 
     @property
     def frequencies_hz(self) -> tuple[float, ...]:
-        """Of each joint."""
+        """Frequency of each joint."""
         return tuple(_for_all_joints(self.frequency_hz))
 
 
 class TiltGoal(ExploreGoal):
-    """When an exploration has seen enough: shares are of all directions."""
+    """When an exploration ends; shares are of all directions."""
 
     @field_validator("band_mm")
     @classmethod
     def _without_band(cls, band_mm: float | None) -> float | None:
         if band_mm is not None:
-            raise ValueError("three palms do not explore until a band is reached: leave it out")
+            raise ValueError("not supported for three palms: remove it")
         return band_mm
 
 
 class TiltExploreSpec(ExploreSpec):
-    """Closed-loop motion that turns the body on to what has not been touched yet; swings until it is known."""
+    """Closed-loop motion that turns the body to directions not touched yet; swings until there is an estimate."""
 
     explore: TiltGoal
-    """When it has seen enough; must be the last segment."""
+    """When it ends; must be the last segment."""
 
 
 TiltSegmentSpec = Annotated[
@@ -228,7 +228,7 @@ TiltSegmentSpec = Annotated[
 
 
 class TiltPlanSpec(AnyPlanSpec):
-    """A motion plan of three palms as it stands in its file."""
+    """Model of the plan file of three palms."""
 
     segments: Annotated[list[TiltSegmentSpec], Field(min_length=1, max_length=200)]
-    """Motions, one after the other."""
+    """Motions in the order of execution."""

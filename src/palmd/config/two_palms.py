@@ -1,4 +1,4 @@
-"""The configuration of two palms, `palmd.yaml`, their motion plans, and what an observer must know of such a rig."""
+"""Configuration (`palmd.yaml`) and motion plans of two palms, and the conversion to the observers' description."""
 
 from __future__ import annotations
 
@@ -41,43 +41,43 @@ from palmd.systems import TWO_PALMS
 
 
 class PadImperfectionsConfig(Strict):
-    """By how much the emulated pad of one palm is off from what it is taken for."""
+    """Deviations of an emulated pad from its configuration."""
 
     zero_mm: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """What it reads more, everywhere."""
+    """Offset added to all readings."""
     scale: Annotated[FiniteFloat, Field(ge=-0.2, le=0.2)] = 0.0
-    """What it reads more, as a share of the distance from the hinge."""
+    """Error of the reading as a share of the distance from the hinge."""
     standoff_mm: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """How far its surface lies above the hinge line, on the object's side."""
+    """Height of its surface above the hinge line, on the object's side."""
     sagitta_mm: Annotated[FiniteFloat, Field(ge=-5, le=5)] = 0.0
-    """By how much its middle is higher than its ends."""
+    """Height of its middle over its ends."""
     lag_ms: Annotated[FiniteFloat, Field(ge=-10, le=100)] = 0.0
-    """How late its readings are."""
+    """Delay of its readings."""
     force_mm_per_n: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """What it reads more under each newton."""
+    """Shift of its readings per newton."""
 
 
 class ImperfectionsConfig(Strict):
-    """Of the emulated rig: by how much its constants are off from what they are taken for."""
+    """Deviations of the emulated rig's constants from the configuration."""
 
     palm1: PadImperfectionsConfig = PadImperfectionsConfig()
     """The pad of palm 1."""
     palm2: PadImperfectionsConfig = PadImperfectionsConfig()
     """The pad of palm 2."""
     phi1_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """True palm 1 above what the arm's pose tells."""
+    """True angle of palm 1 minus the one computed from the arm's pose."""
     phi2_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """The same of the angle between the palms."""
+    """The same for the angle between the palms."""
     gravity_deg: Annotated[FiniteFloat, Field(ge=-10, le=10)] = 0.0
-    """By how much the table tips: palm 1 is that much steeper against gravity."""
+    """Tilt of the table: palm 1 is steeper against gravity by this angle."""
     friction_asymmetry: Annotated[FiniteFloat, Field(gt=-1, lt=1)] = 0.0
     """(μ1 − μ2)/(μ1 + μ2) of the palms' friction."""
     vibration_m_s2: Annotated[FiniteFloat, Field(ge=0, le=5)] = 0.0
-    """RMS acceleration with which the table shakes up and down."""
+    """RMS vertical acceleration of the shaking table."""
 
 
-Drawn = Literal["none", "calibrated"]
-"""Imperfections of the emulated rig that need not be written out: none at all, or drawn from how well it is known."""
+DrawnImperfections = Literal["none", "calibrated"]
+"""Imperfections of the emulated rig without values: none, or drawn from the configured standard deviations."""
 
 
 def _imperfections_kind(value: Any) -> str:
@@ -88,83 +88,83 @@ class RigConfig(Strict):
     """Gravity and the palms' linkage, in the world frame."""
 
     gravity_m_s2: Annotated[FiniteFloat, Field(gt=0, le=30), Plausible(0.1, 12)] = 9.81
-    """In the plane of the palms: 9.81 · sin(tilt of the table)."""
+    """Component in the plane of the palms: 9.81 · sin(tilt of the table)."""
     hinge: Literal["arc", "fixed"] = "arc"
-    """`arc`: palm 1 is hinged to B, an arm holds the far end of palm 2; `fixed`: both turn about one axis."""
+    """`arc`: palm 1 is hinged at B, an arm holds the far end of palm 2; `fixed`: both palms turn about one axis."""
     base_mm: Annotated[Pair, Plausible(5, 2000, or_zero=True)] = (120.0, 0.0)
-    """B, the fixed hinge at the far end of palm 1, in the world frame; of an arc hinge only."""
+    """B, the fixed hinge at the far end of palm 1, in the world frame; with `hinge: arc` only."""
     palm1_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to B; with `hinge: fixed` to palm 1's end, by default 75."""
     palm2_length_mm: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(20, 1000)] = 120.0
     """From the hinge between the palms to where the arm holds palm 2; with `hinge: fixed` to its end, by default 75."""
     palm1_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
-    """Of the arc that palm 1 is, from the hinge on: 1/radius, > 0 a concave cradle, < 0 a dome, 0 flat."""
+    """Curvature of palm 1 from the hinge on: 1/radius, > 0 a concave cradle, < 0 a dome, 0 flat."""
     palm2_curvature_per_m: Annotated[FiniteFloat, Field(ge=-100, le=100), Plausible(1, 20, or_zero=True)] = 0.0
-    """Of the arc that palm 2 is."""
+    """Curvature of palm 2."""
     angle_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 3, or_zero=True)] = 0.1
-    """How well the palms' angles are known, one sigma; this and the other `_sd` are as calibration leaves a rig."""
+    """Standard deviation of the palms' angles; the defaults of all `_sd` are those of a calibrated rig."""
     gravity_sd_deg: Annotated[NotNegative, Field(le=10), Plausible(0.001, 5, or_zero=True)] = 0.2
-    """How well gravity's direction is known, one sigma."""
+    """Standard deviation of gravity's direction."""
     friction_asymmetry_sd: Annotated[NotNegative, Field(le=1)] = 0.3
-    """How alike the palms rub: one sigma of (μ1 − μ2)/(μ1 + μ2); 0 where both surely have one friction."""
+    """Standard deviation of (μ1 − μ2)/(μ1 + μ2), the friction asymmetry; 0: both palms have the same friction."""
     vibration: VibrationConfig = VibrationConfig()
-    """Of the palms along themselves, which breaks friction; left out: independent, and nothing else is known."""
+    """Vibration of the palms along themselves, which breaks friction; if omitted: independent, otherwise unknown."""
     imperfections: Annotated[
-        Annotated[Drawn, Tag("<word>")] | Annotated[ImperfectionsConfig, Tag("<values>")],
+        Annotated[DrawnImperfections, Tag("<word>")] | Annotated[ImperfectionsConfig, Tag("<values>")],
         Discriminator(_imperfections_kind),
-    ] = Field(default="none", exclude=True)  # excluded: the daemon's rig is the same whatever the emulated one is
-    """Of the emulated rig alone: `none`, drawn from all the `_sd` (`calibrated`), or a block of what is off."""
+    ] = Field(default="none", exclude=True)  # excluded from hashes: they do not concern the daemon
+    """For the emulated rig only: `none`, drawn from all `_sd` (`calibrated`), or a block of deviations."""
 
     @model_validator(mode="before")
     @classmethod
-    def _as_drawn(cls, values: Any) -> Any:
-        """A fixed hinge is by default that of the tabletop rig."""
+    def _tabletop_defaults(cls, values: Any) -> Any:
+        """Use the tabletop rig's palm lengths as defaults for a fixed hinge."""
         if not (isinstance(values, dict) and values.get("hinge") == "fixed"):
             return values
         return {f"palm{palm}_length_mm": TABLETOP.palm_length for palm in PALMS} | values
 
     @property
     def palm_lengths_mm(self) -> tuple[float, ...]:
-        """Of each palm."""
+        """Length of each palm."""
         return tuple(getattr(self, f"palm{palm}_length_mm") for palm in PALMS)
 
     @property
     def curvatures_per_m(self) -> tuple[float, ...]:
-        """Of each palm."""
+        """Curvature of each palm."""
         return tuple(getattr(self, f"palm{palm}_curvature_per_m") for palm in PALMS)
 
 
 class PadsConfig(AnyPads):
-    """Both touchpads."""
+    """Both touch pads."""
 
     palm1: PadConfig
     """The pad of palm 1."""
     palm2: PadConfig
-    """The pad of palm 2; not on the same port."""
+    """The pad of palm 2, on another port."""
 
     def of(self, palm: int) -> PadConfig:
-        """The pad of the palm of that number."""
+        """Return the pad of palm number `palm`."""
         pad: PadConfig = getattr(self, f"palm{palm}")
         return pad
 
 
 class LimitsConfig(Strict):
-    """What the palms may do; the same rate and acceleration hold for each palm angle."""
+    """Limits of the palms' motion; rate and acceleration are the same for both palm angles."""
 
     phi1_deg: Annotated[TiltRange, Plausible(10, 180)] = (6.0, 150.0)
-    """Palm 1 from the world X axis; below 0 where it is a cradle, whose tangent points up where it is touched."""
+    """Range of palm 1's angle from the world X axis; below 0 only for a cradle, whose tangent rises outwards."""
     phi2_deg: Annotated[OpeningRange, Plausible(10, 180)] = (35.0, 155.0)
-    """Palm 2 from palm 1."""
+    """Range of the angle from palm 1 to palm 2."""
     rate_deg_s: Annotated[FiniteFloat, Field(gt=0, le=2000), Plausible(3, 720)] = 120.0
-    """Of each palm angle."""
+    """Maximum rate of each palm angle."""
     acceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(20, 20000)] = 900.0
-    """Of each palm angle."""
+    """Maximum acceleration of each palm angle."""
     stop_deceleration_deg_s2: Annotated[FiniteFloat, Field(gt=0, le=50000), Plausible(100, 20000)] | None = None
-    """Of each palm angle when the motion is held, never more than the arm itself allows; left out: as much as that."""
+    """Deceleration of each palm angle when the motion is held, at most the arm's own limit, which is the default."""
     following_error: PalmFollowingError = PalmFollowingError()
-    """How far the arm may be from its delayed set-point; beyond it the arm is stopped."""
+    """Largest distance of the arm from its delayed set-point; beyond it the arm is stopped."""
     force_n: ForceLimits | None = None
-    """What may press on each pad before the motion is held; left out: nine tenths of the pad's full scale."""
+    """Force on each pad at which the motion is held; default 0.9 of the pad's full scale."""
 
     @field_validator("force_n")
     @classmethod
@@ -173,19 +173,19 @@ class LimitsConfig(Strict):
 
     @property
     def angles_deg(self) -> tuple[tuple[float, float], ...]:
-        """Of each joint."""
+        """Range of each joint."""
         return tuple(getattr(self, f"{joint}_deg") for joint in JOINTS)
 
 
 class ObserverConfig(Strict):
-    """Which observer gives the published estimate."""
+    """The observers."""
 
     primary: ObserverName = "shape"
-    """Whose estimate is published."""
+    """Observer whose estimate is published."""
     smoother: bool = True
-    """Beside the loop, in a process of its own; for the shape map of an unknown outline only."""
+    """Whether the fixed-lag smoother runs, in a separate process; only for `shape` without stored outlines."""
     shape: FilePath | None = None
-    """A stored outline, or a folder of them: the object is one of these, or none."""
+    """A stored outline, or a folder of them, for recognition; the object may also be none of them."""
 
     @field_validator("shape")
     @classmethod
@@ -198,24 +198,24 @@ class ObserverConfig(Strict):
 
 
 class Config(AnyConfig):
-    """The whole of a `palmd.yaml` of two palms."""
+    """A complete `palmd.yaml` of two palms."""
 
     system: ClassVar[str] = TWO_PALMS
 
     rig: RigConfig = RigConfig()
     """Geometry and gravity."""
     pads: PadsConfig
-    """The touchpads."""
+    """The touch pads."""
     arm: ArmConfig
     """The robot arm."""
     limits: LimitsConfig = LimitsConfig()
-    """What the palms may do."""
+    """Limits of the palms' motion."""
     observer: ObserverConfig = ObserverConfig()
-    """Who estimates."""
+    """The observers."""
 
     @field_validator("pads")
     @classmethod
-    def _on_arcs(cls, pads: PadsConfig, info: ValidationInfo) -> PadsConfig:
+    def _limited_arc(cls, pads: PadsConfig, info: ValidationInfo) -> PadsConfig:
         rig: RigConfig | None = info.data.get("rig")
         for palm, (kappa, pad) in enumerate(zip(rig.curvatures_per_m if rig else (), pads.each(), strict=False), 1):
             if abs(kappa) * pad.length_mm * 1e-3 > math.pi / 2:
@@ -224,7 +224,7 @@ class Config(AnyConfig):
 
     @field_validator("limits")
     @classmethod
-    def _points_up(cls, limits: LimitsConfig, info: ValidationInfo) -> LimitsConfig:
+    def _not_below_zero(cls, limits: LimitsConfig, info: ValidationInfo) -> LimitsConfig:
         rig: RigConfig | None = info.data.get("rig")
         if limits.phi1_deg[0] < 0.0 and rig is not None and rig.palm1_curvature_per_m <= 0.0:
             raise ValueError("phi1_deg must not begin below 0: only a cradle may point downwards at its hinge")
@@ -232,7 +232,7 @@ class Config(AnyConfig):
 
     @field_validator("observer")
     @classmethod
-    def _knows_arcs(cls, observer: ObserverConfig, info: ValidationInfo) -> ObserverConfig:
+    def _supports_arcs(cls, observer: ObserverConfig, info: ValidationInfo) -> ObserverConfig:
         rig: RigConfig | None = info.data.get("rig")
         if rig is None or not any(rig.curvatures_per_m):
             return observer
@@ -245,22 +245,22 @@ class Config(AnyConfig):
     def _own_hinge(cls, arm: ArmConfig, info: ValidationInfo) -> ArmConfig:
         rig: RigConfig | None = info.data.get("rig")
         if rig is not None and rig.hinge != arm.hinge:
-            raise ValueError(f"kind {arm.kind} drives hinge: {arm.hinge}, but rig.hinge is {rig.hinge}")
+            raise ValueError(f"kind {arm.kind} needs hinge: {arm.hinge}, but rig.hinge is {rig.hinge}")
         return arm
 
     @property
     def outlines(self) -> Path | None:
-        """As configured."""
+        """`observer.shape`."""
         return self.observer.shape
 
     @property
     def explores(self) -> bool:
-        """The `shape` observer does."""
+        """True for the `shape` observer."""
         return self.observer.primary == "shape"
 
 
 def rig_description(config: Config) -> RigDescription:
-    """What an observer must know of the configured rig (SI)."""
+    """Convert the configuration to the observers' description (SI)."""
     return RigDescription(
         gravity=config.rig.gravity_m_s2,
         hinge=config.rig.hinge,
@@ -289,7 +289,7 @@ SwingFrequencies = Annotated[
 
 
 class PalmAngles(JointValues):
-    """Where palm angles shall go; an angle that is left out stays."""
+    """Target of the palm angles; an omitted angle stays unchanged."""
 
     phi1_deg: FiniteFloat | None = None
     """Palm 1 from the world X axis."""
@@ -298,78 +298,78 @@ class PalmAngles(JointValues):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _written(cls, value: Any) -> Any:
+    def _has_value(cls, value: Any) -> Any:
         if value is None:
             raise ValueError("has no value: write one or leave the key out")
         return value
 
 
 class PalmRates(JointValues):
-    """Constant rates of the palm angles; zero where left out."""
+    """Constant rates of the palm angles; 0 if omitted."""
 
     phi1_deg_s: FiniteFloat = 0.0
-    """Of φ1."""
+    """Rate of φ1."""
     phi2_deg_s: FiniteFloat = 0.0
-    """Of φ2."""
+    """Rate of φ2."""
 
 
 class PalmAmplitudes(JointValues):
-    """Amplitudes about the pose where a sine starts; zero where left out, negative for opposite phase."""
+    """Amplitudes of a sine about its start pose; 0 if omitted, negative for opposite phase."""
 
     phi1_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
-    """Of φ1."""
+    """Amplitude of φ1."""
     phi2_deg: Annotated[FiniteFloat, Field(ge=-90, le=90)] = 0.0
-    """Of φ2."""
+    """Amplitude of φ2."""
 
 
 class MoveSpec(Strict):
     """From rest to rest on a minimum-jerk path."""
 
     move: PalmAngles
-    """Where to; an angle that is left out stays."""
+    """Target; an omitted angle stays unchanged."""
     duration_s: Duration
-    """How long it takes."""
+    """Duration."""
 
     @field_validator("move")
     @classmethod
-    def _goes_somewhere(cls, move: PalmAngles) -> PalmAngles:
+    def _has_target(cls, move: PalmAngles) -> PalmAngles:
         if all(angle is None for angle in move.each()):
             raise ValueError("needs phi1_deg, phi2_deg or both")
         return move
 
 
 class RateSpec(Strict):
-    """Constant rates until one palm angle is reached, where the palms come to rest."""
+    """Constant rates until one palm angle is reached, then deceleration to rest."""
 
     rate: PalmRates
-    """How fast."""
+    """The rates."""
     until: PalmAngles
-    """The one angle that ends it."""
+    """The angle that ends it; exactly one."""
 
     @field_validator("rate")
     @classmethod
-    def _turns(cls, rate: PalmRates) -> PalmRates:
+    def _has_rate(cls, rate: PalmRates) -> PalmRates:
         if not any(rate.each()):
             raise ValueError("needs a rate other than 0 for phi1_deg_s or phi2_deg_s")
         return rate
 
     @field_validator("until")
     @classmethod
-    def _one_end(cls, until: PalmAngles) -> PalmAngles:
+    def _single_end(cls, until: PalmAngles) -> PalmAngles:
         if sum(angle is not None for angle in until.each()) != 1:
             raise ValueError("needs exactly one of phi1_deg, phi2_deg")
         return until
 
 
 class SineSpec(Strict):
-    """Swing about the pose where it starts, growing in and dying away."""
+    """Swing about the start pose, with a smooth onset and decay."""
 
     sine: PalmAmplitudes
-    """How far to either side."""
+    """Amplitudes."""
     frequency_hz: SwingFrequencies
-    """Of both palms, or one for each."""
+    """Frequency of both palms, or one for each."""
     duration_s: Duration
-    """How long it takes, growing in and dying away included."""
+    """Duration, including onset and decay."""
 
 
 SegmentSpec = Annotated[
@@ -383,20 +383,20 @@ SegmentSpec = Annotated[
 
 
 class DitherSpec(Strict):
-    """A small vibration of both palm angles on top of the whole plan, to break friction."""
+    """A small oscillation of both palm angles, added to the whole plan to break friction."""
 
     amplitude_deg: Annotated[FiniteFloat, Field(gt=0, le=5)]
-    """Of both angles."""
+    """Amplitude of both angles."""
     frequency_hz: Annotated[FiniteFloat, Field(gt=0, le=20)]
-    """Of both angles."""
+    """Frequency of both angles."""
 
 
 class PlanSpec(AnyPlanSpec):
-    """A motion plan as it stands in its file; `palmd.motion.plan` makes a trajectory of it."""
+    """Model of a plan file; `palmd.motion.plan` compiles it to a trajectory."""
 
     repeat: Repeat = 1
-    """How often the segments are run."""
+    """How many times the segments are executed."""
     segments: Annotated[list[SegmentSpec], Field(min_length=1, max_length=200)]
-    """Motions, one after the other."""
+    """Motions in the order of execution."""
     dither: DitherSpec | None = None
-    """A small vibration on top of it all, to break friction."""
+    """A small oscillation added to all motions, to break friction."""

@@ -1,4 +1,4 @@
-"""How the palms vibrate, as a configuration says it: the block `rig.vibration`."""
+"""Configuration of the palms' vibration: the block `rig.vibration`."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from pydantic import Field, FiniteFloat, model_validator
 from palmd.config.fields import NotNegative, Plausible, Strict
 from palmd.system.vibration import VIBRATION_KEYS, VIBRATION_SD_KEYS, Relation, Vibration, VibrationLaw
 
-MOST_HZ = 5000.0  # of a shaker (convention: small ones have 200 to 280 Hz)
+MOST_HZ = 5000.0  # upper limit of a shaker's frequency (convention: small ones have 200 to 280 Hz)
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class VibrationConfig(Strict):
-    """The palms' vibration along themselves; what is left out is not known, and estimated where friction shows it."""
+    """Vibration of the palms along themselves; omitted values are unknown, and estimated where observable."""
 
     relation: Relation = "independent"
-    """Between the palms: `in_phase` moves both away from the hinge at once, `none`: no shaker, friction is dry."""
+    """Phase of the palms: `in_phase` moves both away from the hinge at once; `none`: no shaker, dry friction."""
     frequency_hz: Annotated[_Positive, Field(le=MOST_HZ), Plausible(50, 1000)] | None = None
-    """Of both; palms that vibrate independently differ by 5 Hz or more."""
+    """Frequency of both palms; independently vibrating palms differ by 5 Hz or more."""
     frequency_sd_hz: NotNegative | None = None
-    """How well the frequency is known, one sigma."""
+    """Standard deviation of the frequency."""
     speed_m_s: Annotated[_Positive, Field(le=1), Plausible(0.002, 0.1)] | None = None
     """Amplitude of a palm's speed along itself: 2π · frequency · amplitude."""
     speed_sd_m_s: NotNegative | None = None
-    """How well the speed is known, one sigma; left out: to 10 %."""
+    """Standard deviation of the speed; default 10 % of it."""
     transmission: Annotated[FiniteFloat, Field(ge=0, le=1)] | None = None
-    """Share of the friction's alternation that the normal forces follow: 1 on a stiff heavy palm."""
+    """Ripple transmission: share of the alternating friction that the normal forces follow; 1 on a stiff heavy palm."""
     transmission_sd: NotNegative | None = None
-    """How well the transmission is known, one sigma; left out: to 0.10."""
+    """Standard deviation of the transmission; default 0.10."""
     law: VibrationLaw = "sign_pairs"
-    """`averaged`: the law of friction of old logs; not for real rigs."""
+    """Friction law; `averaged` is that of old logs and not for real rigs."""
 
     @model_validator(mode="before")
     @classmethod
     def _sd_at_the_end(cls, value: Any) -> Any:
-        """`speed_m_s_sd` may stand for `speed_sd_m_s`."""
+        """Accept `speed_m_s_sd` for `speed_sd_m_s`."""
         if not isinstance(value, dict):
             return value
         named = {f"{key}_sd": VIBRATION_SD_KEYS[f"{name}_sd"] for name, key in VIBRATION_KEYS.items()}
@@ -44,7 +44,7 @@ class VibrationConfig(Strict):
 
 
 def vibration_of(config: VibrationConfig) -> Vibration:
-    """The same as observers know it."""
+    """Convert the configuration to the observers' description."""
     keys = VIBRATION_KEYS | VIBRATION_SD_KEYS
     values: dict[str, Any] = {name: getattr(config, key) for name, key in keys.items()}
     return Vibration(relation=config.relation, law=config.law, **values)

@@ -1,1 +1,1 @@
-"""What every command shares: kinds of arguments, errors, progress, optional packages, the files that palmd ships."""
+"""Shared by all commands: argument types, errors, progress, optional packages, and the files shipped with palmd."""

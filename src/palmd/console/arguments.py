@@ -1,4 +1,4 @@
-"""Kinds of arguments that several commands share; argparse tells what is wrong with one."""
+"""Argument types shared by several commands, with error messages for argparse."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _WHOLE = ("int", "count", "seed")
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with an argument in the user's words, where argparse speaks of its own types and choices."""
+    """ArgumentParser with plain error messages for wrong types and choices."""
 
     def error(self, message: str) -> NoReturn:
-        """Ends with usage, the message and status 2."""
+        """Print usage and the message, and exit with status 2."""
         message = _NO_VALUE.sub(lambda m: f"must be {_kind(m[1])}, got {m[2]}", message)
         super().error(_NO_CHOICE.sub(lambda m: no_such(m[1].strip("'"), re.findall(r"[^', ]+", m[2])), message))
 
@@ -29,13 +29,13 @@ def _kind(converter: str) -> str:
 
 
 def no_such(text: str, names: Collection[str]) -> str:
-    """That it is none of the names, and which may be meant, or which there are."""
+    """Error text for an unknown name: the closest name, or all names."""
     near = difflib.get_close_matches(text, names, n=1)
-    return f"there is no {text!r}; " + (f"is {near[0]} meant?" if near else f"there are {', '.join(names)}")
+    return f"there is no {text!r}; " + (f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(names)}")
 
 
 def one_of(names: Collection[str]) -> Callable[[str], str]:
-    """One of the names; else it is said which of them may be meant, or which there are."""
+    """Argument type: one of the names; the error text has the closest name, or all names."""
 
     def name(text: str) -> str:
         if text in names:
@@ -46,7 +46,7 @@ def one_of(names: Collection[str]) -> Callable[[str], str]:
 
 
 def count(text: str) -> int:
-    """A whole number from 1."""
+    """Argument type: a whole number from 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is less than 1")
@@ -54,7 +54,7 @@ def count(text: str) -> int:
 
 
 def seed(text: str) -> int:
-    """A whole number from 0."""
+    """Argument type: a whole number from 0."""
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{value} is negative")
@@ -62,7 +62,7 @@ def seed(text: str) -> int:
 
 
 def seconds(text: str) -> float:
-    """A duration that leaves something to see (s)."""
+    """Argument type: a duration (s) of at least 0.5 s."""
     value = float(text)
     if not _SHORTEST_S <= value < math.inf:
         raise argparse.ArgumentTypeError(f"must be {_SHORTEST_S:g} s or more, got {text}")
@@ -70,7 +70,7 @@ def seconds(text: str) -> float:
 
 
 def seconds_within(least_s: float, most_s: float) -> Callable[[str], float]:
-    """A duration (s) that is neither shorter nor longer."""
+    """Argument type: a duration (s) within these limits."""
 
     def seconds(text: str) -> float:
         value = float(text)

@@ -1,4 +1,4 @@
-"""Numbers side by side, for a terminal. Pure."""
+"""Tables of numbers for a terminal. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def aligned(lines: Sequence[tuple[str, Sequence[str]]]) -> str:
-    """Lines of a name and as many cells each: names to the left, cells to the right of their columns."""
+    """Format lines of a name and equally many cells: names left-aligned, cells right-aligned."""
     widths = [max(map(len, column)) for column in zip(*(cells for _, cells in lines), strict=True)]
     first = max(len(name) for name, _ in lines)
     return "\n".join(

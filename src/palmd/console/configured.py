@@ -1,4 +1,4 @@
-"""Which configuration a command means that was given none, and how it ends when it is of no use."""
+"""Loads the configuration of a command, with defaults and errors."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from palmd.yamlfile import ConfigError, load_any_config, load_config
 INSTALLED = Path("/etc/palmd/palmd.yaml")
 
 
-def usual(path: Path | None) -> Path:
-    """The path given, else that of the installed configuration, else of the shipped one."""
-    return path or (INSTALLED if _stands(INSTALLED) else shipped("palmd.yaml"))
+def default_path(path: Path | None) -> Path:
+    """Return `path`, else the path of the installed configuration, else of the shipped one."""
+    return path or (INSTALLED if _exists(INSTALLED) else shipped("palmd.yaml"))
 
 
-def _stands(path: Path) -> bool:
-    """Whether it is there; what may not be looked at is, and whoever reads it tells."""
+def _exists(path: Path) -> bool:
+    """Whether `path` exists; True without permission to check, since reading it then reports the error."""
     try:
         return path.exists()
     except PermissionError:
@@ -27,7 +27,7 @@ def _stands(path: Path) -> bool:
 
 
 def configured(path: Path) -> Config:
-    """The configuration in a file; CliError with every error in it."""
+    """Load a configuration of two palms; CliError with all its errors."""
     try:
         return load_config(path)
     except ConfigError as error:
@@ -35,7 +35,7 @@ def configured(path: Path) -> Config:
 
 
 def any_configured(path: Path) -> AnyConfig:
-    """The configuration in a file, of whatever system; CliError with every error in it."""
+    """Load a configuration of any system; CliError with all its errors."""
     try:
         return load_any_config(path)
     except ConfigError as error:
@@ -43,8 +43,8 @@ def any_configured(path: Path) -> AnyConfig:
 
 
 def with_flat_palms(path: Path, what: str) -> Config:
-    """`configured`; CliError where palms are curved, which `what` is not made for."""
+    """As `configured`; CliError for curved palms, which `what` does not support."""
     config = configured(path)
     if any(config.rig.curvatures_per_m):
-        raise CliError(BAD_INPUT, f"{path}: {what} is evaluated on flat palms only, and these are curved")
+        raise CliError(BAD_INPUT, f"{path}: {what} supports flat palms only, and these are curved")
     return config

@@ -1,4 +1,4 @@
-"""How a command ends that cannot do what it was asked."""
+"""Errors and exit statuses of commands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ RIG_FAILED = 3
 
 
 class CliError(Exception):
-    """Ends the command with this status; the text goes to standard error, one clear line a fault."""
+    """Ends the command with this exit status; the text goes to standard error, one line per error."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)

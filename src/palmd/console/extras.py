@@ -1,4 +1,4 @@
-"""Packages that palmd works without: what belongs to its optional extras."""
+"""Optional packages, installed by palmd's extras."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from types import ModuleType
 from palmd.console.errors import BAD_INPUT, CliError
 
 
-def only_without(package: str, error: ModuleNotFoundError) -> None:
-    """Raises the error again when it is about anything else than the missing `package`."""
+def raise_if_other(package: str, error: ModuleNotFoundError) -> None:
+    """Re-raise the error unless it is about the missing `package`."""
     if (error.name or "").partition(".")[0] != package:
         raise error
 
 
 def missing(what: str, package: str, extra: str) -> CliError:
-    """What cannot be done without an optional package, and what installs it."""
+    """Error for `what`, which needs an optional package, with the command that installs it."""
     return CliError(BAD_INPUT, f"{what} needs {package}, which is not installed: {install_line(package, extra)}")
 
 
 def require(what: str, package: str, extra: str) -> None:
-    """Raises CliError where an optional package is not installed, without loading it."""
+    """Raise CliError if an optional package is not installed, without importing it."""
     if find_spec(package) is None:
         raise missing(what, package, extra)
 
 
 def install_line(package: str, extra: str) -> str:
-    """What to type for an extra's packages to be in this environment, whatever palmd itself was installed from."""
+    """Command that installs an extra's packages in this environment, for any kind of palmd installation."""
     python = Path(sys.executable)
     if python.is_relative_to(Path.cwd()):
         python = Path(os.curdir) / python.relative_to(Path.cwd())
@@ -41,8 +41,8 @@ def install_line(package: str, extra: str) -> str:
 
 
 def _requirements(extra: str) -> Sequence[str]:
-    """What an extra consists of, as palmd's own metadata say; nothing where it runs without any."""
-    from importlib import metadata  # 30 ms, only for a sentence about what is missing
+    """Packages of an extra according to palmd's metadata; empty if palmd is not installed."""
+    from importlib import metadata  # takes 30 ms, needed for error texts only
 
     try:
         declared = metadata.requires("palmd") or []
@@ -53,10 +53,10 @@ def _requirements(extra: str) -> Sequence[str]:
 
 
 def drawing(module: str) -> ModuleType | None:
-    """The module that draws with matplotlib; None, with a word to the user, where that is not installed."""
+    """Import a module that needs matplotlib; if that is not installed, print how to install it and return None."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
+        raise_if_other("matplotlib", error)
         print(f"no figure: matplotlib is not installed: {install_line('matplotlib', 'report')}", file=sys.stderr)
         return None

@@ -1,4 +1,4 @@
-"""A terminal's keys as they are pressed."""
+"""Unbuffered keyboard input from a terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def unbuffered(terminal: int) -> Iterator[int]:
-    """Keys without Enter and without echo; the terminal as before in the end."""
+    """Context: keys without Enter and without echo; the terminal is restored at the end."""
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal)
@@ -22,6 +22,6 @@ def unbuffered(terminal: int) -> Iterator[int]:
 
 
 def pressed(terminal: int, most: int = 1024) -> bytes:
-    """At most so many bytes of what has been pressed; never waits."""
+    """Return at most `most` bytes of pressed keys; never blocks."""
     ready, _, _ = select.select([terminal], [], [], 0)
     return os.read(terminal, most) if ready else b""

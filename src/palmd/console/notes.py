@@ -1,4 +1,4 @@
-"""What whoever reads an input should know of it: on standard error, once."""
+"""Notes about input files on standard error."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from collections.abc import Iterable
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """A line each."""
+    """Print one line per note."""
     for note in notes:
         print(note, file=sys.stderr)

@@ -1,7 +1,7 @@
-"""Standard output and standard error that may be closed, full, or read by nobody any more.
+"""Standard output and standard error that may be closed, full, or without a reader.
 
-What a command says there is lost then, and its work and exit status are not. A command whose product goes to standard
-output writes it within `strict_output`, and ends when that is not possible.
+Text that cannot be written is discarded; the command's work and exit status are unaffected. A command whose result goes
+to standard output writes it within `strict_output`, and ends if that fails.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from collections.abc import Iterator
 from typing import Any
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EBADF, errno.EIO, errno.EDQUOT)
-"""Why what was written is lost, whatever was right about it."""
+"""Errors of the output itself, not of the text."""
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 
 
 class _Outlet(io.FileIO):
-    """A descriptor; `error` is why what was last written to it is lost."""
+    """File descriptor whose write errors in `LOST` are ignored unless `strict`; `error` is the last one."""
 
     error: OSError | None = None
     strict = False
@@ -37,16 +37,16 @@ class _Outlet(io.FileIO):
             return len(data)
 
 
-def take_over() -> None:
-    """Open what is closed of the three standard streams, and have output that cannot be written lost.
+def make_tolerant() -> None:
+    """Open closed standard streams, and make output that cannot be written be discarded.
 
-    Streams that somebody has put in their place, as tests do, stay as they are.
+    Replaced streams, as in tests, are left unchanged.
     """
     for descriptor, (name, mode) in enumerate(_STREAMS):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # uses the lowest free descriptor
         stream = getattr(sys, name)
         if stream is not getattr(sys, f"__{name}__"):
             continue
@@ -57,7 +57,7 @@ def take_over() -> None:
 
 
 def _tolerant(descriptor: int, stream: io.TextIOWrapper | None) -> io.TextIOWrapper:
-    """As `stream` is set up, None for one that was closed."""
+    """Return a stream with the settings of `stream`; None: of a closed one."""
     raw = io.BufferedWriter(_Outlet(descriptor, "w", closefd=False))
     if stream is None:
         return io.TextIOWrapper(raw, "utf-8", "replace")
@@ -72,7 +72,7 @@ def _raw(stream: Any) -> Any:
 
 @contextlib.contextmanager
 def strict_output() -> Iterator[None]:
-    """Within it standard output raises OSError when it cannot be written; nothing is left in its buffer after it."""
+    """Context in which standard output raises OSError if it cannot be written; it is flushed at the end."""
     raw = _raw(sys.stdout)
     if not isinstance(raw, _Outlet):
         yield
@@ -86,8 +86,8 @@ def strict_output() -> Iterator[None]:
         raw.strict = False
 
 
-def lost_output() -> str:
-    """Why something that was said on standard output is lost; empty when all is there, or nobody reads it any more."""
+def output_error() -> str:
+    """Return why text on standard output was lost; empty if nothing was, or if the reader has closed it."""
     sys.stdout.flush()
     error = getattr(_raw(sys.stdout), "error", None)
     return "" if error is None or error.errno == errno.EPIPE else str(error.strerror)

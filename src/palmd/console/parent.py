@@ -1,4 +1,4 @@
-"""The end of the process that has started this one ends this one too."""
+"""Ends this process with the process that has started it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import signal
 import sys
 
 PARENT_VARIABLE = "PALMD_PARENT"
-"""Names the process whose end asks this one to end, where another palmd has started it."""
+"""Environment variable with the id of the palmd process that has started this one."""
 
 _PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
-    """Ask for SIGTERM at the end of the process that `PARENT_VARIABLE` names, if any. First thing in a process."""
+    """Request SIGTERM at the end of the process in `PARENT_VARIABLE`, if set. Call it first in a process."""
     parent = os.environ.pop(PARENT_VARIABLE, "")
     if not parent:
         return

@@ -1,4 +1,4 @@
-"""A progress bar for work that takes a while, and a word where it has no measure; on a terminal only."""
+"""Progress bar, and progress text for work of unknown length; on a terminal only."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ERASED = "\r\x1b[K"
 
 
 class Progress:
-    """Shows nothing for the first second, and nothing at all where standard error is no terminal."""
+    """Progress bar, shown after the first second if standard error is a terminal."""
 
     def __init__(self, what: str, total: int, unit: str, stream: TextIO | None = None) -> None:
-        """`total` of `unit` are to be done."""
+        """`total` is the number of `unit` to be done."""
         self._what, self._total, self._unit = what, total, unit
         self._stream = stream or sys.stderr
         self._shows = self._stream.isatty()
@@ -31,7 +31,7 @@ class Progress:
         return self
 
     def at(self, done: int) -> None:
-        """So many are done; cheap when there is nothing to show."""
+        """Set the number done; cheap if nothing is shown."""
         if not self._shows or time.monotonic() < self._next:
             return
         self._next = time.monotonic() + _EVERY_S
@@ -52,7 +52,7 @@ class Progress:
 
 @contextmanager
 def working(what: str, stream: TextIO | None = None) -> Iterator[Callable[[str], None]]:
-    """Says what is being done while it is, and then what it is told to say, for work that no bar is known of."""
+    """Context that shows the text `what`; yields a function that replaces it. For work of unknown length."""
     stream = stream or sys.stderr
     if not stream.isatty():
         yield _silent
@@ -76,7 +76,7 @@ def _silent(_: str) -> None:
 
 
 def _cells(stream: TextIO) -> str:
-    """How a part that is done looks, and one that is not, on this terminal."""
+    """Characters for done and not done parts on this terminal."""
     try:
         _CELLS.encode(stream.encoding or "utf-8")
     except UnicodeEncodeError:

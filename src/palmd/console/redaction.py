@@ -1,4 +1,4 @@
-"""Text without what nobody else should read: passwords, tokens, secret keys, and whose home folder it lay in. Pure."""
+"""Removes passwords, tokens, secret keys and names of home folders from text. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HOME = re.compile(r"/home/[^/\s\"',:]+|/Users/[^/\s\"',:]+")
 
 
 def redacted(text: str) -> str:
-    """The text with secrets replaced by `REMOVED` and home folders by `~`."""
+    """Return the text with secrets replaced by `REMOVED` and home folders by `~`."""
     text = _NAMED.sub(lambda found: found["head"] + REMOVED, text)
     text = _USER_IN_ADDRESS.sub(f"{REMOVED}@", text)
     text = _CURVE.sub(lambda found: REMOVED if _is_key(found[0]) else found[0], text)
@@ -23,6 +23,6 @@ def redacted(text: str) -> str:
 
 
 def _is_key(word: str) -> bool:
-    """Whether a word of 40 letters may be a CURVE key in Z85: of all kinds of letters, and no path or number."""
+    """Whether a word of 40 characters can be a CURVE key in Z85: lower, upper and digits, and no path."""
     kinds = (str.islower, str.isupper, str.isdigit)
     return all(any(map(kind, word)) for kind in kinds) and word.count("/") < 4

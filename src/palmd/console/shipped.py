@@ -1,4 +1,4 @@
-"""The configurations and plans that palmd ships, and what makes services of it."""
+"""Paths of the configurations, plans and service files shipped with palmd."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _INSTALLED, _CHECKOUT = _PACKAGE / "data", _PACKAGE.parent.parent
 
 
 def shipped(name: str) -> Path:
-    """The path of one of them: in the installed package, else in the checkout that palmd runs from."""
+    """Return the path of a shipped configuration or plan: in the installed package, else in the checkout."""
     return (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT / "config") / name
 
 
 def shipped_service(name: str) -> Path:
-    """The path of a file for the service manager and its neighbours, likewise."""
+    """Return the path of a shipped file for systemd or udev, likewise."""
     return (_INSTALLED if _INSTALLED.is_dir() else _CHECKOUT) / "systemd" / name

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from palmd.daemon.drivers import ArmDriver
 from palmd.devices.actuator import ArmState
-from palmd.devices.health import Share
+from palmd.devices.health import ErrorShare
 from palmd.devices.pad import PadDriver
 from palmd.quantities import NIS_BAND
 
@@ -49,8 +49,8 @@ class PadDiagnostics:
             yield f"{self._name}-port"
         elif pad.touching:
             self._needed = under_way
-        elif self._needed and pad.parted is not None:
-            yield f"{self._name}-{pad.parted}"
+        elif self._needed and pad.touch_end is not None:
+            yield f"{self._name}-{pad.touch_end}"
         else:
             yield f"{self._name}-untouched"
 
@@ -83,7 +83,7 @@ class LoopDiagnostics:
 
     def __init__(self) -> None:
         self._overruns: deque[float] = deque(maxlen=OVERRUNS_MOST)
-        self._late = Share(0.0, 5)
+        self._late = ErrorShare(0.0, 5)
         self._too_late = False
         self.late_s = 0.0
         self.why = ""
@@ -107,7 +107,7 @@ class LoopDiagnostics:
     def evidence(self, code: str) -> str:
         """Evidence for one of its codes, in words."""
         if code == "samples-too-late":
-            return f"{self._late.spoilt} in the last {LOOK_S:g} s"
+            return f"{self._late.new_errors} in the last {LOOK_S:g} s"
         often = f"{OVERRUNS_MOST} times within {OVERRUN_MEMORY_S:g} s, " if code == "loop-overruns" else ""
         why = f"; in the second before, {self.why}" if self.why else ""
         return f"{often}the last time a tick ended {self.late_s * 1e3:.0f} ms after its deadline{why}"

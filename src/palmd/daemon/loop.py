@@ -319,7 +319,7 @@ class Loop:
     def _loop_fields(self) -> Fields:
         fields: Fields = self.statistics.fields() | self._core.counters() | self._bus.fields() | self._counters()
         for end, port in self._ports.items():
-            port.look()
+            port.update_counters()
             fields |= {f"{end}_port_{what}": count for what, count in port.counters.as_dict().items()}
         return fields | {"rss_mb": rss_mb(), "blocks": sys.getallocatedblocks(), "backend": self._backend}
 

@@ -19,7 +19,7 @@ from palmd.daemon.guards.rig_contradiction import pivot_contradiction
 from palmd.daemon.pivot_smoothing import PivotSmootherProcess
 from palmd.daemon.setpoints import SetPoints
 from palmd.daemon.systems import LiveSystem
-from palmd.devices.actuator import Place, Pose, Reach
+from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
@@ -52,7 +52,7 @@ class PivotPoses:
         cos, sin = math.cos(self._yaw), math.sin(self._yaw)
         return Pose(cos * dx + sin * dy, cos * dy - sin * dx, twist)
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """Position of the pivot for a pose of the tool."""
         if not isinstance(pose, Pose):
             raise PoseError("the arm reports no pose of its tool")
@@ -62,7 +62,7 @@ class PivotPoses:
             self._base[1] + sin * pose.x_m + cos * pose.y_m,
         )
 
-    def twist(self, pose: Place, angles: Joints) -> float:
+    def twist(self, pose: ArmPose, angles: Joints) -> float:
         """The tool's present angle, which is kept: the tool turns freely about the pivot."""
         del angles
         return pose.t_rad if isinstance(pose, Pose) else 0.0
@@ -84,7 +84,7 @@ class PivotGrasp(LiveSystem[PivotConfig, PivotEstimate]):
         self.poses = PivotPoses.of(config)
         self.guards = _guard_limits(config, self.poses)
         if config.rig.vertical == "float":
-            self.free = (AXES.index("z"),)  # the command is the slide's lower stop, not the height
+            self.free = (AXES.index("z"),)  # commanded is the slide's stop
 
     def observer(self, outlines: Sequence[Outline], stack: ExitStack) -> tuple[PivotObserver, PivotSmootherProcess]:
         """The observer and its smoother; stored outlines are not supported."""

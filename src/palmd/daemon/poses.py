@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from palmd.config.two_palms import Config
-from palmd.devices.actuator import JointPose, Place, Pose, Reach
+from palmd.devices.actuator import ArmPose, JointPose, Pose, Reach
 from palmd.events import Joints
 from palmd.motion.kinematics import PoseError, RigGeometry, wrapped
 from palmd.motion.limits import Workspace
@@ -17,13 +17,13 @@ from palmd.motion.limits import Workspace
 class Poses(Protocol):
     """Joint angles (rad) to the actuator's poses and back; a tool may be twisted against palm 2 (rad)."""
 
-    def pose(self, angles: Joints, twist: float = 0.0) -> Place:
+    def pose(self, angles: Joints, twist: float = 0.0) -> ArmPose:
         """The actuator's pose for these joint angles; raises PoseError if there is none."""
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """The joint angles for a pose; raises PoseError if there are none."""
 
-    def twist(self, pose: Place, angles: Joints) -> float:
+    def twist(self, pose: ArmPose, angles: Joints) -> float:
         """Twist of the tool against palm 2 in a pose with these joint angles."""
 
     def workspace(self, reach: Reach) -> Workspace | None:
@@ -41,13 +41,13 @@ class ArcPoses:
         x, y, tool = self.geometry.arm_pose(angles)
         return Pose(x, y, wrapped(tool + twist))
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """From the tool's position alone."""
         if not isinstance(pose, Pose):
             raise PoseError("the arm reports no position of its tool")
         return self.geometry.palm_angles(pose.x_m, pose.y_m)
 
-    def twist(self, pose: Place, angles: Joints) -> float:
+    def twist(self, pose: ArmPose, angles: Joints) -> float:
         """The tool angle minus the one that follows from the joint angles."""
         straight = self.geometry.arm_pose(angles)[2]
         return wrapped(pose.t_rad - straight) if isinstance(pose, Pose) else 0.0
@@ -72,13 +72,13 @@ class JointPoses:
         """The joint angles themselves."""
         return JointPose(angles)
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """The joint angles themselves."""
         if not isinstance(pose, JointPose):
             raise PoseError("the actuator reports no joint angles")
         return pose.joints_rad
 
-    def twist(self, pose: Place, angles: Joints) -> float:  # noqa: ARG002
+    def twist(self, pose: ArmPose, angles: Joints) -> float:  # noqa: ARG002
         """There is no tool."""
         return 0.0
 

@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 from palmd.daemon.jog import Jog
 from palmd.daemon.poses import Poses
-from palmd.devices.actuator import Place, Pose
+from palmd.devices.actuator import ArmPose, Pose
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
 from palmd.motion.kinematics import PoseError
@@ -33,8 +33,8 @@ NEAR_M, NEAR_RAD = 0.005, math.radians(3.0)
 RETREAT_S = 0.2
 """Time for the set-point's retreat and standstill, in which the controller's own path comes to rest behind it."""
 
-_ON_PATH = 1e-6  # rad: less than the resolution of the arm's protocol (1 µm)
-_OUTSIDE = math.radians(0.03)  # how far outside the limits noise alone may put a pose
+_ON_PATH = 1e-6  # rad: less than the wire's micrometre
+_OUTSIDE = math.radians(0.03)  # how far outside the limits a pose may be for its noise alone
 
 
 class SetPoints:
@@ -50,10 +50,10 @@ class SetPoints:
         self._held = False
         self._paused = False
         self._off_path = False
-        self._twist = 0.0  # of the tool against palm 2 (rad), as found at the start; reduced to 0 slowly
+        self._twist = 0.0  # of the tool against palm 2 (rad), as found; it is taken back gently
         self._t_sent = -math.inf
-        self._retreat: tuple[PalmMotion, float] | None = None  # goal, and when (s) it is complete
-        self._may_retreat = False  # once per tracking
+        self._retreat: tuple[PalmMotion, float] | None = None  # where to, and until when (s)
+        self._may_retreat = False  # once in each tracking
         self._next = PalmMotion.at_rest(limits.unknown)
         self._jog: Jog | None = None
         self.limits = limits
@@ -77,9 +77,9 @@ class SetPoints:
         except PoseError as error:
             return [str(error)]
 
-        # ---- commands
+    # What to do
 
-    def stand(self, actual: PalmMotion, pose: Place, t: float) -> None:
+    def stand(self, actual: PalmMotion, pose: ArmPose, t: float) -> None:
         """Begin to command the arm at `t` (s): hold its actual pose, with the tool as in `pose`."""
         inside = self.nearest(actual)
         self._executor.stand(inside.angles)
@@ -158,7 +158,7 @@ class SetPoints:
             self._jog = jog
         return clipped
 
-    def restart_at(self, actual: PalmMotion, pose: Place) -> None:
+    def restart_at(self, actual: PalmMotion, pose: ArmPose) -> None:
         """The arm did not follow: restart at its `actual` pose, with the tool as in `pose`."""
         last = actual if self.commanded is None else self.commanded
         pairs = enumerate(zip(actual.angles, last.angles, strict=True))
@@ -190,7 +190,7 @@ class SetPoints:
             return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
         return turned
 
-        # ---- state
+    # What is being done
 
     @property
     def retreating(self) -> bool:
@@ -236,9 +236,9 @@ class SetPoints:
         """Position in the plan."""
         return self._executor.place
 
-    # ---- set-points
+    # Set-points
 
-    def target(self, t: float) -> Place | None:
+    def target(self, t: float) -> ArmPose | None:
         """The set-point for `t` (s); call `sent` when it has been sent. None before `stand`."""
         before = self.commanded
         if before is None:
@@ -264,7 +264,7 @@ class SetPoints:
         self._next = motion
         return pose
 
-    def _retreat_step(self, before: PalmMotion, goal: PalmMotion, t: float) -> Place | None:
+    def _retreat_step(self, before: PalmMotion, goal: PalmMotion, t: float) -> ArmPose | None:
         """The next set-point of a retreat, or its goal.
 
         A late set-point does not make up for lost time: the retreat is at the rate limit, which would be exceeded.
@@ -278,7 +278,7 @@ class SetPoints:
         self.commanded, self._t_sent = self._next, t
         return self._next
 
-    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> Place | None:
+    def _pose(self, motion: PalmMotion, *, anywhere: bool = False) -> ArmPose | None:
         """The arm's pose for a motion; None if it is singular or outside the arm's workspace."""
         try:
             pose = self.poses.pose(motion.angles, self._twist)
@@ -290,7 +290,7 @@ class SetPoints:
         inside = box.x_min <= pose.x_m <= box.x_max and box.y_min <= pose.y_m <= box.y_max
         return pose if inside else None
 
-    def _reset_to(self, actual: PalmMotion, pose: Place) -> None:
+    def _reset_to(self, actual: PalmMotion, pose: ArmPose) -> None:
         self.commanded = PalmMotion.at_rest(actual.angles)
         self._twist = self.poses.twist(pose, actual.angles)
 

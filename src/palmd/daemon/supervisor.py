@@ -105,13 +105,13 @@ class Supervisor:
         self.plan_refused = False
         self.refusal = ""
         self.cause = ""
-        self.requested_state = ""  # hold or stop, from its request until arm, start or reset is granted
+        self.requested_state = ""  # hold or stop, from when somebody asks for it until arm, start or reset is granted
         self.at_rest = True
         self.replies: list[Reply] = []
         self.estimate: LiveEstimate | None = None
         self.recorder = RecorderWatch(journal)
         self.control = Control()
-        self.operator_lost = ""  # the client whose lease ran out during motion; cleared when a client has control again
+        self.operator_lost = ""  # the client whose lease has run out in motion, until somebody has had control again
         self._arm = arm
         self._setpoints = setpoints
         self._exploring = exploring
@@ -130,7 +130,7 @@ class Supervisor:
         self._t_up = math.inf
         self._t_jog = -math.inf
         self._t = -math.inf
-        self._t_regained = math.inf  # since when a client has control again
+        self._t_regained = math.inf  # since when somebody has control after that
         self._commands: dict[str, Callable[[Request, float], dict[str, Any] | None]] = {
             "status": self._status,
             "arm": self._start_arming,
@@ -184,7 +184,7 @@ class Supervisor:
         self._finish_job()
         self._finish_arming(t)
         self._finish_reset(t)
-        if up and self.state is State.IDLE:  # before the faults: a latched one would prevent it
+        if up and self.state is State.IDLE:  # before the faults: with one that is latched no command finds it ready
             self._change(Trigger.RIG_UP, str(Trigger.RIG_UP))
         if self._faults.standing(Severity.STOP):
             if self.state in COMMANDED or self._faults.latched(Severity.STOP):
@@ -200,7 +200,7 @@ class Supervisor:
 
     def stop_on_fault(self) -> None:
         """React to a stop fault: a planned stop in any state."""
-        self._autostart.clear()  # after a reset the arm must not move without a command
+        self._autostart.clear()  # who resets it must not be surprised by an arm that moves
         self._change(Trigger.STOP_FAULT, self._standing(Severity.STOP))
         self._stand_down("a fault occurred; see status")
 
@@ -312,7 +312,7 @@ class Supervisor:
         problems = self._setpoints.tracking_problems(actual)
         if problems:
             raise RefusedError(f"{'; '.join(problems)}: move the palms inside the limits with the pendant")
-        host.want_tracking()
+        host.request_tracking()
         self.at_rest = False
         self._arming = _Wait(request, t + ARMING_S, self._faults.active)
 
@@ -435,7 +435,7 @@ class Supervisor:
         if faults:
             raise RefusedError("; ".join(f"{fault.text}: {fault.hint}" for fault in faults))
 
-    # ---- results that come later ------------------------------------------------------------------------
+    # ---- what comes of them later ------------------------------------------------------------------------
 
     def _begin(
         self,
@@ -456,7 +456,7 @@ class Supervisor:
         self._job = None
         try:
             plan = job.future.result().with_limits(job.limits)
-        except Exception as error:  # a plan from outside can fail in any way; the loop continues
+        except Exception as error:  # a plan from outside may be wrong in any way; the loop goes on
             if job.done == self._run:
                 self.plan_refused, self.refusal = True, str(error)
             self._answer(job.request, f"{job.request.name} refused: {error}")
@@ -505,15 +505,15 @@ class Supervisor:
         """Planned stop if the arm is commanded; an `arm` in progress is refused."""
         host = self._arm.host
         if self._setpoints.retreating:
-            pass  # `_enforce` stops the arm when the retreat is complete
+            pass  # `_enforce` stops the arm when the set-point is back
         elif host.tracking or self._arming is not None:
-            host.want_stop()
+            host.request_stop()
             self._setpoints.leave()
         if self._arming is not None:
             wait, self._arming = self._arming, None
             self._answer(wait.request, f"arm refused: {reason}")
 
-    # ---- state and arm -----------------------------------------------------------------------------------
+    # ---- keeping order -----------------------------------------------------------------------------------
 
     def _learn_workspace(self) -> None:
         reach = self._arm.host.reach
@@ -526,7 +526,7 @@ class Supervisor:
         """Make the arm comply with the state, whatever has happened."""
         host = self._arm.host
         if host.tracking and not self.armed and self._setpoints.retreated(t):
-            host.want_stop()
+            host.request_stop()
         if host.tracking:
             self._setpoints.freeze(host.frozen(t))
             return

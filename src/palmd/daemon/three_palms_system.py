@@ -15,7 +15,7 @@ from palmd.daemon.guards.following import FollowingLimits, JointScale, noise_of_
 from palmd.daemon.guards.rig_contradiction import no_contradiction
 from palmd.daemon.systems import LiveSystem
 from palmd.daemon.three_palms_smoothing import BodySmootherProcess
-from palmd.devices.actuator import Place, Pose, Reach
+from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints, ShapeEstimate
 from palmd.messages import Fields, MessageCodec
 from palmd.motion.kinematics import PoseError
@@ -27,8 +27,8 @@ from palmd.system.three_palms import JOINTS, NAMING, BodyAnswer, BodyEstimate
 from palmd.three_palms_quantities import PALM3_ANSWER, PALM3_SHAPE
 
 DECIDER = "palmd.daemon.body_decider:BodyDecider"
-OUTSIDE_RAD = math.radians(1.0)  # how far joints may be found outside their limits
-_PER_RAD = math.degrees(1e-3)  # metres on the line per radian: 1 µm stands for 1/1000 degree
+OUTSIDE_RAD = math.radians(1.0)
+_PER_RAD = math.degrees(1e-3)  # the line's µm are 1/1000 degree
 
 
 class TiltPoses:
@@ -39,13 +39,13 @@ class TiltPoses:
         beta, gamma2, gamma3 = angles
         return Pose(beta * _PER_RAD, gamma2 * _PER_RAD, gamma3)
 
-    def angles(self, pose: Place) -> Joints:
+    def angles(self, pose: ArmPose) -> Joints:
         """The joint angles of a pose on the line."""
         if not isinstance(pose, Pose):
             raise PoseError("the controller reports no pose")
         return (pose.x_m / _PER_RAD, pose.y_m / _PER_RAD, pose.t_rad)
 
-    def twist(self, pose: Place, angles: Joints) -> float:  # noqa: ARG002
+    def twist(self, pose: ArmPose, angles: Joints) -> float:  # noqa: ARG002
         """Always 0: there is no tool."""
         return 0.0
 

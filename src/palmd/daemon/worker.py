@@ -21,7 +21,7 @@ from pathlib import Path
 
 import zmq
 
-from palmd.console.folders import for_sockets
+from palmd.console.folders import socket_folder
 from palmd.daemon import worker_main
 from palmd.daemon.realtime import freeze_collector
 
@@ -46,7 +46,7 @@ class WorkerProcess:
         OSError if it cannot be started.
         """
         self._name = name
-        self._folder = for_sockets("palmd-", name)
+        self._folder = socket_folder("palmd-", name)
         address = f"ipc://{Path(self._folder.name) / name}"
         self._command = [sys.executable, "-m", "palmd.daemon.worker_main", module]
         self._arguments = [address, *arguments]

@@ -1,1 +1,1 @@
-"""Bytes to events and back: codecs of touchpads and arm, the arm's host side, and the serial ports."""
+"""Device drivers: codecs of touch pads and actuators, host state machines, and serial ports."""

@@ -1,7 +1,7 @@
-"""What every kind of actuator offers, and how the configured kind is found.
+"""The interface of all actuator drivers, and the lookup of the configured one.
 
-A kind `K` is `palmd/devices/actuators/K.py`, which says `DRIVER`, and a model in `palmd.config` with
-`kind: Literal["K"]`. The daemon takes what stands here.
+A kind `K` consists of `palmd/devices/actuators/K.py`, which defines `DRIVER`, and of a model in `palmd.config` with
+`kind: Literal["K"]`. The daemon uses this interface only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class ArmState(StrEnum):
-    """The controller's state, as the letter that `palm/motion` publishes."""
+    """State of the controller; the value is the letter that `palm/motion` publishes."""
 
     UNCALIBRATED = "U"
     MANUAL = "M"
@@ -34,12 +34,12 @@ class ArmState(StrEnum):
 
 
 FOLLOWING = (ArmState.TRACKING, ArmState.HOLD)
-"""The states in which a controller takes set-points."""
+"""The states in which a controller accepts set-points."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The tool in arm coordinates: position (m) and angle t = phi12 - yaw (rad)."""
+    """Pose of the tool in arm coordinates: position (m) and angle t = phi12 - yaw (rad)."""
 
     x_m: float
     y_m: float
@@ -48,31 +48,31 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class JointPose:
-    """The joint angles (rad), where the actuator turns the palms themselves."""
+    """Joint angles (rad) of an actuator that turns the palms directly."""
 
     joints_rad: Joints
 
 
-Place = Pose | JointPose
-"""What an actuator is told, and tells: where its tool shall be, or the joints themselves."""
+ArmPose = Pose | JointPose
+"""What set-points and reports contain: the pose of the tool, or the joint angles."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmReport:
-    """The controller's state and the actual pose at `t_sample` (s), the first byte's arrival.
+    """The controller's state and the actual pose; `t_sample` (s) is when the report's first byte arrived.
 
-    fresh: it came within a few cycles of what it answers, so that `t_sample` is when the arm was there.
+    fresh: the report came within a few cycles after its request, so `t_sample` is the time of the pose.
     """
 
     t_sample: float
     state: ArmState
-    pose: Place
+    pose: ArmPose
     fresh: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """The limits that the controller itself enforces: a box in arm coordinates, speed and acceleration."""
+    """Limits that the controller enforces: a box in arm coordinates, maximum speed and acceleration."""
 
     x_min_m: float
     x_max_m: float
@@ -82,17 +82,17 @@ class Reach:
     a_max_m_s2: float
 
 
-class Sent(NamedTuple):
-    """What goes out: the bytes, and the set-point among them, None when there is none."""
+class Outgoing(NamedTuple):
+    """Bytes to write, and the set-point that they contain (None: none)."""
 
     data: bytes
-    setpoint: Place | None = None
+    setpoint: ArmPose | None = None
 
 
 class Actuator(Protocol):
-    """The host's side of one controller: bytes in and out, reports. Pure but for `port`; safe in the loop.
+    """Driver of one controller: bytes in and out, reports. No I/O except in `port`; safe in the loop.
 
-    `state` is the last reported one, None while unknown. `refusal` says why the last request came to nothing, else
+    `state` is the last reported state, None while unknown. `refusal` is the reason why the last request failed, else
     None.
     """
 
@@ -100,16 +100,16 @@ class Actuator(Protocol):
     refusal: str | None
 
     @property
-    def pose(self) -> Place | None:
-        """The last one reported, None while unknown."""
+    def pose(self) -> ArmPose | None:
+        """The last reported pose, None while unknown."""
 
     @property
     def reach(self) -> Reach | None:
-        """What the controller has said that it can do, None before."""
+        """The limits that the controller has reported, None before."""
 
     @property
     def error(self) -> str:
-        """The last error that the controller told of, in words, until a start or reset succeeds; else empty."""
+        """Text of the controller's last error, until a start or reset succeeds; else empty."""
 
     @property
     def tracking(self) -> bool:
@@ -117,59 +117,59 @@ class Actuator(Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether a request still waits for its answer."""
+        """Whether a request is still unanswered."""
 
     def port(self) -> DevicePort:
-        """What the controller is behind, shut."""
+        """Return the controller's port, not yet opened."""
 
     def linked(self, t: float) -> bool:
         """Whether the controller answers at `t` (s)."""
 
     def lost(self, t: float) -> bool:
-        """Whether it does not, or not yet."""
+        """Whether the controller does not answer at `t` (s), or has not answered yet."""
 
     def frozen(self, t: float) -> bool:
-        """Whether, while tracking, answers have been missing at `t` (s) for so long that motion should halt."""
+        """Whether, while tracking, the last answer at `t` (s) is so old that motion should halt."""
 
     def age(self, t: float) -> float:
-        """How old (s) the last report is at `t` (s); infinite before the first."""
+        """Age (s) of the last report at `t` (s); infinite before the first."""
 
-    def want_tracking(self) -> None:
-        """Ask for tracking; set-points follow by themselves, the first at the actual pose."""
+    def request_tracking(self) -> None:
+        """Request tracking; set-points are then sent automatically, the first at the actual pose."""
 
-    def want_stop(self) -> None:
-        """Ask for a planned stop; no more set-points are sent."""
+    def request_stop(self) -> None:
+        """Request a planned stop; no more set-points are sent."""
 
     def request_reset(self) -> None:
-        """Ask the controller to clear a latched fault."""
+        """Request that the controller clear a latched fault."""
 
     def disconnected(self) -> None:
-        """The port is gone."""
+        """Handle the loss of the port."""
 
     def feed(self, data: bytes, t_recv: float) -> list[ArmReport]:
-        """Take the bytes read at `t_recv` (s) and return the reports they complete."""
+        """Process the bytes read at `t_recv` (s) and return the reports that they complete."""
 
     def due(self) -> float:
-        """When (s) `poll` next has something to do; always after the time of the last `poll`."""
+        """Return the time (s) of the next `poll`; always after the last `poll`."""
 
-    def poll(self, t: float, target: Place | None) -> Sent:
-        """What to write at `t` (s), `target` being where the arm should be, if tracking; None: the last set-point."""
+    def poll(self, t: float, target: ArmPose | None) -> Outgoing:
+        """Return what to write at `t` (s); `target` is the set-point while tracking (None: repeat the last one)."""
 
-    def health(self, look: bool) -> Iterator[str]:
-        """The conditions of the line that hold, without the arm's name; with `look` counters are judged anew."""
+    def health(self, refresh: bool) -> Iterator[str]:
+        """Yield the active fault conditions, without the arm's name; `refresh`: evaluate the counters again first."""
 
     def evidence(self, condition: str, t: float) -> str:
-        """What speaks for a condition at `t` (s), without the arm's name: which line, age, limit. May be empty."""
+        """Return the measurements behind a condition at `t` (s): line, age, limit. May be empty."""
 
     def counts(self) -> dict[str, float]:
-        """What has passed since the start, by cause."""
+        """All counters since the start, by name."""
 
 
 ActuatorFactory = Callable[[Any], Actuator]
-"""Takes its kind's configuration."""
+"""Creates an actuator from the configuration of its kind."""
 
 
 def make_actuator(config: ArmConfig) -> Actuator:
-    """The driver of the configured actuator."""
+    """Create the driver of the configured actuator."""
     factory: ActuatorFactory = importlib.import_module(f"palmd.devices.actuators.{config.kind}").DRIVER
     return factory(config)

@@ -1,4 +1,4 @@
-"""The conformance talk on a real port: what a script says is sent when it says so, and what is heard goes back."""
+"""Runs the conformance scripts on a real port."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _T = TypeVar("_T")
 
 
 class ArmLineError(Exception):
-    """The port cannot be opened or was lost; says why and what to do."""
+    """The port cannot be opened or was lost; the text has reason and what to do."""
 
 
 class ArmLine:
-    """The port with the controller behind it."""
+    """The controller's port, a context manager."""
 
     def __init__(self, path: str, baud: int) -> None:
-        """Opens it; ArmLineError when it cannot be opened."""
+        """Open the port; raises ArmLineError if that fails."""
         self._port = Port("arm", path, baud)
         if not self._port.poll_open(time.monotonic()):
             raise ArmLineError(self._port.error)
@@ -29,25 +29,25 @@ class ArmLine:
         self._waiter = PortWaiter([self._port])
 
     def play(self, script: Script[_T]) -> _T:
-        """What the script ends with; ArmLineError when the port is lost on the way."""
+        """Run a script and return its result; raises ArmLineError if the port is lost."""
         try:
-            say = next(script)
+            request = next(script)
             while True:
-                say = script.send(self._heard(say))
+                request = script.send(self._send(request))
         except StopIteration as end:
             value: _T = end.value
             return value
 
-    def _heard(self, say: TalkRequest) -> TalkAnswer:
+    def _send(self, request: TalkRequest) -> TalkAnswer:
         lines: list[Line] = []
-        raw = self._listen(lines, say.t_send, 0)
+        raw = self._listen(lines, request.t_send, 0)
         t_sent = time.monotonic()
-        self._port.write(say.data)
-        raw += self._listen(lines, t_sent + say.listen_s, say.enough)
+        self._port.write(request.data)
+        raw += self._listen(lines, t_sent + request.listen_s, request.enough)
         return TalkAnswer(lines, raw, t_sent, time.monotonic())
 
     def _listen(self, lines: list[Line], t_end: float, enough: int) -> bytes:
-        """Adds the lines that come until t_end (s), or until there are enough; returns all the bytes."""
+        """Append the lines received until t_end (s) or until there are `enough`; return all bytes."""
         raw = b""
         while time.monotonic() < t_end and not 0 < enough <= len(lines):
             self._waiter.wait(t_end)
@@ -64,9 +64,9 @@ class ArmLine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Lets go of the port."""
+        """Close the port."""
         self._port.close()
 
     def stop(self, talk: Talk) -> None:
-        """Asks for a planned stop, in case that anything still moves."""
+        """Request a planned stop, in case the arm still moves."""
         self._port.write(encode_command(Stop(talk.next_ss())))

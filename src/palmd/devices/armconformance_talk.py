@@ -1,4 +1,4 @@
-"""The words of the arm link's conformance scripts: what they ask for, what they are told, and what they share."""
+"""Building blocks of the arm link's conformance scripts: requests, answers, shared state and assertions."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from palmd.devices.arrival import byte_time
 from palmd.devices.phaselock import SetPointTimer
 
 ANSWER_S = 0.060
-"""How long to listen for an answer, and for anything that should not come after it."""
+"""How long (s) to listen for an answer, and for lines that must not follow it."""
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
 class TalkRequest:
-    """What a script asks for: write `data` at `t_send` (s, monotonic; past: at once), then listen.
+    """Request of a script: write `data` at `t_send` (s, monotonic; past: at once), then listen.
 
-    Listening ends `listen_s` after the writing, or as soon as `enough` lines have come (0: never).
+    Listening ends `listen_s` after the write, or as soon as `enough` lines have arrived (0: never).
     """
 
     data: bytes
@@ -47,7 +47,7 @@ class TalkRequest:
 
 @dataclass(frozen=True, slots=True)
 class TalkAnswer:
-    """What came of it: whole lines, and all the bytes; written at `t_sent`, over at `t` (s, monotonic)."""
+    """Answer to it: valid lines and all bytes; written at `t_sent`, ended at `t` (s, monotonic)."""
 
     lines: list[Line]
     raw: bytes
@@ -59,23 +59,23 @@ Script = Generator[TalkRequest, TalkAnswer, _T]
 
 
 class DeviationError(Exception):
-    """The controller did something else than the contract says."""
+    """The controller deviated from the contract."""
 
     def __init__(self, expected: str, seen: str) -> None:
-        super().__init__(f"expected {expected}, saw {seen}")
+        super().__init__(f"expected {expected}, observed {seen}")
         self.expected = expected
         self.seen = seen
 
 
 class NotExaminedError(Exception):
-    """A check cannot be made here; the text says why."""
+    """A check cannot be run; the text has the reason."""
 
 
 class Talk:
-    """What the scripts share: numbers, what the controller said of itself, and the phase of its cycle."""
+    """State shared by the scripts: sequence number, the controller's limits and pose, and the phase of its cycle."""
 
     def __init__(self, baud: int) -> None:
-        """`baud` in bit/s. Raises ValueError if it is not positive."""
+        """Raises ValueError if `baud` (bit/s) is not positive."""
         self.byte_s = byte_time(baud)
         self._baud = baud
         self._ss = 0
@@ -88,29 +88,29 @@ class Talk:
         self.line_feeds = 0
         self.crlf = 0
 
-    # what a script needs to know
+    # state
 
     @property
     def limits(self) -> HelloReply:
-        """What the controller allows; raises NotExaminedError before it has said so."""
+        """The controller's limits; raises NotExaminedError while they are unknown."""
         if self.hello is None:
-            raise NotExaminedError("the controller has not told its limits")
+            raise NotExaminedError("the controller has not reported its limits")
         return self.hello
 
     @property
     def rest(self) -> Pose:
-        """Where the arm stood at first; raises NotExaminedError before that is known."""
+        """The arm's first pose; raises NotExaminedError while it is unknown."""
         if self.home is None:
-            raise NotExaminedError("the controller has not told where the arm stands")
+            raise NotExaminedError("the controller has not reported the arm's pose")
         return self.home
 
     def next_ss(self) -> int:
-        """The next sequence number."""
+        """Return the next sequence number."""
         ss, self._ss = self._ss, (self._ss + 1) % SEQUENCE_MODULUS
         return ss
 
     def count_from(self, ss: int) -> None:
-        """Number on from `ss`."""
+        """Set the next sequence number."""
         self._ss = ss
 
     # parts of scripts
@@ -118,90 +118,90 @@ class Talk:
     def raw(
         self, data: bytes, listen_s: float = ANSWER_S, t_send: float = -math.inf, enough: int = 0
     ) -> Script[TalkAnswer]:
-        """Write these bytes, whatever they are."""
+        """Write bytes, valid or not."""
         self.sent += [data.decode("ascii", errors="replace").strip()[:40]] if data else []
-        heard = yield TalkRequest(data, t_send, listen_s, enough)
-        self.late_s = max(self.late_s, heard.t_sent - max(t_send, self.t), heard.t - heard.t_sent - listen_s)
-        self.t = heard.t
-        self.line_feeds += heard.raw.count(b"\n")
-        self.crlf += heard.raw.count(b"\r\n")
-        return heard
+        reply = yield TalkRequest(data, t_send, listen_s, enough)
+        self.late_s = max(self.late_s, reply.t_sent - max(t_send, self.t), reply.t - reply.t_sent - listen_s)
+        self.t = reply.t
+        self.line_feeds += reply.raw.count(b"\n")
+        self.crlf += reply.raw.count(b"\r\n")
+        return reply
 
     def send(self, *commands: Command, listen_s: float = ANSWER_S, enough: int = 0) -> Script[TalkAnswer]:
-        """Write these commands in one go."""
+        """Write commands in one block."""
         return (yield from self.raw(b"".join(map(encode_command, commands)), listen_s, enough=enough))
 
     def report(self, t_send: float = -math.inf) -> Script[Ack]:
-        """Ask for state and place, at `t_send` (s) or at once. Raises DeviationError without a proper answer."""
+        """Query state and pose, at `t_send` (s) or at once. Raises DeviationError without a valid answer."""
         ss = self.next_ss()
-        heard = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
-        return acknowledged(heard.lines, ss)
+        reply = yield from self.raw(encode_command(Query(ss)), t_send=t_send, enough=1)
+        return expect_ack(reply.lines, ss)
 
     def begin(self) -> Script[Ack]:
-        """Start tracking, stand still, and learn the phase of the controller's cycle."""
+        """Start tracking at rest, and determine the phase of the controller's cycle."""
         ss = self.next_ss()
-        heard = yield from self.send(Start(ss), enough=1)
-        acknowledged(heard.lines, ss, ArmState.TRACKING)
+        reply = yield from self.send(Start(ss), enough=1)
+        expect_ack(reply.lines, ss, ArmState.TRACKING)
         ss = self.next_ss()
-        heard = yield from self.send(SetPoint(ss, self.rest), enough=1)
-        ack = acknowledged(heard.lines, ss, ArmState.TRACKING)
-        self._timer = SetPointTimer(self._baud, self.limits.cycle_s, heard.lines[0].t_first)
+        reply = yield from self.send(SetPoint(ss, self.rest), enough=1)
+        ack = expect_ack(reply.lines, ss, ArmState.TRACKING)
+        self._timer = SetPointTimer(self._baud, self.limits.cycle_s, reply.lines[0].t_first)
         return ack
 
     def point(self, pose: Pose, ss: int | None = None, listen_s: float | None = None) -> Script[TalkAnswer]:
-        """Send a set-point in the middle of the next cycle; listen until the next but one is due, or as told."""
+        """Send a set-point in the middle of the next cycle; listen for `listen_s` or until the next is due."""
         timer = self.timer
         timer.skip(self.t)
         t_send = timer.t_next
         timer.sent()
         command = SetPoint(self.next_ss() if ss is None else ss, pose)
         listen = timer.t_next - t_send if listen_s is None else listen_s
-        heard = yield from self.raw(encode_command(command), listen, t_send)
-        return heard
+        reply = yield from self.raw(encode_command(command), listen, t_send)
+        return reply
 
     @property
     def timer(self) -> SetPointTimer:
-        """The set-point timer, once tracking has begun."""
+        """The set-point timer, available after `begin`."""
         assert self._timer is not None, "begin() comes first"
         return self._timer
 
-    def arrived(self, heard: TalkAnswer, size: int) -> float:
-        """When the last of `size` bytes had reached the controller (s)."""
-        return heard.t_sent + size * self.byte_s
+    def arrived(self, reply: TalkAnswer, size: int) -> float:
+        """Return when the last of `size` bytes had reached the controller (s)."""
+        return reply.t_sent + size * self.byte_s
 
 
-def acknowledged(lines: Sequence[Line], ss: int, *states: ArmState) -> Ack:
-    """The one answer to command `ss`, with one of these states if any are given. Raises DeviationError."""
-    wanted = f"A{ss:02X} with state {' or '.join(states)}" if states else f"A{ss:02X}"
-    reply = only(lines, wanted)
+def expect_ack(lines: Sequence[Line], ss: int, *states: ArmState) -> Ack:
+    """Return the only answer to command `ss`, with one of `states` if any are given. Raises DeviationError."""
+    expected = f"A{ss:02X} with state {' or '.join(states)}" if states else f"A{ss:02X}"
+    reply = only_reply(lines, expected)
     if not isinstance(reply, Ack) or reply.ss != ss or (states and reply.state not in states):
-        raise DeviationError(wanted, shown(lines))
+        raise DeviationError(expected, as_text(lines))
     return reply
 
 
-def refused(lines: Sequence[Line], ss: int, code: int) -> None:
-    """Raises DeviationError unless these lines are one refusal of `ss` with this code."""
-    wanted = f"E{ss:02X}{code:+05d}"
-    reply = only(lines, wanted)
+def expect_refusal(lines: Sequence[Line], ss: int, code: int) -> None:
+    """Raise DeviationError unless `lines` is exactly one refusal of `ss` with this code."""
+    expected = f"E{ss:02X}{code:+05d}"
+    reply = only_reply(lines, expected)
     if reply != Refusal(ss, code):
-        raise DeviationError(wanted, shown(lines))
+        raise DeviationError(expected, as_text(lines))
 
 
-def only(lines: Sequence[Line], wanted: str) -> Reply:
-    """The reply in the only line there is. Raises DeviationError."""
+def only_reply(lines: Sequence[Line], expected: str) -> Reply:
+    """Return the reply in the only line. Raises DeviationError for none or several."""
     if len(lines) != 1:
-        raise DeviationError(wanted, shown(lines))
-    return reply_in(lines[0], wanted)
+        raise DeviationError(expected, as_text(lines))
+    return parse_line(lines[0], expected)
 
 
-def reply_in(line: Line, wanted: str) -> Reply:
-    """What a line says. Raises DeviationError if it is no reply."""
+def parse_line(line: Line, expected: str) -> Reply:
+    """Parse a line. Raises DeviationError if it is no reply."""
     try:
         return parse_reply(line.body)
     except LinkError:
-        raise DeviationError(wanted, f"{line.body!r}, which is no reply") from None
+        raise DeviationError(expected, f"{line.body!r}, which is no reply") from None
 
 
-def shown(lines: Sequence[Line]) -> str:
-    """Lines in words."""
+def as_text(lines: Sequence[Line]) -> str:
+    """Lines as text."""
     return ", ".join(line.body for line in lines) or "nothing"

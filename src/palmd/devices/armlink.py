@@ -1,8 +1,8 @@
-"""The lines spoken between this host and the V+ program on the arm's controller, both directions.
+"""Codec of the arm link between this host and the V+ program on the arm's controller, both directions.
 
-A line is `BODY*CC`, CC the CRC-8 of BODY as two upper-case hexadecimal digits. The host ends lines with LF,
-the controller with CR LF, and a reader takes either. Numbers on the wire are whole micrometres and
-thousandths of a degree; here everything is SI. All of it is pure and safe inside the 100 Hz loop.
+A line is `BODY*CC`; CC is the CRC-8 of BODY as two upper-case hexadecimal digits. The host ends lines with LF,
+the controller with CR LF; a reader accepts both. Numbers on the wire are integers in micrometres and
+thousandths of a degree; here all values are SI. All functions are pure and safe inside the 100 Hz loop.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from palmd.devices.arrival import FirstByteClock
 HOST_NEWLINE = b"\n"
 CONTROLLER_NEWLINE = b"\r\n"
 MAX_LINE_BYTES = 160
-"""Longer lines are noise: the longest real one, `H1` with seven numbers, has about half of that."""
+"""Longer lines are discarded; the longest valid one, `H1` with seven numbers, has about half of that."""
 
 SETPOINT_BYTES = 28
-"""A set-point on the wire, `*CC` and LF included."""
+"""Size of a set-point on the wire, `*CC` and LF included."""
 
 SEQUENCE_MODULUS = 256
 COORDINATE_MAX_UM = 999_999
@@ -28,7 +28,7 @@ HALF_TURN_MDEG = 180_000
 
 
 class LinkError(ValueError):
-    """A line, or a value meant for one, that the link's grammar does not allow."""
+    """A line or a value that the link's grammar does not allow."""
 
 
 ERROR_TEXT: dict[int, str] = {
@@ -39,34 +39,34 @@ ERROR_TEXT: dict[int, str] = {
     -610: "target outside the arm's workspace: check the plan and the arm's base in the configuration",
     -611: "set-point step too large: start again from the arm's actual position",
     -620: "the controller is in the wrong state for this: it must be READY to start",
-    -621: "emergency stop: release it at the arm and bring the controller back to READY there",
+    -621: "emergency stop: release it at the arm and bring the controller back to READY",
     -1006: "the arm does not follow its path: free what blocks it, check its encoders, then reset",
     -622: "arm power is off: enable power at the controller",
     -623: "the controller is in manual mode: switch it to automatic",
 }
-"""What a controller's error code means and what to do about it."""
+"""Meaning of each of the controller's error codes, and what to do."""
 
 
 def error_text(code: int) -> str:
-    """Return one line on what error `code` means, whether it is a known one or not."""
+    """Return one line of text for error `code`, known or unknown."""
     return f"{code:+05d} {ERROR_TEXT.get(code, 'unknown error: look it up in the V+ reference')}"
 
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """Asks for the controller's limits and starts the sequence numbers anew."""
+    """Requests the controller's limits and restarts the sequence numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Asks the controller to begin tracking."""
+    """Requests tracking."""
 
     ss: int
 
 
 @dataclass(frozen=True, slots=True)
 class SetPoint:
-    """An absolute target for the next cycle; the latest one wins."""
+    """An absolute target for the next cycle; of several, the latest is used."""
 
     ss: int
     pose: Pose
@@ -74,21 +74,21 @@ class SetPoint:
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """Asks for state and position."""
+    """Requests state and pose."""
 
     ss: int
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Asks for a planned stop."""
+    """Requests a planned stop."""
 
     ss: int
 
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Asks to clear a latched fault."""
+    """Requests that a latched fault be cleared."""
 
     ss: int
 
@@ -105,7 +105,7 @@ _LETTER = {kind: letter for letter, kind in _PLAIN.items()}
 
 @dataclass(frozen=True, slots=True)
 class HelloReply:
-    """The controller's cycle and the limits it enforces."""
+    """The controller's cycle time and the limits that it enforces."""
 
     cycle_s: float
     x_min_m: float
@@ -118,7 +118,7 @@ class HelloReply:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """Answers command `ss`: the controller's state and the arm's actual pose."""
+    """Answer to command `ss`: the controller's state and the arm's actual pose."""
 
     ss: int
     state: ArmState
@@ -127,7 +127,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Refuses command `ss`, or tells once, with the last `ss`, of a fault that has latched."""
+    """Refuses command `ss`; sent once with the last `ss` when a fault latches."""
 
     ss: int
     code: int
@@ -164,7 +164,7 @@ def frame(body: str, newline: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The body of one intact line, and when its first byte arrived (s, monotonic)."""
+    """Body of one valid line, and arrival time (s, monotonic) of its first byte."""
 
     body: str
     t_first: float
@@ -172,7 +172,7 @@ class Line:
 
 @dataclass(slots=True)
 class LineCounters:
-    """What a line-oriented port has brought: bytes, intact lines, and why the others were discarded.
+    """Counters of a line-oriented port: bytes, valid lines, and discarded lines by cause.
 
     `crc_errors`, `unframed` (no `*CC`, or bytes that are not printable ASCII) and `overlong` count lines;
     `bytes_discarded` counts their bytes.
@@ -186,15 +186,15 @@ class LineCounters:
     bytes_discarded: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """Return every count by name."""
+        """Return all counters by name."""
         return asdict(self)
 
 
 class LineReader:
-    """Cuts bytes into lines and checks them; LF always resynchronises, and the buffer is bounded."""
+    """Splits a byte stream into lines and checks them; LF always resynchronises, and the buffer is bounded."""
 
     def __init__(self, baud: int) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        """Raises ValueError if `baud` (bit/s, used for timestamps) is not positive."""
         self.counters = LineCounters()
         self._clock = FirstByteClock(baud)
         self._partial = bytearray()
@@ -202,11 +202,11 @@ class LineReader:
 
     @property
     def pending(self) -> int:
-        """How many bytes of an unfinished line are in hand."""
+        """Number of buffered bytes of an incomplete line."""
         return len(self._partial)
 
     def feed(self, data: bytes, t_recv: float) -> list[Line]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the intact lines they complete."""
+        """Process the bytes read at `t_recv` (s, monotonic) and return the valid lines that they complete."""
         lines: list[Line] = []
         self.counters.bytes += len(data)
         if self._partial and data:
@@ -224,7 +224,7 @@ class LineReader:
         return lines
 
     def reset(self) -> None:
-        """Discard the line in hand, for the port has been interrupted."""
+        """Discard the incomplete line after an interruption of the port."""
         self.counters.bytes_discarded += len(self._partial)
         self._partial.clear()
         self._skipping = False
@@ -288,12 +288,12 @@ def command_body(command: Command) -> str:
 
 
 def encode_command(command: Command) -> bytes:
-    """Return a host's line as on the wire. Raises LinkError if a number does not fit its field."""
+    """Return the bytes of a host's line. Raises LinkError if a number does not fit its field."""
     return frame(command_body(command), HOST_NEWLINE)
 
 
 def parse_command(body: str) -> Command:
-    """Return the command that a host's line carries. Raises LinkError if it is none."""
+    """Parse the body of a host's line. Raises LinkError if it is no command."""
     if body == "H":
         return Hello()
     if match := _SETPOINT_BODY.fullmatch(body):
@@ -320,12 +320,12 @@ def reply_body(reply: Reply) -> str:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Return a controller's line as on the wire. Raises LinkError if a number does not fit its field."""
+    """Return the bytes of a controller's line. Raises LinkError if a number does not fit its field."""
     return frame(reply_body(reply), CONTROLLER_NEWLINE)
 
 
 def parse_reply(body: str) -> Reply:
-    """Return the reply that a controller's line carries. Raises LinkError if it is none."""
+    """Parse the body of a controller's line. Raises LinkError if it is no reply."""
     if match := _ACK_BODY.fullmatch(body):
         return Ack(int(match[1], 16), ArmState(match[2]), _parse_pose(match[3], match[4], match[5]))
     if match := _REFUSAL_BODY.fullmatch(body):

@@ -1,4 +1,4 @@
-"""When a message's first byte arrived, from read times and the line's speed."""
+"""Arrival time of a message's first byte, computed from read times and the line's baud rate."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ BITS_PER_BYTE = 10
 
 
 def byte_time(baud: int) -> float:
-    """Return how long (s) one byte takes at `baud` (bit/s). Raises ValueError if not positive."""
+    """Return the duration (s) of one byte at `baud` (bit/s). Raises ValueError if `baud` is not positive."""
     if baud <= 0:
         raise ValueError(f"baud must be positive, not {baud}")
     return BITS_PER_BYTE / baud
 
 
 class FirstByteClock:
-    """Dates the first byte of one message after another; the times it gives never run backwards.
+    """Timestamps the first byte of each message; the timestamps never decrease.
 
-    A read only proves that its last byte had arrived by then, and each byte before it one byte time sooner.
-    So every read gives an upper bound on the first byte's arrival, and the earliest bound is the best.
+    A read shows that its last byte had arrived by then, and each byte before it at least one byte time earlier. So
+    each read gives an upper bound of the first byte's arrival time; the smallest bound is the timestamp.
     """
 
     def __init__(self, baud: int) -> None:
@@ -28,14 +28,14 @@ class FirstByteClock:
         self._t_floor = -math.inf
 
     def begin(self, t_recv: float, bytes_after: int) -> None:
-        """A message begins with a byte that `bytes_after` bytes of the read at `t_recv` (s) came after."""
+        """Begin a message whose first byte is followed by `bytes_after` bytes in the read at `t_recv` (s)."""
         self._t_first = max(self._t_floor, t_recv - bytes_after * self._byte_s)
 
     def more(self, t_recv: float, bytes_after: int) -> None:
-        """A further read at `t_recv` (s) ends `bytes_after` bytes after the message's first byte."""
+        """Use a further read at `t_recv` (s), which ends `bytes_after` bytes after the message's first byte."""
         self._t_first = max(self._t_floor, min(self._t_first, t_recv - bytes_after * self._byte_s))
 
     def end(self) -> float:
-        """The message is complete: return its first byte's time (s), at or after the one returned before."""
+        """End the message and return its first byte's time (s), not before the time returned last."""
         self._t_floor = self._t_first
         return self._t_first

@@ -1,10 +1,10 @@
-"""DYNAMIXEL Protocol 2.0, both directions: packets, their stuffing and checksum, and the X series' registers.
+"""Codec of DYNAMIXEL Protocol 2.0, both directions: packets, byte stuffing, checksum, and the X series' registers.
 
     FF FF FD 00 | id | length, 2 bytes | instruction | parameters | CRC-16, 2 bytes
 
-Numbers are little-endian. `length` counts what follows it. Where FF FF FD would stand between the length and the CRC,
-an FD is put behind it (stuffing), so that a header is nowhere but at the start of a packet. A servo's answer has the
-instruction 55 and its first parameter is an error.
+Numbers are little-endian. `length` counts the bytes behind it. If FF FF FD occurs between length and CRC, an FD is
+inserted behind it (stuffing), so that a header occurs only at the start of a packet. A servo's answer has the
+instruction 55, and its first parameter is an error.
 Everything here is pure and safe inside the 100 Hz loop. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0 and X series.
 """
 
@@ -15,20 +15,20 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unfit
+from palmd.devices.servobus import Packet, PacketReader, Register, Settings, UnsupportedModel
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 ID_MAX = 252
-LONGEST = 512
-"""What `length` may say: far more than any packet on the bus, far less than garbage may make of it."""
+MAX_LENGTH = 512
+"""Upper limit of `length`: far above any packet on the bus, far below what garbage can contain."""
 
-_HEAD_BYTES = 7  # up to and with the length
+_HEAD_BYTES = 7  # up to and including the length
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 
 
 class Instruction(IntEnum):
-    """What a packet asks, or that it is an answer."""
+    """Instruction of a packet; STATUS is an answer."""
 
     PING = 0x01
     READ = 0x02
@@ -52,7 +52,7 @@ FIRMWARE = Register(6, 1)
 ID = Register(7, 1)
 BAUD = Register(8, 1)
 RETURN_DELAY = Register(9, 1)  # 2 µs
-DRIVE_MODE = Register(10, 1)  # 1 reversed, 4 profiles by time
+DRIVE_MODE = Register(10, 1)  # 1 reversed, 4 time-based profiles
 OPERATING_MODE = Register(11, 1)  # 3 position
 HOMING_OFFSET = Register(20, 4, True)
 TEMPERATURE_LIMIT = Register(31, 1)  # °C
@@ -64,7 +64,7 @@ STATUS_LEVEL = Register(68, 1)  # 2: every instruction is answered
 HARDWARE_ERROR = Register(70, 1)
 WATCHDOG = Register(98, 1, True)  # 20 ms; 0 off, -1 tripped
 PROFILE_ACCELERATION = Register(108, 4)
-PROFILE_VELOCITY = Register(112, 4)  # ms where profiles go by time
+PROFILE_VELOCITY = Register(112, 4)  # ms, if profiles are time-based
 GOAL = Register(116, 4, True)
 TICK = Register(120, 2)  # ms
 MOVING = Register(122, 1)
@@ -76,10 +76,10 @@ TEMPERATURE = Register(146, 1)  # °C
 TABLE_BYTES = 147
 VELOCITY_UNIT_RPM = 0.229
 EEPROM_END = 64
-"""Registers below this address keep their values without power, and are locked while the torque is on."""
+"""Registers below this address keep their values without power and are locked while the torque is enabled."""
 
 ALERT = 0x80
-"""Bit of an answer's error: the servo has a hardware error, told by its register."""
+"""Bit of an answer's error: the hardware error register is not 0."""
 
 ERRORS: Mapping[int, str] = {
     1: "the instruction failed",
@@ -90,7 +90,7 @@ ERRORS: Mapping[int, str] = {
     6: "the value is beyond its limit",
     7: "the register cannot be read or written now",
 }
-"""The other bits of an answer's error, in words."""
+"""Texts of the other bits of an answer's error."""
 
 
 class HardwareError(IntEnum):
@@ -117,83 +117,83 @@ _CRC = _table()
 
 
 def crc16(data: bytes, crc: int = 0) -> int:
-    """CRC-16, polynomial 8005, not reflected, begun at `crc`."""
+    """CRC-16, polynomial 8005, not reflected, initial value `crc`."""
     for byte in data:
         crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
     return crc
 
 
 def stuffed(body: bytes) -> bytes:
-    """Instruction and parameters as they go on the wire."""
+    """Insert stuffing bytes into instruction and parameters."""
     return body.replace(_PLAIN, _STUFFED)
 
 
 def unstuffed(body: bytes) -> bytes:
-    """What `stuffed` was given."""
+    """Remove stuffing bytes; the inverse of `stuffed`."""
     return body.replace(_STUFFED, _PLAIN)
 
 
 def encode(servo: int, instruction: Instruction, parameters: bytes = b"") -> bytes:
-    """The packet to (or, with STATUS, from) a servo; `BROADCAST` is for all. Raises ValueError where it cannot be."""
+    """Encode a packet to (with STATUS: from) a servo; `BROADCAST`: to all. Raises ValueError for a bad id or length."""
     if not (0 <= servo <= ID_MAX or servo == BROADCAST):
         raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
     return _framed(servo, stuffed(bytes((instruction,)) + parameters))
 
 
 def _framed(servo: int, body: bytes) -> bytes:
-    if len(body) + 2 > LONGEST:
-        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(body) + 2}")
+    if len(body) + 2 > MAX_LENGTH:
+        raise ValueError(f"a packet's length is at most {MAX_LENGTH}, not {len(body) + 2}")
     packet = HEADER + struct.pack("<BH", servo, len(body) + 2) + body
     return packet + struct.pack("<H", crc16(packet))
 
 
 def ping(servo: int) -> bytes:
-    """Asks for model and firmware."""
+    """Ping: request model and firmware."""
     return encode(servo, Instruction.PING)
 
 
 def read(servo: int, address: int, size: int) -> bytes:
-    """Asks one servo for `size` bytes of its table."""
+    """Read `size` bytes of one servo's table."""
     return encode(servo, Instruction.READ, struct.pack("<HH", address, size))
 
 
 def write(servo: int, register: Register, value: int) -> bytes:
-    """Sets one register of one servo."""
+    """Write one register of one servo."""
     return encode(servo, Instruction.WRITE, struct.pack("<H", register.address) + register.encode(value))
 
 
 def reboot(servo: int) -> bytes:
-    """Starts a servo anew, which clears its hardware errors and whatever was not in EEPROM."""
+    """Reboot a servo, which clears its hardware errors and all values outside the EEPROM."""
     return encode(servo, Instruction.REBOOT)
 
 
 def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
-    """Sets one register of several servos, by id; never answered, so a refusal is silent."""
+    """Write one register of several servos, by id; never answered, so refusals are not reported."""
     data = b"".join(bytes((servo,)) + register.encode(value) for servo, value in values.items())
     return encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", register.address, register.size) + data)
 
 
 def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
-    """Asks several servos for `size` bytes of their tables; they answer in this order."""
+    """Read `size` bytes of several servos' tables; they answer in this order."""
     return encode(BROADCAST, Instruction.SYNC_READ, struct.pack("<HH", address, size) + bytes(servos))
 
 
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
-    """A servo's answer."""
+    """Encode a servo's answer."""
     return encode(servo, Instruction.STATUS, bytes((error,)) + parameters)
 
 
 def _size(head: Head) -> int | None:
-    """Of the packet that begins with these bytes; see `FrameScanner`."""
+    """Size of the packet that begins with these bytes; see `FrameScanner`."""
     if not HEADER.startswith(head[: len(HEADER)]):
         return 0
     if len(head) < _HEAD_BYTES:
         return None
     length = int.from_bytes(head[5:_HEAD_BYTES], "little")
-    return _HEAD_BYTES + length if 3 <= length <= LONGEST else 0
+    return _HEAD_BYTES + length if 3 <= length <= MAX_LENGTH else 0
 
 
-def _is_sound(raw: bytes) -> bool:
+def _is_valid(raw: bytes) -> bool:
     return crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
 
 
@@ -201,22 +201,24 @@ def _packet(frame: Frame) -> Packet:
     t_first, raw = frame
     servo, instruction, body = raw[4], raw[7], unstuffed(raw[7:-2])
     answers = instruction == Instruction.STATUS
-    told = answers and len(body) > 1
-    return Packet(t_first, servo, instruction, body[1] if told else 0, body[2:] if told else body[1:], answers)
+    has_error = answers and len(body) > 1
+    return Packet(
+        t_first, servo, instruction, body[1] if has_error else 0, body[2:] if has_error else body[1:], answers
+    )
 
 
 def packet_reader(baud: int) -> PacketReader:
-    """Of a bus of `baud` bit/s, which dates the bytes. Raises ValueError if it is not positive."""
-    return PacketReader(FrameScanner(baud, _size, _is_sound, begins=HEADER[0]), _packet)
+    """Create a reader; raises ValueError if `baud` (bit/s, used for timestamps) is not positive."""
+    return PacketReader(FrameScanner(baud, _size, _is_valid, first_byte=HEADER[0]), _packet)
 
 
 _SHUTDOWN = HardwareError.HOT | HardwareError.SHOCK | HardwareError.OVERLOAD
-_UNFIT_MEND = "use a servo of the 430 size"
-_UNFIT_WHY = "whose watchdog trips without stopping it"
+_UNSUPPORTED_FIX = "use a servo of the 430 size"
+_UNSUPPORTED_REASON = "whose watchdog trips without stopping it"
 
 
 class DynamixelMake:
-    """The X series as a `ServoMake`: profiles by time, and a watchdog."""
+    """`ServoMake` of the X series, with time-based profiles and a watchdog."""
 
     name = "DYNAMIXEL"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
@@ -225,12 +227,12 @@ class DynamixelMake:
     unlock: Register | None = None
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
-    look = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
-    cycle = (WATCHDOG.address, POSITION.end - WATCHDOG.address)
+    status_span = (TORQUE.address, TEMPERATURE.end - TORQUE.address)
+    cycle_span = (WATCHDOG.address, POSITION.end - WATCHDOG.address)
     all_answered, ping_bytes = 2, 3
     alert, refusals = ALERT, 0x7F
     supply_v = (9.0, 14.0)
-    troubles: Mapping[int, tuple[str, str]] = {
+    error_bits: Mapping[int, tuple[str, str]] = {
         HardwareError.VOLTAGE: ("voltage", "its supply is out of range"),
         HardwareError.HOT: ("hot", "it is too hot"),
         HardwareError.ENCODER: ("encoder", "its encoder fails"),
@@ -244,12 +246,12 @@ class DynamixelMake:
         1070: "XC430-W150",
         1080: "XC430-W240",
     }
-    """Servos that are known to stop when their watchdog trips, and to have the registers that are used here."""
-    unfit: Mapping[int, Unfit] = {
-        1190: Unfit("XL330-M077", _UNFIT_WHY, _UNFIT_MEND),
-        1200: Unfit("XL330-M288", _UNFIT_WHY, _UNFIT_MEND),
-        1220: Unfit("XC330-T181", _UNFIT_WHY, _UNFIT_MEND),
-        1230: Unfit("XC330-T288", _UNFIT_WHY, _UNFIT_MEND),
+    """Models that are known to stop when their watchdog trips, and that have the registers used here."""
+    unsupported: Mapping[int, UnsupportedModel] = {
+        1190: UnsupportedModel("XL330-M077", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
+        1200: UnsupportedModel("XL330-M288", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
+        1220: UnsupportedModel("XC330-T181", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
+        1230: UnsupportedModel("XC330-T288", _UNSUPPORTED_REASON, _UNSUPPORTED_FIX),
     }
     reader = staticmethod(packet_reader)
     ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
@@ -257,7 +259,7 @@ class DynamixelMake:
     status, restart = staticmethod(encode_status), staticmethod(reboot)
 
     def settings(self, low: int, high: int) -> Settings:
-        """Position mode, profiles by time, no delay, no offset, limits, shutdown, all answers."""
+        """Position mode, time-based profiles, no delay, no offset, limits, shutdown, answer all instructions."""
         return (
             (RETURN_DELAY, 0),
             (OPERATING_MODE, 3),
@@ -270,11 +272,11 @@ class DynamixelMake:
         )
 
     def profile(self, span_ms: int) -> Settings:
-        """By time, without an acceleration phase."""
+        """Time-based, without acceleration phase."""
         return (PROFILE_ACCELERATION, 0), (PROFILE_VELOCITY, span_ms)
 
-    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:  # noqa: ARG002
-        """The profile does the rest."""
+    def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:  # noqa: ARG002
+        """Send the goals; the profile sets the speed."""
         return sync_write(GOAL, counts)
 
 

@@ -1,7 +1,7 @@
-"""A device of the kernel's input layer as something to read: opened for oneself, stamped by the monotonic clock.
+"""A device of the kernel's input layer as a `DevicePort`: grabbed, with timestamps of the monotonic clock.
 
-A device that is no touch device is refused before it is grabbed. Where the path is no input device (a pipe, a
-pseudo-terminal) the same records are read from it as they come.
+A device that is no touch device is refused before it is grabbed. If the path is no input device (a pipe, a
+pseudo-terminal), the same records are read from it unchanged.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from palmd.devices.touchdevice import AxisRange, TouchDevice, unsupported
 READ_RECORDS = 64
 CLOCK, GRAB = 0x400445A0, 0x40044590
 STATE_TRIES = 4
-LOOK = "ls -l /dev/input/by-path"
+LIST_COMMAND = "ls -l /dev/input/by-path"
 _ABS_INFO = struct.Struct("<6i")  # value, least, most, fuzz, flat, resolution
 _KEY_BYTES, _AXIS_BYTES, _REL_BYTES, _PROPERTY_BYTES, _NAME_BYTES = 96, 8, 2, 4, 256
 _KEYS = 0x80000000 | _KEY_BYTES << 16 | 0x4518
@@ -39,26 +39,26 @@ _SLOT_AXES = (
 
 
 class UnsupportedDeviceError(ValueError):
-    """An input device that is no pad; says which, why, and what to do."""
+    """An input device that is no pad; the text has device, reason and what to do."""
 
 
 class EvdevPort(ReopenedPort):
-    """See `DevicePort`: whole records are read where it is a device. Every call returns at once."""
+    """`DevicePort` of an input device, which is read in complete records. Every call returns at once."""
 
     read_bytes = READ_RECORDS * RECORD.size
 
     def __init__(self, name: str, path: str, retry_s: float = 0.5, axis: Coordinate = "x") -> None:
-        """As any `ReopenedPort`; a device must have this axis."""
+        """See `ReopenedPort`; the device must have `axis`."""
         super().__init__(name, path, retry_s)
         self._axis = axis
         self.device: TouchDevice | None = None
-        """What the kernel says of it; None while it is shut, and where it is no input device."""
+        """The kernel's description; None while it is closed, and if it is no input device."""
 
     def _open(self) -> int:
         self.device = None
         fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         try:
-            self.device = described(fd)
+            self.device = describe_device(fd)
             if self.device is not None:
                 _refuse_unsupported(self.path, self.device, self._axis)
                 fcntl.ioctl(fd, CLOCK, struct.pack("<i", time.CLOCK_MONOTONIC))
@@ -73,52 +73,52 @@ class EvdevPort(ReopenedPort):
         return _explain(self.path, failure)
 
     def write(self, data: bytes) -> None:
-        """A pad takes nothing."""
+        """Drop and count `data`: a pad accepts none."""
         self.counters.bytes_dropped += len(data)
 
-    def look(self) -> None:
-        """The kernel counts nothing here."""
+    def update_counters(self) -> None:
+        """Do nothing: the kernel has no counters for input devices."""
 
     def snapshot(self) -> bytes:
-        """The device's whole present state as records of one frame; empty where it cannot be read.
+        """Return the device's current state as the records of one frame; empty if it cannot be read.
 
-        What waits to be read is older and is thrown away. Something that comes meanwhile makes it look again, so that
-        nothing old is read after the state.
+        Pending records are older and are discarded. If records arrive meanwhile, the state is read again, so that no
+        older record is read after the state.
         """
         if self._fd is None or self.device is None:
             return b""
         try:
             for _ in range(STATE_TRIES):
-                self._throw_away()
+                self._discard_pending()
                 state = (*_slots(self._fd, self.device), *_single(self._fd, self.device))
                 records = [*state, (evdev.EV_SYN, evdev.SYN_REPORT, 0)]
                 if not select.select((self._fd,), (), (), 0)[0]:
                     break
-        except OSError:  # unplugged meanwhile: the next read says so
+        except OSError:  # unplugged meanwhile: the next read reports it
             return b""
         return evdev.encode(records, time.monotonic())
 
-    def _throw_away(self) -> None:
+    def _discard_pending(self) -> None:
         assert self._fd is not None
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, self.read_bytes):
                 self.counters.bytes_read += len(data)
 
 
-def asked(path: str) -> TouchDevice | None:
-    """What the kernel says of an input device, which is opened for that but not grabbed; None where it is none.
+def query_device(path: str) -> TouchDevice | None:
+    """Open an input device without grabbing it and return its description; None if it is no input device.
 
-    Raises OSError where it cannot be opened.
+    Raises OSError if it cannot be opened.
     """
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
-        return described(fd)
+        return describe_device(fd)
     finally:
         os.close(fd)
 
 
-def described(fd: int) -> TouchDevice | None:
-    """What the kernel says of an open input device; None where it is no input device."""
+def describe_device(fd: int) -> TouchDevice | None:
+    """Return the kernel's description of an open input device; None if it is no input device."""
     try:
         axes = _bits(fd, _HAS_AXES, _AXIS_BYTES)
     except OSError as failure:
@@ -143,7 +143,7 @@ def described(fd: int) -> TouchDevice | None:
 def _refuse_unsupported(path: str, device: TouchDevice, axis: Coordinate) -> None:
     reason = unsupported(device, axis)
     if reason is not None:
-        raise UnsupportedDeviceError(f"{path} ({device.name}) {reason}: {LOOK} shows the devices")
+        raise UnsupportedDeviceError(f"{path} ({device.name}) {reason}: {LIST_COMMAND} shows the devices")
 
 
 def _bits(fd: int, request: int, size: int) -> frozenset[int]:
@@ -153,7 +153,7 @@ def _bits(fd: int, request: int, size: int) -> frozenset[int]:
 
 
 def _single(fd: int, device: TouchDevice) -> list[Record]:
-    """Of the axes that it has: the kernel says 0 of others, and not that there are none."""
+    """Return the state of the single-touch axes that the device has; for missing ones the kernel returns 0."""
     there = [code for code in _AXES if code in device.axes]
     records = [(evdev.EV_ABS, code, info[0]) for code in there if (info := _abs_info(fd, code)) is not None]
     if evdev.BTN_TOUCH in device.keys:
@@ -165,7 +165,7 @@ def _slots(fd: int, device: TouchDevice) -> list[Record]:
     info = _abs_info(fd, evdev.MT_SLOT)
     if info is None or device.protocol is not Protocol.SLOTS:
         return []
-    count = min(info[2] + 1, evdev.MANY_SLOTS)
+    count = min(info[2] + 1, evdev.MAX_SLOTS)
     form = struct.Struct(f"<{count + 1}i")
     found: list[Record] = []
     values = {}

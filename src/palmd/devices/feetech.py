@@ -1,12 +1,12 @@
-"""The bus protocol of Feetech's STS servos, both directions, and the registers of the STS3215.
+"""Codec of the bus protocol of Feetech's STS servos, both directions, and the registers of the STS3215.
 
-    FF FF | id | length | instruction | parameters | checksum         of a question
-    FF FF | id | length | hardware errors | parameters | checksum     of an answer
+    FF FF | id | length | instruction | parameters | checksum         request
+    FF FF | id | length | hardware errors | parameters | checksum     answer
 
-`length` counts what follows it, the checksum is the complement of the sum of all from the id on. Numbers are
-little-endian, signed ones a size and a sign bit. Question and answer look alike: a reader must know which it hears, and
-an adapter that echoes questions cannot be used. An answer refuses nothing: whether a servo has taken a value is seen by
-reading it. There is no watchdog.
+`length` counts the bytes behind it; the checksum is the complement of the sum of all bytes from the id on. Numbers are
+little-endian; signed ones are sign and magnitude. Requests and answers have the same format: a reader must know which
+it reads, and an adapter that echoes requests cannot be used. Answers report no refusals: whether a servo has accepted a
+value is checked by reading it. There is no watchdog.
 Everything here is pure and safe inside the 100 Hz loop. Sources: docs/reference/devices.md.
 """
 
@@ -16,20 +16,20 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
 from palmd.devices.framing import Frame, FrameScanner, Head
-from palmd.devices.servobus import Packet, PacketReader, Register, Settings, Unfit
+from palmd.devices.servobus import Packet, PacketReader, Register, Settings, UnsupportedModel
 
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE
 ID_MAX = 253
-LONGEST = 0x80
-"""What `length` may say: more than any packet of a few servos, far less than garbage may make of it."""
+MAX_LENGTH = 0x80
+"""Upper limit of `length`: above any packet of a few servos, far below what garbage can contain."""
 
-_HEAD_BYTES = 4  # up to and with the length
+_HEAD_BYTES = 4  # up to and including the length
 _FILLER = HEADER[0]
 
 
 class FeetechInstruction(IntEnum):
-    """What a packet asks."""
+    """Instruction of a request."""
 
     PING = 0x01
     READ = 0x02
@@ -41,7 +41,7 @@ class FeetechInstruction(IntEnum):
 
 
 class FeetechError(IntEnum):
-    """Bits of the status register, and of the error in every answer."""
+    """Bits of the status register and of the error in every answer."""
 
     VOLTAGE = 0x01
     ENCODER = 0x02
@@ -58,14 +58,14 @@ RETURN_DELAY = Register(7, 1)  # 2 µs
 STATUS_LEVEL = Register(8, 1)  # 1: every instruction is answered, 0: PING and reads only
 MIN_POSITION = Register(9, 2)
 MAX_POSITION = Register(11, 2)
-UNLOADING = Register(19, 1)  # hardware errors at which it lets go
+UNLOADING = Register(19, 1)  # hardware errors that turn the torque off
 HOMING_OFFSET = Register(31, 2, sign_bit=11)
 OPERATING_MODE = Register(33, 1)  # 0 position
 TORQUE = Register(40, 1)
-ACCELERATION = Register(41, 1)  # 100 counts/s², 0: as fast as it can
+ACCELERATION = Register(41, 1)  # 100 counts/s², 0: no limit
 GOAL = Register(42, 2, sign_bit=15)
-GOAL_SPEED = Register(46, 2, sign_bit=15)  # counts/s, 0: as fast as it can
-LOCK = Register(55, 1)  # 0: settings are kept without power
+GOAL_SPEED = Register(46, 2, sign_bit=15)  # counts/s, 0: no limit
+LOCK = Register(55, 1)  # 0: settings are written to the EEPROM
 POSITION = Register(56, 2, sign_bit=15)
 SPEED = Register(58, 2, sign_bit=15)
 LOAD = Register(60, 2, sign_bit=10)
@@ -77,74 +77,74 @@ CURRENT = Register(69, 2)  # 6.5 mA
 
 TABLE_BYTES = 71
 EEPROM_END = 40
-SPEED_MOST = (1 << 15) - 1
+MAX_SPEED = (1 << 15) - 1
 _UNLOADING = FeetechError.HOT | FeetechError.CURRENT | FeetechError.OVERLOAD
 
 
 def checksum(body: bytes) -> int:
-    """Of all from the id to the last parameter."""
+    """Checksum of the bytes from the id to the last parameter."""
     return ~sum(body) & 0xFF
 
 
 def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A question, or with the errors in place of the instruction an answer. Raises ValueError where it cannot be."""
+    """Encode a request; with the error bits as `instruction`, an answer. Raises ValueError for a wrong id or length."""
     if not (0 <= servo <= ID_MAX or servo == BROADCAST):
         raise ValueError(f"a servo's id is 0 to {ID_MAX}, not {servo}")
-    if len(parameters) + 2 > LONGEST:
-        raise ValueError(f"a packet's length is at most {LONGEST}, not {len(parameters) + 2}")
+    if len(parameters) + 2 > MAX_LENGTH:
+        raise ValueError(f"a packet's length is at most {MAX_LENGTH}, not {len(parameters) + 2}")
     body = bytes((servo, len(parameters) + 2, instruction)) + parameters
     return HEADER + body + bytes((checksum(body),))
 
 
 def ping(servo: int) -> bytes:
-    """Asks whether it is there."""
+    """Ping: asks whether the servo is present."""
     return encode(servo, FeetechInstruction.PING)
 
 
 def read(servo: int, address: int, size: int) -> bytes:
-    """Asks one servo for `size` bytes of its table."""
+    """Read `size` bytes of one servo's table."""
     return encode(servo, FeetechInstruction.READ, bytes((address, size)))
 
 
 def write(servo: int, register: Register, value: int) -> bytes:
-    """Sets one register of one servo."""
+    """Write one register of one servo."""
     return encode(servo, FeetechInstruction.WRITE, bytes((register.address,)) + register.encode(value))
 
 
 def sync_write(register: Register, values: Mapping[int, int]) -> bytes:
-    """Sets one register of several servos, by id; never answered."""
+    """Write one register of several servos, by id; never answered."""
     return sync_write_bytes(register.address, {servo: register.encode(value) for servo, value in values.items()})
 
 
 def sync_write_bytes(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Sets a stretch of the table, equally long for each."""
+    """Write a block of registers, of equal size for all servos."""
     size = len(next(iter(data.values()), b""))
     parts = b"".join(bytes((servo,)) + each for servo, each in data.items())
     return encode(BROADCAST, FeetechInstruction.SYNC_WRITE, bytes((address, size)) + parts)
 
 
 def sync_read(address: int, size: int, servos: Iterable[int]) -> bytes:
-    """Asks several servos for `size` bytes of their tables; they answer in this order."""
+    """Read `size` bytes of several servos' tables; they answer in this order."""
     return encode(BROADCAST, FeetechInstruction.SYNC_READ, bytes((address, size)) + bytes(servos))
 
 
 def encode_status(servo: int, error: int, parameters: bytes = b"") -> bytes:
-    """A servo's answer."""
+    """Encode a servo's answer."""
     return encode(servo, error, parameters)
 
 
 def _size(head: Head) -> int | None:
-    """Of the packet that begins with these bytes; see `FrameScanner`."""
+    """Size of the packet that begins with these bytes; see `FrameScanner`."""
     if not HEADER.startswith(head[: len(HEADER)]):
         return 0
     if len(head) < _HEAD_BYTES:
         return 0 if len(head) == _HEAD_BYTES - 1 and head[2] == _FILLER else None
     servo, length = head[2], head[3]
-    sound = (servo <= ID_MAX or servo == BROADCAST) and 2 <= length <= LONGEST
+    sound = (servo <= ID_MAX or servo == BROADCAST) and 2 <= length <= MAX_LENGTH
     return _HEAD_BYTES + length if sound else 0
 
 
-def _is_sound(raw: bytes) -> bool:
+def _is_valid(raw: bytes) -> bool:
     return checksum(raw[2:-1]) == raw[-1]
 
 
@@ -159,13 +159,13 @@ def _question(frame: Frame) -> Packet:
 
 
 def packet_reader(baud: int, *, answers: bool = True) -> PacketReader:
-    """Of a bus of `baud` bit/s with answers only, or questions only. Raises ValueError if `baud` is not positive."""
-    scanner = FrameScanner(baud, _size, _is_sound, begins=_FILLER)
+    """Create a reader of answers, or of requests. Raises ValueError if `baud` (bit/s) is not positive."""
+    scanner = FrameScanner(baud, _size, _is_valid, first_byte=_FILLER)
     return PacketReader(scanner, _answer if answers else _question)
 
 
 class FeetechMake:
-    """The STS3215 as a `ServoMake`: a speed with each goal, and no watchdog."""
+    """`ServoMake` of the STS3215, with a speed for each goal and without watchdog."""
 
     name = "Feetech"
     model, firmware, torque, status_level, return_delay = MODEL, FIRMWARE, TORQUE, STATUS_LEVEL, RETURN_DELAY
@@ -174,13 +174,13 @@ class FeetechMake:
     unlock: Register | None = LOCK
     settings_end = EEPROM_END
     table_bytes = TABLE_BYTES
-    look = (TORQUE.address, STATUS.end - TORQUE.address)
-    cycle = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
+    status_span = (TORQUE.address, STATUS.end - TORQUE.address)
+    cycle_span = (TORQUE.address + 1, POSITION.end - TORQUE.address - 1)
     all_answered, ping_bytes = 1, 0
     alert = FeetechError.VOLTAGE | FeetechError.ENCODER | _UNLOADING
     refusals = 0
     supply_v = (6.0, 14.0)
-    troubles: Mapping[int, tuple[str, str]] = {
+    error_bits: Mapping[int, tuple[str, str]] = {
         FeetechError.VOLTAGE: ("voltage", "its supply is out of range"),
         FeetechError.ENCODER: ("encoder", "its encoder fails"),
         FeetechError.HOT: ("hot", "it is too hot"),
@@ -188,18 +188,18 @@ class FeetechMake:
         FeetechError.OVERLOAD: ("overload", "it was overloaded"),
     }
     models: Mapping[int, str] = {777: "STS3215", 2825: "STS3250"}
-    unfit: Mapping[int, Unfit] = {}
+    unsupported: Mapping[int, UnsupportedModel] = {}
     reader = staticmethod(packet_reader)
     ping, read, write = staticmethod(ping), staticmethod(read), staticmethod(write)
     sync_write, sync_read = staticmethod(sync_write), staticmethod(sync_read)
     status = staticmethod(encode_status)
 
     def restart(self, servo: int) -> bytes:
-        """Turns its torque off, which ends its protection mode."""
+        """Turn the torque off, which ends the protection mode."""
         return write(servo, TORQUE, 0)
 
     def settings(self, low: int, high: int) -> Settings:
-        """Position mode, no delay, no offset, limits, protection, all answers."""
+        """Position mode, no delay, no offset, limits, protection, answer all instructions."""
         return (
             (RETURN_DELAY, 0),
             (OPERATING_MODE, 0),
@@ -211,14 +211,14 @@ class FeetechMake:
         )
 
     def profile(self, span_ms: int) -> Settings:  # noqa: ARG002
-        """Speeds are reached at once; each goal comes with its own."""
+        """No acceleration limit; each goal is sent with its speed."""
         return ((ACCELERATION, 0),)
 
-    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:
-        """Each with no time, and with the speed at which its way takes that long: at least 1, for 0 is no limit."""
+    def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:
+        """Send each goal with the speed (counts/s) that reaches it within `span_ms`; at least 1 (0: no limit)."""
         data = {}
         for servo, goal in counts.items():
-            speed = min(max(round(abs(ways[servo]) / (span_ms * 1e-3)), 1), SPEED_MOST)
+            speed = min(max(round(abs(distances[servo]) / (span_ms * 1e-3)), 1), MAX_SPEED)
             data[servo] = GOAL.encode(goal) + bytes(2) + GOAL_SPEED.encode(speed)
         return sync_write_bytes(GOAL.address, data)
 

@@ -1,7 +1,7 @@
-"""Frames in a line's bytes: found among garbage, dated by their first byte, every byte counted. Pure, safe in the loop.
+"""Find frames in a byte stream that may contain garbage, timestamp them, and count every byte. Pure, safe in the loop.
 
-What a frame looks like is the codec's part: how long one is that begins at the front of the bytes in hand, and whether
-its checksum and content are sound.
+The codec defines the frame format by two functions: the size of a frame that begins at the front of the buffer, and
+whether the checksum and content of a complete frame are valid.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from dataclasses import asdict, dataclass
 from palmd.devices.arrival import FirstByteClock
 
 Head = bytes | bytearray
-"""The bytes in hand, from which a codec determines how long a frame is."""
+"""The buffered bytes from which a codec determines the size of a frame."""
 
 Frame = tuple[float, bytes]
-"""When the first byte of a frame arrived (s), and its bytes."""
+"""Arrival time (s) of a frame's first byte, and the frame's bytes."""
 
 
 @dataclass(slots=True)
 class FrameCounters:
-    """What a line has brought; `bytes` are those of frames, discarded ones and those pending.
+    """Counters of a line; `bytes` are those of frames, the discarded ones and those pending.
 
-    `packets` counts frames, `crc_errors` those whose checksum or content is wrong, `discarded` bytes of no frame.
+    `packets` counts valid frames, `crc_errors` frames whose checksum or content is wrong, `discarded` bytes outside
+    valid frames.
     """
 
     bytes: int = 0
@@ -31,79 +32,80 @@ class FrameCounters:
     discarded: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """Every count by name."""
+        """All counters by name."""
         return asdict(self)
 
 
 class FrameScanner:
-    """Cuts a line's bytes into frames; the result does not depend on how the bytes were split among reads."""
+    """Splits a byte stream into frames; the result does not depend on how the bytes were split among reads."""
 
     def __init__(
         self,
         baud: int,
         size: Callable[[Head], int | None],
-        is_sound: Callable[[bytes], bool],
+        is_valid: Callable[[bytes], bool],
         *,
-        begins: int | None = None,
-        whole: bool = False,
+        first_byte: int | None = None,
+        discard_whole: bool = False,
         counters: FrameCounters | None = None,
     ) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive.
+        """Raises ValueError if `baud` (bit/s, used for timestamps) is not positive.
 
-        size: of the frame that begins with these bytes, None where more are needed, 0 where none begins there.
-        is_sound: of a whole frame. begins: the byte that every frame begins with, None where any may. whole: an unsound
-        frame is discarded as a whole; otherwise only its first byte is, for a frame may lie inside.
+        size: size of the frame that begins with these bytes; None: more bytes are needed, 0: no frame begins here.
+        is_valid: checks a complete frame. first_byte: the byte with which every frame begins, None for any.
+        discard_whole: discard an invalid frame as a whole; otherwise only its first byte, since a frame may begin
+        inside.
         """
         self.counters = FrameCounters() if counters is None else counters
-        self._size, self._is_sound, self._begins, self._whole = size, is_sound, begins, whole
+        self._size, self._is_valid, self._first_byte, self._discard_whole = size, is_valid, first_byte, discard_whole
         self._clock = FirstByteClock(baud)
         self._bytes = bytearray()
-        self._t_read: list[tuple[int, float]] = []  # of each read in hand: where in `_bytes` it ends, and when
+        self._t_read: list[tuple[int, float]] = []  # for each buffered read: its end in `_bytes`, and its time (s)
 
     @property
     def pending(self) -> int:
-        """How many bytes are in hand."""
+        """Number of buffered bytes."""
         return len(self._bytes)
 
     def feed(self, data: bytes, t_recv: float) -> list[Frame]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the frames they complete."""
+        """Process the bytes read at `t_recv` (s, monotonic) and return the frames that they complete."""
         if not data:
             return []
         self.counters.bytes += len(data)
         self._bytes += data
         self._t_read.append((len(self._bytes), t_recv))
-        return self._found()
+        return self._scan()
 
-    def give_up(self) -> list[Frame]:
-        """No more comes of the frame in hand: the frames that it hid."""
+    def flush(self) -> list[Frame]:
+        """Give up the incomplete frame at the front and return the frames found behind its start."""
         found: list[Frame] = []
         while self._bytes:
             self._drop(1)
-            found += self._found()
+            found += self._scan()
         return found
 
     def reset(self) -> None:
-        """Discard what is in hand, for the line has been interrupted."""
+        """Discard the buffer after an interruption of the line."""
         self._drop(len(self._bytes))
 
-    def _found(self) -> list[Frame]:
+    def _scan(self) -> list[Frame]:
         found: list[Frame] = []
-        while (size := self._at_frame()) is not None:
+        while (size := self._next_frame_size()) is not None:
             raw = bytes(self._bytes[:size])
-            if not self._is_sound(raw):
+            if not self._is_valid(raw):
                 self.counters.crc_errors += 1
-                self._drop(size if self._whole else 1)
+                self._drop(size if self._discard_whole else 1)
                 continue
             found.append((self._t_first(), raw))
             self.counters.packets += 1
             self._take(size)
         return found
 
-    def _at_frame(self) -> int | None:
-        """The size of the frame at the front, all of it there; None while it is not. Drops what cannot be one."""
+    def _next_frame_size(self) -> int | None:
+        """Return the size of the complete frame at the front, None while there is none. Discards bytes before it."""
         while self._bytes:
-            if self._begins is not None and self._bytes[0] != self._begins:
-                start = self._bytes.find(self._begins)
+            if self._first_byte is not None and self._bytes[0] != self._first_byte:
+                start = self._bytes.find(self._first_byte)
                 self._drop(len(self._bytes) if start < 0 else start)
                 continue
             size = self._size(self._bytes)
@@ -115,7 +117,7 @@ class FrameScanner:
         return None
 
     def _t_first(self) -> float:
-        """When the byte at the front arrived: no read can be earlier than its bytes took on the line."""
+        """Return the arrival time (s) of the byte at the front; see `FirstByteClock`."""
         (end, t_recv), *later = self._t_read
         self._clock.begin(t_recv, end - 1)
         for end, t_recv in later:

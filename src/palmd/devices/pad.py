@@ -1,7 +1,7 @@
-"""What every kind of touch pad offers, and how the configured kind is found.
+"""The interface of all touch pad drivers, and the lookup of the configured one.
 
-A kind `K` is `palmd/devices/pads/K.py`, which says `DRIVER`, and a model in `palmd.config` with `kind: Literal["K"]`.
-Nothing else knows of it: the daemon, the bring-up and the calibration take what stands here.
+A kind `K` consists of `palmd/devices/pads/K.py`, which defines `DRIVER`, and of a model in `palmd.config` with
+`kind: Literal["K"]`. Daemon, bring-up and calibration use this interface only.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from palmd.messages import PadView
 
 MARGIN_MM = 1.0
-"""How far beyond the pad's end a reading may lie, for the zero is never quite right."""
+"""Tolerance beyond the pad's end, for errors of the zero."""
 
 SILENT_INTERVALS = 5
-"""A pad that says nothing for so many mean intervals between reports has been let go."""
+"""The touch has ended after a silence of so many mean intervals between reports."""
 
 DEAD_INTERVALS = 2.5
-PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_SLACK_S = 400, 1.2, 0.004
-"""Sooner, but never before two and a half mean intervals, where nothing at all comes for longer than so many times the
-longest time, and a little more for the adapter, that the pad has let pass between two of so many reports, without what
-a report itself takes on the line: it is no silence."""
+PAUSE_REPORTS, PAUSE_FACTOR, PAUSE_MARGIN_S = 400, 1.2, 0.004
+"""If no byte arrives at all, the touch ends earlier: after `PAUSE_FACTOR` times the longest pause within the last
+`PAUSE_REPORTS` reports plus `PAUSE_MARGIN_S` for the adapter, less the report's time on the line, but not before
+`DEAD_INTERVALS` mean intervals."""
 
 
 @dataclass(frozen=True, slots=True)
 class PadReport:
-    """One report of a pad in its own counts.
+    """One report of a pad in counts.
 
-    `t_first` is when its first byte arrived, `t_recv` when it was read whole (s, monotonic). `batched` says that
-    several came in that read, so that `t_first` rests on back-dating alone.
+    `t_first` is when its first byte arrived, `t_recv` when it was read completely (s, monotonic). `batched`: several
+    reports came in one read, so `t_first` is back-dated only.
     """
 
     t_first: float
@@ -51,8 +51,8 @@ class PadReport:
     batched: bool
 
 
-class Scaled(Protocol):
-    """What makes millimetres of a pad's counts, as the configuration's keys say."""
+class PadScale(Protocol):
+    """Conversion of a pad's counts to millimetres; the names are those of the configuration's keys."""
 
     @property
     def zero_mm(self) -> float: ...
@@ -66,8 +66,8 @@ class Scaled(Protocol):
     def corrections_mm(self) -> Sequence[float]: ...
 
 
-def place_mm(pad: Scaled, counts: float) -> float:
-    """How far from the hinge a reading lies: on a straight line, and what the curve adds there. Safe in the loop."""
+def counts_to_mm(pad: PadScale, counts: float) -> float:
+    """Distance (mm) of a reading from the hinge: linear scale plus correction curve. Safe in the loop."""
     straight = pad.zero_mm + pad.sign * counts / pad.counts_per_mm
     curve = pad.corrections_mm
     if not curve:
@@ -78,8 +78,8 @@ def place_mm(pad: Scaled, counts: float) -> float:
     return straight + curve[before] + (at - before) * (curve[before + 1] - curve[before])
 
 
-def straight_mm(pad: Scaled, s_mm: FloatArray) -> FloatArray:
-    """What was on the straight line where `place_mm` gave `s_mm` (n,)."""
+def linear_mm(pad: PadScale, s_mm: FloatArray) -> FloatArray:
+    """Inverse of the correction curve: the linear distances for which `counts_to_mm` gave `s_mm` (n,)."""
     if not pad.corrections_mm:
         return s_mm
     line = np.linspace(0.0, pad.length_mm, len(pad.corrections_mm))
@@ -88,130 +88,130 @@ def straight_mm(pad: Scaled, s_mm: FloatArray) -> FloatArray:
 
 
 class HostLine(Protocol):
-    """What a pad's driver writes to."""
+    """Port to which a pad's driver writes."""
 
     def write(self, data: bytes) -> None:
         """Send `data`, or drop and count it."""
 
 
 class PadDriver(Protocol):
-    """One pad: bytes in, events out, and what is known of it. Pure but for `port`, what it opens; safe in the loop."""
+    """Driver of one pad: bytes in, events out. No I/O except in `port` and what it opens; safe in the loop."""
 
     is_open: bool
 
     @property
     def touching(self) -> bool:
-        """Whether the object touches the pad, as far as is known."""
+        """Whether the object touches the pad according to the reports so far."""
 
     @property
-    def parted(self) -> Literal["lifted", "silent"] | None:
-        """How the last touch ended, None while touching or before any touch."""
+    def touch_end(self) -> Literal["lifted", "silent"] | None:
+        """How the last touch ended; None while touching or before any touch."""
 
     @property
     def starting(self) -> bool:
-        """Whether its start-up is under way."""
+        """Whether the pad is still starting up."""
 
     @property
-    def complaint(self) -> str | None:
-        """Why it may be that no report has come, as far as the pad's line tells; None when nothing is wrong with it."""
+    def diagnosis(self) -> str | None:
+        """Likely reason why no report has arrived, derived from the line's counters; None if none is known."""
 
     def port(self) -> DevicePort:
-        """What the pad is behind, shut."""
+        """Return the pad's port, not yet opened."""
 
     def opened(self, t: float) -> None:
-        """The port has been opened at `t` (s)."""
+        """Handle the opening of the port at `t` (s)."""
 
     def lost(self, t: float) -> list[PadLift]:
-        """The port has gone at `t` (s)."""
+        """Handle the loss of the port at `t` (s)."""
 
     def tend(self, port: HostLine, t: float) -> None:
-        """Do at the open port at `t` (s) what a start-up wants, and ask a pad that wants to be asked; once a tick."""
+        """Serve the open port at `t` (s), once a tick: start-up, and requests to pads that are polled."""
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """The events in the bytes read at `t` (s)."""
+        """Return the events in the bytes read at `t` (s)."""
 
     def poll(self, t: float, turning_rad_s: float = 0.0) -> Sequence[PadSample | PadLift]:
-        """What silence tells of at `t` (s): a lift-off, or that the contact stays where it is; once a tick.
+        """Return the events that follow from silence at `t` (s), once a tick: a lift-off, or a repeated sample.
 
-        turning_rad_s: how fast the faster palm turns: no contact stays where it is for long on a palm that turns.
+        turning_rad_s: rate of the faster palm; on a turning palm no contact stays at one position for long.
         """
 
     def reports(self, data: bytes, t: float) -> Sequence[PadReport]:
-        """The reports in the bytes read at `t` (s), uncalibrated: instead of `feed`, for bring-up and calibration."""
+        """Return the uncalibrated reports in the bytes read at `t` (s); replaces `feed` in bring-up and calibration."""
 
     def view(self, t: float) -> PadView:
-        """What is to be told of the pad at `t` (s)."""
+        """Return what is published of the pad at `t` (s)."""
 
-    def health(self, look: bool) -> Iterator[str]:
-        """The conditions of the fault table that hold, without the pad's name; with `look` counters are judged anew."""
+    def health(self, refresh: bool) -> Iterator[str]:
+        """Yield the active fault conditions, without the pad's name; `refresh`: evaluate the counters again first."""
 
     def evidence(self, condition: str, t: float) -> str:
-        """What speaks for a condition at `t` (s), without the pad's name: which byte, age, limit. May be empty."""
+        """Return the measurements behind a condition at `t` (s): byte, age, limit. May be empty."""
 
     def counts(self) -> dict[str, int]:
-        """What has passed since the start, by cause."""
+        """All counters since the start, by name."""
 
 
 PadFactory = Callable[[int, Any], PadDriver]
-"""Takes the pad's number and its kind's configuration."""
+"""Creates a pad driver from the pad's number and the configuration of its kind."""
 
 
 def make_pad(number: int, config: PadConfig) -> PadDriver:
-    """The driver of a configured pad."""
+    """Create the driver of a configured pad."""
     factory: PadFactory = importlib.import_module(f"palmd.devices.pads.{config.kind}").DRIVER
     return factory(number, config)
 
 
 @dataclass(frozen=True, slots=True)
 class PadRemark:
-    """What the kind of a pad says of its device: of what it speaks, how that stands, what mends it.
+    """Finding about a pad's device: subject, verdict, text and fix.
 
-    `key` is the configuration's key that it concerns.
+    `key` is the configuration's key concerned.
     """
 
     what: str
-    verdict: Literal["ok", "missing", "off"]
-    says: str
+    verdict: Literal["ok", "missing", "mismatch"]
+    text: str
     key: str = "port"
-    mend: str = ""
+    fix: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class InspectedPad:
-    """A pad's configuration with what its device reports where that was left out, and what is to be said of it."""
+    """A pad's configuration, with omitted units filled in from its device, and findings about the device."""
 
     config: PadConfig
     remarks: tuple[PadRemark, ...] = ()
 
 
 def inspect_pad(config: PadConfig) -> InspectedPad:
-    """What a pad's kind finds out without taking the device from anybody; not for the loop, for it may open it."""
+    """Inspect a pad's device without grabbing it. It may open the device: not for the loop."""
     inspect = getattr(importlib.import_module(f"palmd.devices.pads.{config.kind}"), "inspect", None)
     found: InspectedPad = InspectedPad(config) if inspect is None else inspect(config)
     return found
 
 
-def pad_counted(kind: str) -> tuple[str, str, str] | None:
-    """How a kind's counters call the bytes that came, the reports in them, and the bytes in none; None without any."""
+def pad_counter_names(kind: str) -> tuple[str, str, str] | None:
+    """Names of a kind's counters of received bytes, of reports and of bytes outside reports; None if it has none."""
     counted: tuple[str, str, str] | None = getattr(
-        importlib.import_module(f"palmd.devices.pads.{kind}"), "COUNTED", None
+        importlib.import_module(f"palmd.devices.pads.{kind}"), "COUNTER_NAMES", None
     )
     return counted
 
 
 def pad_note(kind: str) -> str:
-    """What one must know of a kind of pads before choosing it; mostly nothing."""
+    """Note for users who choose this kind of pad; may be empty."""
     note: str = getattr(importlib.import_module(f"palmd.devices.pads.{kind}"), "NOTE", "")
     return note
 
 
 class TouchTracker:
-    """Tells when the object has left a pad that reports while it is touched: a report says so, or silence does.
+    """Detects the lift-off on a pad that reports while it is touched: by a report, or by silence.
 
-    Silence of five mean intervals between reports; or a line that is dead for clearly longer than the pad ever paused
-    within its last reports, once there are enough of them: damaged reports still bring bytes, and get the patience of
-    five, unless they can be no pad's at all. The mean is a running one, held between one report time (the line
-    cannot do better) and 2.5, so that a mute pad is noticed within 100 ms at 9600 baud whatever came before.
+    Silence is five mean intervals without a report, or a line without any byte for clearly longer than the longest
+    pause of the last reports, once there are enough of them. Damaged reports still bring bytes, so the limit of five
+    intervals applies, unless the bytes cannot be a pad's at all. The mean is a running one, limited to 1 to 2.5 report
+    times, so that a silent pad is detected within 100 ms at 9600 baud.
     """
 
     GAIN = 1 / 16
@@ -219,7 +219,7 @@ class TouchTracker:
     MAX_REPORTS = 2.5
 
     def __init__(self, pad: int, report_s: float, sending_s: float = 0.0) -> None:
-        """`report_s` is the time from one report to the next, at least, of which `sending_s` on the line (s)."""
+        """`report_s` (s) is the shortest time between two reports, of which `sending_s` (s) is spent on the line."""
         self._pad: int = pad
         self._shortest_s = report_s
         self._longest_s = self.MAX_REPORTS * report_s
@@ -228,31 +228,36 @@ class TouchTracker:
         self._t_first = 0.0
         self._t_recv = 0.0
         self._t_byte = -math.inf
-        self._pauses = (math.inf, 0.0)  # the longest of the last whole lot of reports, and of the present one (s)
+        self._pauses = (
+            math.inf,
+            0.0,
+        )  # longest pause (s) in the last full block of PAUSE_REPORTS, and in the current one
         self._reports = 0
         self.touching = False
 
     @property
     def mean_interval_s(self) -> float:
-        """The running mean of the time between reports."""
+        """Running mean of the time between reports (s)."""
         return self._mean_s
 
     @property
     def patience_s(self) -> float:
-        """How long a line may bring nothing at all while the pad is touched."""
-        shown_s = max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_SLACK_S) - self._sending_s
+        """How long (s) a line may be without any byte while the pad is touched."""
+        shown_s = (
+            max(DEAD_INTERVALS * self._mean_s, PAUSE_FACTOR * max(self._pauses) + PAUSE_MARGIN_S) - self._sending_s
+        )
         return min(SILENT_INTERVALS * self._mean_s, shown_s)
 
-    def heard(self, t: float) -> None:
-        """Any bytes were read at `t` (s)."""
+    def bytes_received(self, t: float) -> None:
+        """Record that bytes were read at `t` (s)."""
         self._t_byte = t
 
     def report(self, report: PadReport) -> PadLift | None:
-        """Take a report, in the order received; return the lift-off it reports, if any."""
+        """Process a report, in the order received; return the lift-off that it reports, if any."""
         if not report.in_use:
             return self._lift(report.t_first)
         if self.touching:
-            self._note_pause(report.t_recv - self._t_recv)
+            self._update_pause(report.t_recv - self._t_recv)
             mean_s = self._mean_s + self.GAIN * (report.t_first - self._t_first - self._mean_s)
             self._mean_s = min(max(mean_s, self._shortest_s), self._longest_s)
         self.touching = True
@@ -260,7 +265,7 @@ class TouchTracker:
         return None
 
     def poll(self, t: float, *, gone: bool = False) -> PadLift | None:
-        """Return the lift-off if the pad has been silent for too long at time `t` (s), or is known to be gone."""
+        """Return the lift-off if the pad has been silent for too long at `t` (s), or if it is known to be `gone`."""
         if gone:
             return self._lift(t)
         t_silent = self._t_recv + SILENT_INTERVALS * self._mean_s
@@ -268,7 +273,7 @@ class TouchTracker:
         first = min(t_silent, t_dead)
         return self._lift(first) if t >= first else None
 
-    def _note_pause(self, pause_s: float) -> None:
+    def _update_pause(self, pause_s: float) -> None:
         before, present = self._pauses
         self._pauses = before, max(present, pause_s)
         self._reports += 1

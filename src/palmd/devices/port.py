@@ -1,4 +1,4 @@
-"""Serial ports that never block, never raise on a bad line, and come back after unplugging."""
+"""Serial ports that never block, never raise on a bad line, and reopen after unplugging."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from typing import Protocol
 import serial
 
 READ_BYTES = 4096
-"""As much as a terminal ever holds ready."""
+"""The size of a terminal's buffer in the kernel."""
 
 PTY_MAJORS = range(136, 144)
 
 _IFLAG, _CC = 0, 6
 _TIOCGICOUNT = 0x545D
-_ICOUNTER = struct.Struct("11i36x")  # struct serial_icounter_struct: four of the modem's lines, rx, tx, then errors
-FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError; pyserial lets it through
+_ICOUNTER = struct.Struct("11i36x")  # struct serial_icounter_struct: four modem lines, rx, tx, then errors
+FAILURES = (OSError, ValueError, termios.error)  # termios.error is no OSError, and pyserial raises it
 
 
 @dataclass(slots=True)
 class PortCounters:
-    """What has passed through a port: bytes read, written, dropped for a full buffer; openings and losses.
+    """Counters of a port: bytes read, written and dropped because of a full buffer; openings and losses.
 
-    The last four are the kernel's own account of the line since it was opened first: a framing error is mostly a wrong
-    baud, an overrun a machine too slow for its line. A pseudo-terminal keeps none.
+    The last four are the kernel's counts of the line since it was opened first: framing errors mostly mean a wrong
+    baud rate, overruns a machine too slow for the line. Pseudo-terminals have none.
     """
 
     bytes_read: int = 0
@@ -50,14 +50,15 @@ class PortCounters:
     overruns: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """Return every count by name."""
+        """Return all counters by name."""
         return asdict(self)
 
 
 class DevicePort(Protocol):
-    """Whatever a device is behind: opened again when it has gone, read without waiting, written whole; never raises.
+    """Port of a device: reopened after a loss, non-blocking, and none of its calls raises.
 
-    A serial line is `Port`; another kind of device brings its own. What `read` gives is for its driver alone.
+    `Port` is a serial line; other kinds of devices have their own. Only the device's driver interprets what `read`
+    returns.
     """
 
     path: str
@@ -66,37 +67,37 @@ class DevicePort(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it can be read and written."""
+        """Whether the port is open."""
 
     def fileno(self) -> int:
-        """The file descriptor, for waiting on. Raises ValueError if it is not open."""
+        """Return the file descriptor, for waiting. Raises ValueError if the port is not open."""
 
     def poll_open(self, t: float) -> bool:
-        """Open it if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
+        """Open the port if it is closed and an attempt is due at `t` (s, monotonic); return whether it is open."""
 
     def read(self) -> bytes:
-        """What has arrived, empty if nothing has."""
+        """Return the bytes received, empty if there are none."""
 
     def write(self, data: bytes) -> None:
         """Send `data`, or drop and count it."""
 
-    def look(self) -> None:
-        """Bring the counters up to date with what the kernel counts, where it does."""
+    def update_counters(self) -> None:
+        """Update the counters from the kernel's, if there are any."""
 
     def close(self) -> None:
-        """Shut it."""
+        """Close the port."""
 
 
 class ReopenedPort(ABC):
-    """What is the same of every `DevicePort`: when it is opened, how it is read, what is said when it has gone."""
+    """Base class of device ports: opening and reopening, reading, and the error text."""
 
     read_bytes = READ_BYTES
-    """At most at a time."""
+    """Largest size of one read."""
 
     def __init__(self, name: str, path: str, retry_s: float) -> None:
         """`name` is for messages, `path` the device (links are followed).
 
-        While it is shut, `poll_open` tries again every `retry_s` seconds. Nothing is opened yet.
+        While the port is closed, `poll_open` tries every `retry_s` seconds. Nothing is opened yet.
         """
         self.name = name
         self.path = path
@@ -108,25 +109,25 @@ class ReopenedPort(ABC):
 
     @abstractmethod
     def _open(self) -> int:
-        """Open it and return its descriptor; raises one of `FAILURES`."""
+        """Open the device and return its file descriptor; raises one of `FAILURES`."""
 
     @abstractmethod
     def _explain(self, failure: Exception) -> str:
-        """One line on why it could not be opened and what to do about it."""
+        """Return one line on why the device could not be opened, and what to do."""
 
     @property
     def is_open(self) -> bool:
-        """Whether it can be read and written."""
+        """Whether the port is open."""
         return self._fd is not None
 
     def fileno(self) -> int:
-        """Return the file descriptor, for waiting on. Raises ValueError if it is not open."""
+        """Return the file descriptor, for waiting. Raises ValueError if the port is not open."""
         if self._fd is None:
             raise ValueError(f"{self.name}: port is not open")
         return self._fd
 
     def poll_open(self, t: float) -> bool:
-        """Open it if it is shut and a try is due at `t` (s, monotonic); return whether it is open."""
+        """Open the port if it is closed and an attempt is due at `t` (s, monotonic); return whether it is open."""
         if self._fd is None and t >= self._t_retry:
             self._t_retry = t + self._retry_s
             try:
@@ -139,10 +140,10 @@ class ReopenedPort(ABC):
         return self.is_open
 
     def read(self) -> bytes:
-        """Return what has arrived, empty if nothing has. What has hung up is shut at once.
+        """Return the bytes received, empty if there are none; close the port at once after a hang-up.
 
-        One portion, so that a flood on one port cannot hold up the others. It is no more than the kernel has ready:
-        reading on until there is nothing would wait for a thread of the kernel, see `PortWaiter`.
+        Only one block is read, so that a flood on one port cannot delay the others, and no more than the kernel has
+        ready: reading until there is nothing left would wait for a kernel thread, see `PortWaiter`.
         """
         if self._fd is None:
             return b""
@@ -153,13 +154,13 @@ class ReopenedPort(ABC):
         except OSError as failure:
             self._lose(failure)
             return b""
-        if not data:  # the end of the file and not of the data
+        if not data:  # end of file: the device has hung up
             self._lose(None)
         self.counters.bytes_read += len(data)
         return data
 
     def close(self) -> None:
-        """Shut it; the next `poll_open` opens it again."""
+        """Close the port; the next `poll_open` opens it again."""
         if self._fd is not None:
             with contextlib.suppress(OSError):
                 self._shut(self._fd)
@@ -167,25 +168,25 @@ class ReopenedPort(ABC):
             self.error = f"{self.name}: {self.path} has been closed"
 
     def _shut(self, fd: int) -> None:
-        """May raise OSError."""
+        """Close the descriptor; may raise OSError."""
         os.close(fd)
 
     def _lose(self, failure: OSError | None) -> None:
         self.close()
         self.counters.losses += 1
         cause = f" ({failure.strerror})" if failure is not None else ""
-        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; it is tried again by itself"
+        self.error = f"{self.name}: {self.path} was lost{cause}: check the plug; palmd reopens it automatically"
 
 
 class Port(ReopenedPort):
-    """One serial port, 8N1, opened exclusively and again whenever it has gone; or a UNIX socket that carries its bytes.
+    """Serial port, 8N1, opened exclusively and reopened after a loss; or a UNIX socket with the same bytes.
 
-    `error` says in one line why the port is not open and what to do, None while it is. Every call returns at
-    once, so all are safe inside the 100 Hz loop; opening takes a system call or ten.
+    `error` is one line on why the port is not open and what to do, None while it is open. Every call returns at
+    once and is safe inside the 100 Hz loop; opening takes about ten system calls.
     """
 
     def __init__(self, name: str, path: str, baud: int, retry_s: float = 0.5) -> None:
-        """As any `ReopenedPort`, `baud` in bit/s."""
+        """See `ReopenedPort`; `baud` in bit/s."""
         super().__init__(name, path, retry_s)
         self._baud = baud
         self._end: serial.Serial | socket.socket | None = None
@@ -207,8 +208,8 @@ class Port(ReopenedPort):
     def _explain(self, failure: Exception) -> str:
         return explain(self.path, failure)
 
-    def look(self) -> None:
-        """Add to the counters what the kernel has counted since the last look: an ioctl, for once a second or so."""
+    def update_counters(self) -> None:
+        """Add the kernel's counts since the last update to the counters (one ioctl; call about once a second)."""
         if self._fd is None:
             return
         before, self._line = self._line, _line_errors(self._fd)
@@ -220,9 +221,9 @@ class Port(ReopenedPort):
         counters.overruns += overruns
 
     def write(self, data: bytes) -> None:
-        """Send `data` (whole lines), or drop and count it where the kernel's buffer is full.
+        """Send `data` (complete lines), or drop and count it if the kernel's buffer is full.
 
-        If only a part fits, the rest goes out before the next data, so that lines stay whole.
+        If only a part fits, the rest is sent before the next data, so that lines stay complete.
         """
         rest = self._unsent
         written = self._put(rest + data)
@@ -233,7 +234,7 @@ class Port(ReopenedPort):
             self.counters.bytes_dropped += len(data)
 
     def set_break(self, active: bool) -> None:
-        """Hold the line in break, or end it; without effect where the port cannot."""
+        """Set or clear the line's break condition; no effect on other ports."""
         if self._fd is not None and isinstance(self._end, serial.Serial):
             with contextlib.suppress(*FAILURES):
                 self._end.break_condition = active
@@ -253,7 +254,7 @@ class Port(ReopenedPort):
 
     def _lose(self, failure: OSError | None) -> None:
         with contextlib.suppress(*FAILURES):
-            termios.tcflush(self.fileno(), termios.TCOFLUSH)  # else closing may wait for it to drain
+            termios.tcflush(self.fileno(), termios.TCOFLUSH)  # else closing may wait for the output to drain
         super()._lose(failure)
 
 
@@ -273,13 +274,13 @@ def _open(path: str, baud: int) -> serial.Serial:
     try:
         fd = port.fileno()
         attributes = termios.tcgetattr(fd)
-        attributes[_IFLAG] &= ~termios.BRKINT  # a break reads as NUL, it does not flush the queues
-        attributes[_CC][termios.VMIN] = 1  # so that reading nothing fails with EAGAIN and b"" means hang-up
+        attributes[_IFLAG] &= ~termios.BRKINT  # read a break as NUL, without flushing the queues
+        attributes[_CC][termios.VMIN] = 1  # without data reads fail with EAGAIN, and b"" means hang-up
         attributes[_CC][termios.VTIME] = 0
         termios.tcsetattr(fd, termios.TCSANOW, attributes)
         if os.major(os.fstat(fd).st_rdev) not in PTY_MAJORS:
-            # The lock is advisory, this is not. A pseudo-terminal would keep it beyond our death, for as long
-            # as its other side is open.
+            # pyserial's lock is advisory, this one is not. Not for a pseudo-terminal, which would keep it after this
+            # process has ended, as long as its other side is open.
             fcntl.ioctl(fd, termios.TIOCEXCL)
         with contextlib.suppress(*FAILURES, NotImplementedError):
             port.set_low_latency_mode(True)
@@ -290,18 +291,18 @@ def _open(path: str, baud: int) -> serial.Serial:
 
 
 def _line_errors(fd: int) -> tuple[int, int, int, int]:
-    """The kernel's counts of breaks, framing errors, parity errors and overruns; zeros where it keeps none."""
-    told = bytearray(_ICOUNTER.size)
+    """Return the kernel's counts of breaks, framing errors, parity errors and overruns; zeros if it has none."""
+    buffer = bytearray(_ICOUNTER.size)
     try:
-        fcntl.ioctl(fd, _TIOCGICOUNT, told)
+        fcntl.ioctl(fd, _TIOCGICOUNT, buffer)
     except OSError:
         return (0, 0, 0, 0)
-    *_, framing, overruns, parity, breaks, at_terminal = _ICOUNTER.unpack(told)
+    *_, framing, overruns, parity, breaks, at_terminal = _ICOUNTER.unpack(buffer)
     return breaks, framing, parity, overruns + at_terminal
 
 
 def explain(path: str, failure: Exception) -> str:
-    """Return one line on why `path` could not be opened and what to do about it."""
+    """Return one line on why `path` could not be opened, and what to do."""
     match getattr(failure, "errno", None):
         case errno.ENOENT:
             return f"no such port {path}: check the plug and the configured name"
@@ -319,24 +320,24 @@ def explain(path: str, failure: Exception) -> str:
 
 
 class PortWaiter:
-    """Waits on several ports at once, and never for the kernel.
+    """Waits for several ports at once, and never for a kernel thread.
 
-    Asking a terminal whether it has something to read makes the kernel finish handing over what the driver has brought,
-    in a thread of ordinary priority, and wait for that: hundreds of milliseconds on a busy machine, whatever our own
-    priority. Edge-triggered epoll asks only once the bytes are there. So every port that is returned must be read.
+    Polling a terminal makes the kernel flush the driver's buffer in a thread of normal priority and wait for it:
+    hundreds of milliseconds on a busy machine, whatever this process's priority. Edge-triggered epoll polls only when
+    the bytes have arrived. So every port that `wait` returns must be read.
     """
 
     def __init__(self, ports: Sequence[DevicePort], clock: Callable[[], float] = time.monotonic) -> None:
-        """`clock` gives the time (s) that deadlines are told in."""
+        """`clock` returns the time (s) to which deadlines refer."""
         self._ports = ports
         self._clock = clock
         self._epoll = select.epoll()
         self._watched: dict[DevicePort, int] = {}
 
     def wait(self, t_deadline: float) -> list[DevicePort]:
-        """Return the ports where something has come (or that have hung up), or none once `t_deadline` (s) has come.
+        """Return the ports that have data or have hung up; empty at `t_deadline` (s).
 
-        select() serves because its time-out has microseconds; those of poll() and epoll have milliseconds only.
+        select() is used because its timeout has a resolution of microseconds; poll() and epoll have milliseconds.
         """
         self._watch()
         select.select((self._epoll,), (), (), max(0.0, t_deadline - self._clock()))
@@ -344,7 +345,7 @@ class PortWaiter:
         return [port for port in self._ports if port.is_open and port.fileno() in ready]
 
     def _watch(self) -> None:
-        """Take in what has been opened since; the kernel forgets by itself what was shut."""
+        """Register ports that have been opened since; the kernel removes closed ones itself."""
         for port in self._ports:
             if port.is_open and self._watched.get(port) != port.counters.opens:
                 self._watched[port] = port.counters.opens

@@ -1,4 +1,4 @@
-"""One servo of a bus: how its counts are its palm's direction, and what must be so before its torque goes on."""
+"""One servo of a bus: conversion of its counts to its palm's direction, and its settings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CENTRE = COUNTS_PER_TURN // 2
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One servo: which, of what make, and how its counts are its palm's direction (rad, from the world X axis)."""
+    """One servo: number, id, make, and conversion of its counts to its palm's direction (rad from the world X axis)."""
 
     number: int
     id: int
@@ -26,20 +26,20 @@ class Axis:
 
     @classmethod
     def from_config(cls, number: int, config: ServoConfig, make: ServoMake) -> Axis:
-        """The configured servo of the palm of that number."""
+        """Create the axis of palm `number` from its configuration."""
         plain = cls(number, config.id, config.sign, math.radians(config.centre_deg), 0, COUNTS_PER_TURN - 1, make)
         ends = sorted(plain.counts(math.radians(end)) for end in config.range_deg)
         low, high = max(ends[0], 0), min(ends[1], COUNTS_PER_TURN - 1)
         return cls(number, config.id, config.sign, plain.centre_rad, low, high, make)
 
     def counts(self, direction_rad: float) -> int:
-        """Of a palm's direction, rounded."""
+        """Convert a palm's direction (rad) to counts, rounded."""
         return CENTRE + self.sign * round((direction_rad - self.centre_rad) / RADIANS_PER_COUNT)
 
     def direction(self, counts: int) -> float:
-        """Of the palm (rad)."""
+        """Convert counts to the palm's direction (rad)."""
         return self.centre_rad + self.sign * (counts - CENTRE) * RADIANS_PER_COUNT
 
     def settings(self) -> Settings:
-        """What must be so before the torque goes on, in the order in which it can be set."""
+        """Settings required before the torque is enabled, in the order in which they can be written."""
         return self.make.settings(self.low, self.high)

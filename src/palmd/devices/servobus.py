@@ -1,4 +1,4 @@
-"""What servos of every make have in common on their bus: packets, registers, and what a host must know about a make.
+"""Servo buses, common to all makes: packets, registers, and the interface of a make.
 
 Everything here is pure and safe inside the 100 Hz loop.
 """
@@ -15,10 +15,9 @@ COUNTS_PER_TURN = 4096
 
 
 class Register(NamedTuple):
-    """An entry of a servo's control table: where it begins, how many bytes it has, and how it is signed.
+    """An entry of a servo's control table: address, size in bytes, and sign format. Numbers are little-endian.
 
-    signed: two's complement. sign_bit: the bit that says that the rest of them is negative, None where there is none.
-    Numbers are little-endian.
+    signed: two's complement. sign_bit: the number of the sign bit of a sign-magnitude value, None if there is none.
     """
 
     address: int
@@ -28,11 +27,11 @@ class Register(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The address after it."""
+        """The address behind the register."""
         return self.address + self.size
 
     def encode(self, value: int) -> bytes:
-        """Its bytes. Raises OverflowError for what it cannot hold."""
+        """Encode a value. Raises OverflowError if it does not fit."""
         if self.sign_bit is None:
             return value.to_bytes(self.size, "little", signed=self.signed)
         if abs(value) >= 1 << self.sign_bit:
@@ -40,7 +39,7 @@ class Register(NamedTuple):
         return (abs(value) | (value < 0) << self.sign_bit).to_bytes(self.size, "little")
 
     def decode(self, raw: bytes | bytearray) -> int:
-        """The value of its bytes."""
+        """Decode a value from its bytes."""
         if self.sign_bit is None:
             return int.from_bytes(raw, "little", signed=self.signed)
         value = int.from_bytes(raw, "little")
@@ -49,7 +48,7 @@ class Register(NamedTuple):
 
 
 class Registers:
-    """A stretch of one servo's table as read: `registers[POSITION]` is a number."""
+    """A block of one servo's control table: `registers[POSITION]` is a number."""
 
     def __init__(self, address: int, data: bytes) -> None:
         self._address, self._data = address, data
@@ -58,22 +57,22 @@ class Registers:
         return self._address <= register.address and register.end <= self._address + len(self._data)
 
     def __getitem__(self, register: Register) -> int:
-        """Raises KeyError for a register that was not read."""
+        """Raises KeyError for a register outside the block."""
         if register not in self:
             raise KeyError(register)
         start = register.address - self._address
         return register.decode(self._data[start : start + register.size])
 
     def get(self, register: Register) -> int | None:
-        """None for a register that was not read."""
+        """Return None for a register outside the block."""
         return self[register] if register in self else None  # noqa: SIM401
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet; `t_first` is when its first byte arrived (s). `parameters` have no error in them.
+    """One packet; `t_first` is when its first byte arrived (s). `parameters` do not include the error.
 
-    is_status: it is a servo's answer; `instruction` means nothing then, where a make does not send one.
+    is_status: it is a servo's answer; `instruction` is then meaningless for makes that do not send it.
     """
 
     t_first: float
@@ -85,54 +84,55 @@ class Packet:
 
 
 class PacketReader:
-    """Turns a bus's bytes into packets; garbage is counted and nothing else."""
+    """Decodes a bus's bytes into packets; garbage is only counted."""
 
     def __init__(self, scanner: FrameScanner, packet: Callable[[Frame], Packet]) -> None:
-        """`scanner` finds the make's frames, `packet` says what is in one."""
+        """`scanner` finds the make's frames, `packet` decodes one."""
         self._scanner, self._packet = scanner, packet
         self.counters = scanner.counters
 
     @property
     def pending(self) -> int:
-        """How many bytes are in hand."""
+        """Number of buffered bytes."""
         return self._scanner.pending
 
     def feed(self, data: bytes, t_recv: float) -> list[Packet]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        """Process the bytes read at `t_recv` (s, monotonic) and return the packets that they complete."""
         return list(map(self._packet, self._scanner.feed(data, t_recv)))
 
-    def give_up(self) -> list[Packet]:
-        """No more comes of the packet in hand: the packets that it hid."""
-        return list(map(self._packet, self._scanner.give_up()))
+    def flush(self) -> list[Packet]:
+        """Give up the incomplete packet at the front and return the packets found behind its start."""
+        return list(map(self._packet, self._scanner.flush()))
 
     def reset(self) -> None:
-        """Discard what is in hand, for the line has been interrupted."""
+        """Discard the buffer after an interruption of the line."""
         self._scanner.reset()
 
 
-class Unfit(NamedTuple):
-    """A model that must not be used: what it is, why not, and what to use instead."""
+class UnsupportedModel(NamedTuple):
+    """A model that must not be used: its name, the reason, and what to use instead."""
 
     what: str
-    why: str
-    mend: str
+    reason: str
+    fix: str
 
 
 Span = tuple[int, int]
-"""An address and how many bytes from there on."""
+"""Address and number of bytes of a block of registers."""
 
 Settings = Sequence[tuple[Register, int]]
 
 
 class ServoMake(Protocol):
-    """One make of servos: its protocol, its registers, and what it needs before its torque goes on.
+    """Interface of a make of servos: its protocol, its registers and the settings it requires.
 
-    look, cycle: what is read at leisure, and in every cycle. all_answered: status return level at which every
-    instruction is answered. ping_bytes: parameters of the answer to a ping, which begin with the model where there are
-    any. alert: bits of an answer's error that report a hardware error; refusals: those that say that the instruction
-    was not carried out. settings_end: registers below keep their values without power. unlock: 0 while they are to.
-    watchdog: stops the servo when nobody speaks any more; None where a make has none.
-    troubles: by bit of the hardware error register, the code of the fault table without the arm's name, and words.
+    status_span, cycle_span: registers that are read at a low rate, and in every cycle. all_answered: status return
+    level at which every instruction is answered. ping_bytes: number of parameters in the answer to a ping, which begin
+    with the model if there are any. alert: bits of an answer's error that report a hardware error; refusals: bits that
+    report that the instruction was not executed. settings_end: registers below this address keep their values without
+    power. unlock: must be 0 while those are written. watchdog: stops the servo when instructions cease; None if the
+    make has none. error_bits: for each bit of the hardware error register, the code in the fault table without the
+    arm's name, and its text.
     """
 
     name: str
@@ -150,46 +150,46 @@ class ServoMake(Protocol):
     unlock: Register | None
     settings_end: int
     table_bytes: int
-    look: Span
-    cycle: Span
+    status_span: Span
+    cycle_span: Span
     all_answered: int
     ping_bytes: int
     alert: int
     refusals: int
     supply_v: tuple[float, float]
-    troubles: Mapping[int, tuple[str, str]]
+    error_bits: Mapping[int, tuple[str, str]]
     models: Mapping[int, str]
-    unfit: Mapping[int, Unfit]
+    unsupported: Mapping[int, UnsupportedModel]
 
     def reader(self, baud: int) -> PacketReader:
-        """Of what the servos say. Raises ValueError for a `baud` that is not positive."""
+        """Create a reader of the servos' packets. Raises ValueError if `baud` (bit/s) is not positive."""
 
     def ping(self, servo: int) -> bytes:
-        """Asks whether it is there."""
+        """Ping: asks whether the servo is present."""
 
     def read(self, servo: int, address: int, size: int) -> bytes:
-        """Asks one servo for `size` bytes of its table."""
+        """Read `size` bytes of one servo's table."""
 
     def write(self, servo: int, register: Register, value: int) -> bytes:
-        """Sets one register of one servo."""
+        """Write one register of one servo."""
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> bytes:
-        """Sets one register of several servos, by id; never answered."""
+        """Write one register of several servos, by id; never answered."""
 
     def sync_read(self, address: int, size: int, servos: Iterable[int]) -> bytes:
-        """Asks several servos for `size` bytes of their tables; they answer in this order."""
+        """Read `size` bytes of several servos' tables; they answer in this order."""
 
     def status(self, servo: int, error: int, parameters: bytes = b"") -> bytes:
-        """A servo's answer."""
+        """Encode a servo's answer."""
 
     def restart(self, servo: int) -> bytes:
-        """Clears its hardware errors; answered without parameters."""
+        """Clear the servo's hardware errors; answered without parameters."""
 
     def settings(self, low: int, high: int) -> Settings:
-        """What must be so before the torque goes on, in the order in which it can be set, with limits in counts."""
+        """Settings required before the torque is enabled, in writing order; `low` and `high` are limits in counts."""
 
     def profile(self, span_ms: int) -> Settings:
-        """What makes it go to a goal evenly within `span_ms`, and must stay so while it follows."""
+        """Settings for constant speed to a goal within `span_ms`; they must stay unchanged while it follows."""
 
-    def goals(self, counts: Mapping[int, int], ways: Mapping[int, float], span_ms: int) -> bytes:
-        """Goals by id, `ways` (counts) from where the path of each is, to be gone evenly within `span_ms`."""
+    def goals(self, counts: Mapping[int, int], distances: Mapping[int, float], span_ms: int) -> bytes:
+        """Send goals by id, to be reached at constant speed within `span_ms`; `distances` (counts): remaining paths."""

@@ -1,8 +1,8 @@
-"""What takes several questions to servos: setting them up, arming, resetting, standing down.
+"""Sequences of several servo requests: set-up, arming, disarming, reset.
 
-Each is a script, a generator that yields what to ask and is given the answers; the host asks, again if need be.
-A USB adapter may hold each answer for 16 ms. So what all servos need at once goes out as Sync Writes with one Sync Read
-behind them, which shows whether they were taken: a Sync Write itself is never answered.
+Each is a script: a generator that yields requests and receives the answers; the host sends the requests and repeats
+them if necessary. A USB adapter may delay each answer by 16 ms. So writes to all servos are Sync Writes followed by one
+Sync Read, which verifies them: a Sync Write itself is never answered.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from palmd.devices.servoaxis import Axis
 from palmd.devices.servobus import Packet, Register, Registers
 
 ANSWER_S = 0.040
-"""A USB adapter may hold an answer for 16 ms; twice that is no answer."""
+"""Timeout of an answer (s); a USB adapter may delay it by 16 ms."""
 
 TRIES = 4
 REBOOT_S = 0.9
 WATCHDOG_UNITS = 5
 WATCHDOG_S = WATCHDOG_UNITS * 0.020
-"""Without an instruction for so long a servo stops by itself."""
+"""Time without an instruction (s) after which a servo's watchdog stops it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
-    """A question that each of these servos answers, with so many bytes.
+class Request:
+    """A request that each of these servos answers with `size` parameter bytes.
 
-    refusals: bits of an answer's error that say that it was not carried out.
+    refusals: bits of an answer's error that report that it was not executed.
     """
 
     packet: bytes
@@ -37,28 +37,28 @@ class Ask:
     tries: int = TRIES
 
     def fits(self, packet: Packet) -> bool:
-        """Whether a packet may be one of the answers, a refusal included."""
+        """Whether a packet can be one of the answers, refusals included."""
         return packet.servo in self.servos and (
             len(packet.parameters) == self.size or bool(packet.error & self.refusals)
         )
 
 
 Answers = Sequence[Packet]
-"""One of each servo that was asked, in that order."""
+"""One answer of each servo, in the order of the request."""
 
 
 class SetUpError(Exception):
-    """A servo cannot be used as it is; says why and what to do."""
+    """A servo cannot be used; the text has reason and what to do."""
 
 
 class ServoRefusedError(Exception):
-    """A servo does not take what it needs before it may move; says which."""
+    """A servo does not accept a setting that it needs before it may move; the text names it."""
 
 
-def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask, Answers, int]:
-    """Finds every servo, compares its settings and sets what differs; how many that were. Raises SetUpError.
+def set_up(axes: Sequence[Axis], release: Collection[int] = ()) -> Generator[Request, Answers, int]:
+    """Find every servo, compare its settings and write those that differ; return their number. Raises SetUpError.
 
-    let_go: ids of servos whose torque goes off, for they were turned on by an `arm` that came to nothing.
+    release: ids of servos whose torque is turned off, since an `arm` that failed had turned it on.
     """
     models = {}
     for axis in axes:
@@ -74,7 +74,7 @@ def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask,
         registers = Registers(0, whole.parameters)
         wrong = [(register, value) for register, value in axis.settings() if registers.get(register) != value]
         locked = any(register.address < make.settings_end for register, _ in wrong)
-        if (locked or axis.id in let_go) and registers.get(make.torque):
+        if (locked or axis.id in release) and registers.get(make.torque):
             yield _write(axis, make.torque, 0)
         if locked and make.unlock is not None:
             yield _write(axis, make.unlock, 0)
@@ -86,7 +86,7 @@ def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask,
             if found != value:
                 raise SetUpError(
                     f"servo {axis.number} keeps {found} in register {register.address}, {value} is needed: switch"
-                    " its power off and on, and see that no other program writes to it"
+                    " its power off and on, and check that no other program writes to it"
                 )
         if locked and make.unlock is not None:
             yield _write(axis, make.unlock, 1)
@@ -97,18 +97,18 @@ def set_up(axes: Sequence[Axis], let_go: Collection[int] = ()) -> Generator[Ask,
 
 def _check_model(axis: Axis, model: int) -> None:
     make = axis.make
-    if model in make.unfit:
-        unfit = make.unfit[model]
-        raise SetUpError(f"servo {axis.number} is an {unfit.what}, {unfit.why}: {unfit.mend}")
+    if model in make.unsupported:
+        model_info = make.unsupported[model]
+        raise SetUpError(f"servo {axis.number} is an {model_info.what}, {model_info.reason}: {model_info.fix}")
     if model not in make.models:
         raise SetUpError(
-            f"servo {axis.number} says it is of model {model}, which palmd does not know; it knows"
+            f"servo {axis.number} reports model {model}, which palmd does not support; supported are"
             f" {', '.join(make.models.values())}"
         )
 
 
-def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Ask, Answers, dict[int, Registers]]:
-    """Has every servo's profile set and its watchdog off; what they have. Raises ServoRefusedError."""
+def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Request, Answers, dict[int, Registers]]:
+    """Set all profiles and turn the watchdogs off; return the registers read back. Raises ServoRefusedError."""
     profile = axes[0].make.profile(profile_ms)
     return (
         yield from _set(
@@ -119,10 +119,10 @@ def prepare(axes: Sequence[Axis], profile_ms: int) -> Generator[Ask, Answers, di
 
 def hold(
     axes: Sequence[Axis], found: Mapping[int, Registers]
-) -> Generator[Ask, Answers, tuple[dict[int, int], dict[int, Registers]]]:
-    """Has every servo hold where it stands, its watchdog awake: the goals by id, and what they have then.
+) -> Generator[Request, Answers, tuple[dict[int, int], dict[int, Registers]]]:
+    """Make every servo hold its position with its watchdog on; return goals by id and the registers read back.
 
-    found: what they had before. Raises ServoRefusedError.
+    found: registers read before. Raises ServoRefusedError.
     """
     goals = {}
     for axis in axes:
@@ -136,38 +136,38 @@ def hold(
     return goals, awake
 
 
-def stand_down(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
-    """Has no watchdog wait for instructions any more. Raises ServoRefusedError."""
+def stop_watchdogs(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+    """Turn the watchdogs off. Raises ServoRefusedError."""
     if watched := _watchdog(axes, 0):
         yield from _set(axes, watched)
 
 
-def let_go(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
-    """Turns the torque of these servos off. Raises ServoRefusedError."""
+def torque_off(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+    """Turn off the torque of these servos. Raises ServoRefusedError."""
     if axes:
         yield from _set(axes, [*_watchdog(axes, 0), (axes[0].make.torque, dict.fromkeys(_ids(axes), 0))])
 
 
-def restart(axes: Sequence[Axis]) -> Generator[Ask, Answers, None]:
-    """Has these servos start anew, and waits until they answer."""
+def restart(axes: Sequence[Axis]) -> Generator[Request, Answers, None]:
+    """Restart these servos and wait until they answer."""
     for axis in axes:
-        yield Ask(axis.make.restart(axis.id), (axis.id,), 0, axis.make.refusals)
+        yield Request(axis.make.restart(axis.id), (axis.id,), 0, axis.make.refusals)
     for axis in axes:
         yield _ping(axis, tries=round(REBOOT_S / ANSWER_S))
 
 
 def _set(
     axes: Sequence[Axis], settings: Sequence[tuple[Register, Mapping[int, int]]]
-) -> Generator[Ask, Answers, dict[int, Registers]]:
-    """Has registers set, each to a value by id, in this order; what all servos have then.
+) -> Generator[Request, Answers, dict[int, Registers]]:
+    """Write registers, each with a value by id, in this order; return the registers read back.
 
-    Again where one was not taken, for a Sync Write may have been damaged on the line. Raises ServoRefusedError.
+    Repeated if a value was not accepted, since a Sync Write may have been damaged. Raises ServoRefusedError.
     """
     ids, make = _ids(axes), axes[0].make
-    address, size = make.look
+    address, size = make.status_span
     packet = b"".join(make.sync_write(*each) for each in settings) + make.sync_read(address, size, ids)
     for _ in range(TRIES):
-        answers = yield Ask(packet, ids, size, make.refusals)
+        answers = yield Request(packet, ids, size, make.refusals)
         found = {answer.servo: Registers(address, answer.parameters) for answer in answers}
         wrong = [
             f"servo {axis.number} has {found[axis.id].get(register)} in register {register.address},"
@@ -186,21 +186,21 @@ def _ids(axes: Sequence[Axis]) -> tuple[int, ...]:
 
 
 def _watchdog(axes: Sequence[Axis], units: int) -> list[tuple[Register, Mapping[int, int]]]:
-    """Sets every watchdog, where there are any."""
+    """Return the write of all watchdogs; empty if the make has none."""
     watchdog = axes[0].make.watchdog
     return [] if watchdog is None else [(watchdog, dict.fromkeys(_ids(axes), units))]
 
 
-def _ping(axis: Axis, tries: int) -> Ask:
-    """Has it answer everything, and asks who it is: with a status return level of 0 it answers this alone."""
+def _ping(axis: Axis, tries: int) -> Request:
+    """Set the status return level so that the servo answers everything, and ping it, which it answers at any level."""
     make = axis.make
     packet = make.sync_write(make.status_level, {axis.id: make.all_answered}) + make.ping(axis.id)
-    return Ask(packet, (axis.id,), make.ping_bytes, make.refusals, tries)
+    return Request(packet, (axis.id,), make.ping_bytes, make.refusals, tries)
 
 
-def _read(axis: Axis, address: int, size: int) -> Ask:
-    return Ask(axis.make.read(axis.id, address, size), (axis.id,), size, axis.make.refusals)
+def _read(axis: Axis, address: int, size: int) -> Request:
+    return Request(axis.make.read(axis.id, address, size), (axis.id,), size, axis.make.refusals)
 
 
-def _write(axis: Axis, register: Register, value: int) -> Ask:
-    return Ask(axis.make.write(axis.id, register, value), (axis.id,), 0, axis.make.refusals)
+def _write(axis: Axis, register: Register, value: int) -> Request:
+    return Request(axis.make.write(axis.id, register, value), (axis.id,), 0, axis.make.refusals)

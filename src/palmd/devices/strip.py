@@ -1,17 +1,17 @@
-"""The protocol of a force-sensing strip behind a microcontroller, both directions: `tools/strip/` is its firmware.
+"""Codec of a force-sensing strip read by a microcontroller, both directions; its firmware is in `tools/strip/`.
 
-Twelve bytes, every 10 ms while the strip is touched and every 50 ms while it is not, so that silence is a fault and
-never a lift-off:
+A packet has twelve bytes and is sent every 10 ms while the strip is touched and every 50 ms while it is not, so that
+silence is always a fault and never a lift-off:
 
     0, 1    A5 5A
-    2       bit 0 touched, bit 1 force at its end of scale, bits 4 to 7 the version of the protocol, 1
+    2       bit 0 touched, bit 1 force at full scale, bits 4 to 7 protocol version, 1
     3       a counter
     4, 5    position, 0 to 16383
     6, 7    force, 0 to 4095
-    8, 9    how old the readings were when the packet was sent, in 10 µs
-    10, 11  CRC-16 of bytes 2 to 9 (CCITT: polynomial 1021, begun at FFFF, not reflected)
+    8, 9    age of the readings when the packet was sent, in 10 µs
+    10, 11  CRC-16 of bytes 2 to 9 (CCITT: polynomial 1021, initial value FFFF, not reflected)
 
-Low bytes come first. Everything here is pure and safe inside the 100 Hz loop.
+Numbers are little-endian. Everything here is pure and safe inside the 100 Hz loop.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ VERSION = 1
 POSITION_MAX, FORCE_MAX, AGE_MAX = 16383, 4095, 0xFFFF
 AGE_UNIT_S = 1e-5
 TOUCHED_S, UNTOUCHED_S = 0.010, 0.050
-"""How far apart packets are."""
+"""Periods of the packets (s)."""
 
 _BODY = struct.Struct("<BBHHH")
 
 
 @dataclass(frozen=True, slots=True)
 class StripPacket(PadReport):
-    """One packet; `t_first` is when its readings were taken (s)."""
+    """One packet; `t_first` is the time of its readings (s)."""
 
     sequence: int
     saturated: bool
@@ -45,11 +45,11 @@ class StripPacket(PadReport):
 
 @dataclass(slots=True)
 class StripCounters:
-    """What a strip's line has brought. `bytes == 12 * packets + discarded + bytes pending` at all times.
+    """Counters of a strip's line. `bytes == 12 * packets + discarded + bytes pending` at all times.
 
-    `crc_errors` counts packets with a wrong checksum, `lost` those that the counter says are missing, `strange` good
-    ones of another version, `batches` reads with several packets, `batched` the packets in them, `out_of_range` places
-    that are not on the strip.
+    `crc_errors` counts packets with a wrong checksum, `lost` packets missing according to the sequence counter,
+    `strange` valid ones of another version, `batches` reads with several packets, `batched` the packets in them,
+    `out_of_range` positions that are not on the strip.
     """
 
     bytes: int = 0
@@ -63,38 +63,38 @@ class StripCounters:
     out_of_range: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        """Every count by name."""
+        """All counters by name."""
         return asdict(self)
 
 
 def checksum(body: bytes) -> int:
-    """CRC-16 (CCITT) of the bytes between the start and the checksum."""
+    """CRC-16 (CCITT) of the bytes between sync and checksum."""
     return binascii.crc_hqx(body, 0xFFFF)
 
 
 def encode(
     position: int, force: int, sequence: int, *, touched: bool = True, saturated: bool = False, age_s: float = 0.0
 ) -> bytes:
-    """The twelve bytes of a packet. Raises ValueError if a number does not fit its field."""
+    """Return the twelve bytes of a packet. Raises ValueError if a number does not fit its field."""
     age = round(age_s / AGE_UNIT_S)
-    for name, value, most in (
+    for name, value, maximum in (
         ("position", position, POSITION_MAX),
         ("force", force, FORCE_MAX),
         ("sequence", sequence, 0xFF),
         ("age", age, AGE_MAX),
     ):
-        if not 0 <= value <= most:
-            raise ValueError(f"{name} must be 0 to {most}, not {value}")
+        if not 0 <= value <= maximum:
+            raise ValueError(f"{name} must be 0 to {maximum}, not {value}")
     flags = VERSION << 4 | touched * TOUCHED | saturated * SATURATED
     body = _BODY.pack(flags, sequence, position, force, age)
     return SYNC + body + struct.pack("<H", checksum(body))
 
 
 class StripDecoder:
-    """Turns a strip's bytes into packets; garbage is counted and nothing else."""
+    """Decodes a strip's bytes into packets; garbage is only counted."""
 
     def __init__(self, baud: int) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        """Raises ValueError if `baud` (bit/s, used for timestamps) is not positive."""
         self.counters = StripCounters()
         self._clock = FirstByteClock(baud)
         self._bytes = bytearray()
@@ -102,29 +102,29 @@ class StripDecoder:
 
     @property
     def pending(self) -> int:
-        """How many bytes are in hand (0 to 11)."""
+        """Number of buffered bytes (0 to 11)."""
         return len(self._bytes)
 
     def feed(self, data: bytes, t_recv: float) -> list[StripPacket]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
-        counters, hand = self.counters, self._bytes
+        """Process the bytes read at `t_recv` (s, monotonic) and return the packets that they complete."""
+        counters, buffer = self.counters, self._bytes
         counters.bytes += len(data)
-        hand += data
+        buffer += data
         found: list[tuple[float, bytes]] = []
-        while len(hand) >= PACKET_BYTES:
-            start = hand.find(SYNC)
+        while len(buffer) >= PACKET_BYTES:
+            start = buffer.find(SYNC)
             if start != 0:
-                self._drop(start if start > 0 else len(hand) - hand.endswith(SYNC[:1]))
+                self._drop(start if start > 0 else len(buffer) - buffer.endswith(SYNC[:1]))
                 continue
-            body = bytes(hand[2:10])
-            if int.from_bytes(hand[10:12], "little") != checksum(body):
+            body = bytes(buffer[2:10])
+            if int.from_bytes(buffer[10:12], "little") != checksum(body):
                 counters.crc_errors += 1
                 self._drop(1)
                 continue
-            self._clock.begin(t_recv, len(hand) - 1)
+            self._clock.begin(t_recv, len(buffer) - 1)
             found.append((self._clock.end(), body))
             counters.packets += 1
-            del hand[:PACKET_BYTES]
+            del buffer[:PACKET_BYTES]
         batched = len(found) > 1
         counters.batches += batched
         counters.batched += batched * len(found)
@@ -132,7 +132,7 @@ class StripDecoder:
         return [packet for packet in packets if packet is not None]
 
     def reset(self) -> None:
-        """Discard the packet in hand, for the line has been interrupted."""
+        """Discard the incomplete packet after an interruption of the line."""
         self._drop(len(self._bytes))
         self._sequence = None
 

@@ -1,4 +1,4 @@
-"""The units of a touch device: those that the configuration gives, else those that the device reports. Pure."""
+"""Units of a touch device: configured ones, else those that the device reports. Pure."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from palmd.devices.pad import PadRemark
 from palmd.devices.touchdevice import NEWTONS_PER_GRAM, TouchDevice
 
 ROUNDING = 0.5
-"""A device reports whole units for each mm, and for each gram."""
+"""Rounding error of reported resolutions, which are integers (1/mm, 1/gram)."""
 
 LARGEST_SCALE_SD = 0.2
-"""What the configuration allows."""
+"""Upper bound of `scale_sd` in the configuration."""
 
-CUT_SD = 1.0 / math.sqrt(3.0)
-"""Drivers divide whole numbers, which cuts the rest off: RMS of what is missing of a unit each mm."""
+TRUNCATION_SD = 1.0 / math.sqrt(3.0)
+"""RMS truncation error of a reported resolution (1/mm): drivers use integer division."""
 
 
 class Units:
-    """What makes a place (mm) and a force (N) of a device's counts; see `Scaled`.
+    """Conversion of a device's counts to position (mm) and force (N); see `PadScale`.
 
-    `missing` says which unit is known to nobody, None when all is known that a place needs. `newtons_per_count` is None
-    where the pressure of a device is no force, as far as anybody knows.
+    `missing` describes an unknown unit that positions need, else None. `newtons_per_count` is None if the unit of
+    pressure is unknown.
     """
 
     def __init__(self, config: EvdevConfig, device: TouchDevice | None) -> None:
-        """Without a device (recorded bytes, an emulated one) what the configuration has, defaults included."""
+        """Without a device (recorded or emulated bytes), use the configuration, defaults included."""
         self.zero_mm, self.sign = config.zero_mm, config.sign
         self.length_mm: float = config.length_mm
         self.corrections_mm: Sequence[float] = config.corrections_mm
@@ -42,7 +42,7 @@ class Units:
             self.counts_per_mm = reported or config.counts_per_mm
             if reported is None:
                 self.missing = (
-                    f"{config.port} ({device.name}) does not report its units for each mm:"
+                    f"{config.port} ({device.name}) does not report its resolution:"
                     " set counts_per_mm (palmd calibrate pads measures it)"
                 )
         if "newtons_per_count" not in given:
@@ -50,29 +50,29 @@ class Units:
 
 
 def unit_remarks(config: EvdevConfig, device: TouchDevice) -> Iterator[PadRemark]:
-    """The units that are used, or what is wrong with them."""
+    """Yield the units in use, or what is wrong with them."""
     units = Units(config, device)
     if units.missing is not None:
         yield PadRemark("units", "missing", units.missing)
         return
     wrong = list(contradictions(config, device))
-    for key, says in wrong:
-        yield PadRemark("units", "off", says, key, f"leave {key} out, or measure it: palmd calibrate")
+    for key, text in wrong:
+        yield PadRemark("units", "mismatch", text, key, f"remove {key}, or measure it with palmd calibrate")
     if not wrong:
         force = units.newtons_per_count if config.pressure else None
-        says = "no force" if force is None else f"{force:.4g} N/count"
-        yield PadRemark("units", "ok", f"{units.counts_per_mm:g} counts/mm, {says}")
+        text = "no force" if force is None else f"{force:.4g} N/count"
+        yield PadRemark("units", "ok", f"{units.counts_per_mm:g} counts/mm, {text}")
 
 
 def with_reported_units(config: EvdevConfig, device: TouchDevice) -> EvdevConfig:
-    """The configuration with the units that it leaves to the device, as far as the device reports them.
+    """Return the configuration with omitted units filled in from the device, if it reports them.
 
-    A reported scale is known no better than to a part of a whole unit each mm, unless `scale_sd` says how well.
+    The standard deviation of a reported scale includes its truncation error, unless `scale_sd` is configured.
     """
     units = Units(config, device)
     found: dict[str, float] = {} if units.missing else {"counts_per_mm": units.counts_per_mm}
     if found and not {"counts_per_mm", "scale_sd"} & config.model_fields_set:
-        found["scale_sd"] = min(math.hypot(config.scale_sd, CUT_SD / units.counts_per_mm), LARGEST_SCALE_SD)
+        found["scale_sd"] = min(math.hypot(config.scale_sd, TRUNCATION_SD / units.counts_per_mm), LARGEST_SCALE_SD)
     if units.newtons_per_count is not None:
         found["newtons_per_count"] = units.newtons_per_count
     update = {key: value for key, value in found.items() if value != getattr(config, key)}
@@ -80,10 +80,9 @@ def with_reported_units(config: EvdevConfig, device: TouchDevice) -> EvdevConfig
 
 
 def contradictions(config: EvdevConfig, device: TouchDevice) -> Iterator[tuple[str, str]]:
-    """Each unit that is configured otherwise than the device reports it: its key, and both values in words.
+    """Yield each unit whose configured value contradicts the reported one: its key, and both values as text.
 
-    A configured scale is measured, a reported one rounded to whole units: they agree within that rounding and three of
-    the configured standard deviation.
+    They agree if they differ by at most the rounding of the reported value plus three configured standard deviations.
     """
     given, reported = config.model_fields_set, device.counts_per_mm(config.axis)
     if reported is not None and "counts_per_mm" in given:

@@ -1,14 +1,14 @@
-"""The VersaPad's serial protocol, both directions, and what a pad's packets mean.
+"""Codec of the VersaPad's serial protocol, both directions, and conversion of its packets to samples.
 
-Six bytes, sent as long as the pad is touched:
+A packet has six bytes and is sent while the pad is touched:
 
     0      1 1 L R T A 0 0     left, right, tap, in use
     1, 2   x, low and high six bits of a 12-bit two's complement number
     3, 4   y, likewise
     5      pressure, 0 to 127
 
-Only a first byte has its top two bits set, so every header byte starts a packet, and one lost byte costs one
-packet at most. Everything here is pure and safe inside the 100 Hz loop.
+Only a first byte has its top two bits set, so every header byte starts a packet, and one lost byte costs at most
+one packet. Everything here is pure and safe inside the 100 Hz loop.
 """
 
 from __future__ import annotations
@@ -17,38 +17,38 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from palmd.devices.arrival import FirstByteClock, byte_time
-from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, place_mm
+from palmd.devices.pad import MARGIN_MM, PadReport, TouchTracker, counts_to_mm
 from palmd.events import PadLift, PadSample
 
 PACKET_BYTES = 6
 HEADER_MASK, HEADER = 0xC3, 0xC0
 LEFT, RIGHT, TAP, IN_USE = 0x20, 0x10, 0x08, 0x04
 BYTE_LIMITS = (0x100, 0x40, 0x40, 0x40, 0x40, 0x80)
-"""Each byte of a packet is below its limit; the first must be a header as well."""
+"""Exclusive upper limit of each byte of a packet; the first must also be a header."""
 
 COUNT_MIN, COUNT_MAX = -2048, 2047
 PRESSURE_MAX = 127
 
-FOREIGN = 7
-"""Where the running sum of how strange each byte is, never below zero and zero with every packet, tells that another
-device speaks (Page's CUSUM test). Of noise that takes two packets' worth, seldom more than three; a pad with a fifth of
-its bytes damaged comes to it once in minutes.
+FOREIGN_LIMIT = 7
+"""Limit of Page's CUSUM test for bytes of another device: a running sum of `_FOREIGN_SCORE`, not below zero and reset
+by every packet. Noise reaches it within two packets, seldom more than three; a pad with a fifth of its bytes
+damaged reaches it once in minutes.
 """
 
 STALE_S = 0.032
-"""A packet still incomplete this long (and four byte times) after its last byte is taken for truncated.
+"""Time (s, plus four byte times) after its last byte at which an incomplete packet is considered truncated.
 
-Four byte times alone would do on a plain RS232 port, but a USB adapter delivers every 16 ms and cuts packets
-anywhere. Headers resynchronise by themselves, so the limit only has to keep the head of one packet from being
-completed by the tail of a much later one; two adapter periods do that and lose no good packet.
+Four byte times would suffice on a plain RS232 port, but a USB adapter delivers every 16 ms and splits packets
+anywhere. Headers resynchronise the decoder, so the limit only has to prevent that the head of one packet is completed
+by the tail of a much later one; two adapter periods do that and lose no valid packet.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class PressureFormat:
-    """Where a packet carries pressure: `(raw[byte] & mask) >> shift`, subtracted from full scale if `invert`.
+    """Location of the pressure in a packet: `(raw[byte] & mask) >> shift`, subtracted from full scale if `invert`.
 
-    Raises ValueError if no legal packet could carry such a field.
+    Raises ValueError if no valid packet can carry such a field.
     """
 
     byte: int = 5
@@ -67,7 +67,7 @@ class PressureFormat:
 
     @property
     def full_scale(self) -> int:
-        """The largest pressure this format can carry."""
+        """Largest pressure of this format."""
         return self.mask >> self.shift
 
     def decode(self, raw: bytes) -> int:
@@ -85,7 +85,7 @@ class PressureFormat:
 
 @dataclass(frozen=True, slots=True)
 class PadPacket(PadReport):
-    """One packet as sent by the pad, the state of its buttons included."""
+    """One packet as sent by the pad, including its buttons."""
 
     left: bool
     right: bool
@@ -94,12 +94,12 @@ class PadPacket(PadReport):
 
 @dataclass(slots=True)
 class PadCounters:
-    """What a pad's line has brought. `bytes == 6 * packets + bytes_discarded + bytes pending` at all times.
+    """Counters of a pad's line. `bytes == 6 * packets + bytes_discarded + bytes pending` at all times.
 
-    `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; of a packet
-    spoilt by an illegal byte, that byte included; of a packet cut short by the next header, a gap or a reset.
-    `batches` counts reads with several packets, `out_of_range` packets that cannot be a place on the pad, `gaps`
-    packets that were cut short because the rest of them did not come in time.
+    `bad_header`, `bad_data` and `truncated` count discarded bytes by cause: outside a packet; in a packet
+    with an illegal byte, that byte included; in a packet truncated by the next header, a gap or a reset.
+    `batches` counts reads with several packets, `out_of_range` packets whose position is not on the pad, `gaps`
+    packets truncated because their rest did not arrive in time.
     """
 
     bytes: int = 0
@@ -113,28 +113,28 @@ class PadCounters:
 
     @property
     def bytes_discarded(self) -> int:
-        """All bytes that became part of no packet."""
+        """All bytes that are not part of a packet."""
         return self.bad_header + self.bad_data + self.truncated
 
     def as_dict(self) -> dict[str, int]:
-        """Return every count by name, `bytes_discarded` included."""
+        """Return all counters by name, `bytes_discarded` included."""
         return {**asdict(self), "bytes_discarded": self.bytes_discarded}
 
 
 def is_header(byte: int) -> bool:
-    """Tell whether `byte` can only be the first of a packet."""
+    """Whether `byte` can only be the first of a packet."""
     return byte & HEADER_MASK == HEADER
 
 
-_STRANGE = tuple(-1 if is_header(byte) or byte < 0x40 else 1 if byte < 0x80 else 2 for byte in range(0x100))
-"""How little a byte belongs to a pad: most are below 0x40 or headers, one in a packet may be up to 0x7F, none above."""
+_FOREIGN_SCORE = tuple(-1 if is_header(byte) or byte < 0x40 else 1 if byte < 0x80 else 2 for byte in range(0x100))
+"""CUSUM score of a byte: a pad's bytes are headers or below 0x40, one per packet may be up to 0x7F, none above."""
 
 
 class VersaPadDecoder:
-    """Turns a pad's bytes into packets; garbage is counted and nothing else."""
+    """Decodes a pad's bytes into packets; garbage is only counted."""
 
     def __init__(self, baud: int, pressure: PressureFormat | None = None) -> None:
-        """`baud` in bit/s dates the bytes. Raises ValueError if it is not positive."""
+        """Raises ValueError if `baud` (bit/s, used for timestamps) is not positive."""
         self.counters = PadCounters()
         self._pressure = pressure or PressureFormat()
         self._byte_s = byte_time(baud)
@@ -142,20 +142,20 @@ class VersaPadDecoder:
         self._clock = FirstByteClock(baud)
         self._partial = bytearray()
         self._t_last = 0.0
-        self._strange = 0
+        self._foreign_score = 0
 
     @property
     def foreign(self) -> bool:
-        """Whether what has come since the last packet is none of a pad's, not even a damaged one's."""
-        return self._strange >= FOREIGN
+        """Whether the bytes since the last packet cannot be a pad's, not even a damaged one's."""
+        return self._foreign_score >= FOREIGN_LIMIT
 
     @property
     def pending(self) -> int:
-        """How many bytes of an incomplete packet are in hand (0 to 5)."""
+        """Number of buffered bytes of an incomplete packet (0 to 5)."""
         return len(self._partial)
 
     def feed(self, data: bytes, t_recv: float) -> list[PadPacket]:
-        """Take the bytes read at `t_recv` (s, monotonic) and return the packets they complete."""
+        """Process the bytes read at `t_recv` (s, monotonic) and return the packets that they complete."""
         if not data:
             return []
         counters, partial, size = self.counters, self._partial, len(data)
@@ -169,9 +169,9 @@ class VersaPadDecoder:
         self._t_last = t_recv
 
         found: list[tuple[float, bytes]] = []
-        strange = self._strange
+        score = self._foreign_score
         for position, byte in enumerate(data):
-            strange = max(0, strange + _STRANGE[byte])
+            score = max(0, score + _FOREIGN_SCORE[byte])
             if is_header(byte):
                 self._truncate()
                 partial.append(byte)
@@ -186,18 +186,18 @@ class VersaPadDecoder:
                 if len(partial) == PACKET_BYTES:
                     found.append((self._clock.end(), bytes(partial)))
                     partial.clear()
-                    strange = 0
+                    score = 0
 
-        self._strange = strange
+        self._foreign_score = score
         batched = len(found) > 1
         counters.packets += len(found)
         counters.batches += batched
         return [self._packet(raw, t_first, t_recv, batched) for t_first, raw in found]
 
     def reset(self) -> None:
-        """Discard the packet in hand, for the line has been interrupted."""
+        """Discard the incomplete packet after an interruption of the line."""
         self._truncate()
-        self._strange = 0
+        self._foreign_score = 0
 
     def _truncate(self) -> None:
         self.counters.truncated += len(self._partial)
@@ -235,7 +235,7 @@ def encode_packet(
     tap: bool = False,
     pressure_format: PressureFormat | None = None,
 ) -> bytes:
-    """Return the six bytes a pad sends for this reading, counts in -2048 to 2047.
+    """Return the six bytes of a packet; counts in -2048 to 2047.
 
     Raises ValueError if a number does not fit its field.
     """
@@ -252,11 +252,11 @@ def encode_packet(
 
 @dataclass(frozen=True, slots=True)
 class PadCalibration:
-    """How a pad's counts become a distance from the hinge: s = zero + sign · counts / counts_per_mm + the curve there.
+    """Conversion of counts to a distance from the hinge: s = zero + sign · counts / counts_per_mm + correction curve.
 
-    `length_mm` is the pad's active length; a reading below zero, or beyond it by more than `MARGIN_MM`,
-    cannot be a contact. `pressure_max` is the pressure format's full scale. across: of a square pad that is read both
-    ways, the other coordinate where it counts 0, in its middle (mm), and 1 or -1 as it grows with the counts.
+    `length_mm` is the pad's active length; a reading below zero or more than `MARGIN_MM` beyond it is no contact.
+    `pressure_max` is the pressure format's full scale. across: for a square pad that reads both coordinates, the other
+    coordinate where it counts 0 (mm, its middle), and 1 or -1, whether it increases with the counts.
     """
 
     pad: int
@@ -271,45 +271,45 @@ class PadCalibration:
     across: tuple[float, int] | None = None
 
     def sample(self, packet: PadPacket) -> PadSample | None:
-        """Return the contact that `packet` reports (s in m, force in N), or None if it is off the pad.
+        """Return the contact that `packet` reports (s in m, force in N), or None if it is not on the pad.
 
-        At full scale the pressure is only a lower bound, so the sample carries no force.
+        At full scale the pressure is only a lower bound, so the sample has no force.
         """
-        counts, beside = (packet.x_counts, packet.y_counts)[:: 1 if self.axis == "x" else -1]
-        s_mm = place_mm(self, counts)
+        counts, across_counts = (packet.x_counts, packet.y_counts)[:: 1 if self.axis == "x" else -1]
+        s_mm = counts_to_mm(self, counts)
         if not 0.0 < s_mm <= self.length_mm + MARGIN_MM:
             return None
-        told = packet.pressure * self.newtons_per_count
-        force, at_least = (told, None) if packet.pressure < self.pressure_max else (None, told)
+        newtons = packet.pressure * self.newtons_per_count
+        force, at_least = (newtons, None) if packet.pressure < self.pressure_max else (None, newtons)
         if self.across is None:
             return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, at_least=at_least)
-        (middle_mm, sign), off_mm = self.across, beside / self.counts_per_mm
-        if abs(off_mm) > 0.5 * self.length_mm + MARGIN_MM:
+        (middle_mm, sign), offset_mm = self.across, across_counts / self.counts_per_mm
+        if abs(offset_mm) > 0.5 * self.length_mm + MARGIN_MM:
             return None
-        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * off_mm) * 1e-3, at_least)
+        return PadSample(packet.t_first, self.pad, s_mm * 1e-3, force, (middle_mm + sign * offset_mm) * 1e-3, at_least)
 
 
 class PadReceiver:
-    """One pad from bytes to events: decoder, calibration and lift-off in a row."""
+    """Processing of one pad from bytes to events: decoder, calibration and lift-off detection."""
 
     def __init__(self, calibration: PadCalibration, baud: int, pressure: PressureFormat | None = None) -> None:
-        """`baud` in bit/s. Raises ValueError if it is not positive."""
+        """Raises ValueError if `baud` (bit/s) is not positive."""
         self.decoder = VersaPadDecoder(baud, pressure)
-        packet_s = PACKET_BYTES * byte_time(baud)  # the pad sends without a break when it measures fastest
+        packet_s = PACKET_BYTES * byte_time(baud)  # at its highest rate the pad sends packets without pauses
         self.touch = TouchTracker(calibration.pad, packet_s, packet_s)
         self.latest: PadPacket | None = None
         self._calibration = calibration
 
     @property
     def counters(self) -> PadCounters:
-        """What the line has brought so far."""
+        """Counters of the line."""
         return self.decoder.counters
 
     def feed(self, data: bytes, t_recv: float) -> list[PadSample | PadLift]:
-        """Take the bytes read at `t_recv` (s) and return the contacts and lift-offs they report."""
+        """Process the bytes read at `t_recv` (s) and return the contacts and lift-offs that they report."""
         events: list[PadSample | PadLift] = []
         if data:
-            self.touch.heard(t_recv)
+            self.touch.bytes_received(t_recv)
         for packet in self.decoder.feed(data, t_recv):
             self.latest = packet
             event = self.touch.report(packet) or self._sample(packet)
@@ -318,7 +318,7 @@ class PadReceiver:
         return events
 
     def poll(self, t: float) -> PadLift | None:
-        """Return the lift-off that silence, or another device's voice, tells of at time `t` (s), if any."""
+        """Return the lift-off at `t` (s) if the pad has been silent for too long or another device sends."""
         return self.touch.poll(t, gone=self.decoder.foreign)
 
     def _sample(self, packet: PadPacket) -> PadSample | None:

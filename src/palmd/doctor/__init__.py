@@ -1,1 +1,1 @@
-"""What is missing or wrong, found with the command that mends it."""
+"""Diagnosis of machine and rig: what is missing or wrong, each with the command that fixes it."""

@@ -1,4 +1,4 @@
-"""The arm link's conformance on a real port: each check with what was seen, or with what was sent and expected."""
+"""Runs the arm link's conformance checks on a real port and prints the results."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import sys
 
 from palmd.console.errors import BAD_INPUT, RIG_FAILED, CliError
 from palmd.daemon import realtime
-from palmd.devices.armconformance import CHECKS, REACH_M, REPORT, CheckResult, examine
+from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, REPORT, CheckResult, examine
 from palmd.devices.armconformance_port import ArmLine, ArmLineError
 from palmd.devices.armconformance_talk import Talk
 
 _WORDS = {"passed": "pass", "failed": "FAIL", "not run": "----"}
 _QUESTION = (
-    f"The next checks make the arm track; one that keeps the contract moves less than {REACH_M * 1e3:g} mm. One that\n"
-    "does not may leap by one cycle of its greatest speed. Is the arm free, nobody within reach, and a hand on the\n"
-    "emergency stop? Then type yes: "
+    f"The next checks make the arm track. It moves less than {MAX_EXCURSION_M * 1e3:g} mm if its controller is right,\n"
+    "otherwise up to one cycle at its maximum speed. If the arm is free, nobody is within reach, and a hand is on the\n"
+    "emergency stop, type yes: "
 )
 
 
 def examine_arm(path: str, baud: int, sure: bool) -> int:
-    """Makes every check that is allowed, prints each; returns the exit status, CliError when nobody answers.
+    """Run all permitted checks and print the results; return the exit status. CliError if the port fails.
 
-    sure: what makes the arm track needs no question.
+    sure: run the checks that make the arm track without asking.
     """
-    realtime.prepare()  # as punctual as this user may be: what is missing only makes a check less sure
+    realtime.prepare()  # where it is not permitted, checks may have to be repeated
     try:
         with ArmLine(path, baud) as line:
             return _summary(path, _examined(path, line, Talk(baud), sure))
@@ -40,16 +40,16 @@ def _examined(path: str, line: ArmLine, talk: Talk, sure: bool) -> list[CheckRes
                 if not sure:
                     break
             results.append(line.play(examine(check, talk)))
-            print(told(results[-1]), flush=True)
+            print(as_text(results[-1]), flush=True)
             if check is REPORT and results[-1].outcome != "passed":
-                raise CliError(RIG_FAILED, f"{path}: no use going on: {results[-1].seen}")
+                raise CliError(RIG_FAILED, f"{path}: the other checks cannot run: {results[-1].seen}")
     finally:
         line.stop(talk)
     return results
 
 
-def told(result: CheckResult) -> str:
-    """A result in words: one line, more if it failed."""
+def as_text(result: CheckResult) -> str:
+    """A result as text: two lines, more if it failed."""
     text = f"{result.number:2} {_WORDS[result.outcome]}  {result.clause}"
     if result.outcome == "failed":
         rows = {"sent": result.sent, "expected": result.expected, "seen": result.seen}
@@ -64,12 +64,12 @@ def _summary(path: str, results: list[CheckResult]) -> int:
     not_run = counts["not run"] + left
     print(f"{path}: {text}" + (f", {not_run} not run" if not_run else ""))
     if left:
-        print("what makes the arm track was left out: give --yes, or answer yes", file=sys.stderr)
+        print("checks that make the arm track were skipped: give --yes, or answer yes", file=sys.stderr)
     return RIG_FAILED if counts["failed"] else BAD_INPUT if left else 0
 
 
 def confirmed(question: str) -> bool:
-    """Whether the person at the terminal types yes; nobody there is no."""
+    """Whether the user at the terminal types yes; False without a terminal."""
     if not sys.stdin.isatty():
         return False
     try:

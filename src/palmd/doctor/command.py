@@ -1,6 +1,6 @@
-"""What is missing, in order, with the command that mends it; or one part of the rig put to the test.
+"""Checks machine, configuration and rig, and prints what is missing with the command that fixes it; or tests one part.
 
-Without an option it changes nothing and moves nothing. Exit status 0 only if all is well.
+Without an option it changes nothing and moves nothing. Exit status 0 only if everything is in order.
 """
 
 from __future__ import annotations
@@ -10,30 +10,35 @@ from pathlib import Path
 
 from palmd.config.arms import AdeptConfig, ServosConfig
 from palmd.config.fields import BAUDS, SERVO_BAUDS
-from palmd.console.configured import INSTALLED, configured, usual
+from palmd.console.configured import INSTALLED, configured, default_path
 from palmd.console.errors import BAD_INPUT, CliError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+    """Add the command's arguments."""
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG",
-                        help=f"the rig's configuration (default: {INSTALLED}, else as shipped)")  # fmt: skip
+                        help=f"the rig's configuration (default: {INSTALLED}, else the shipped one)")  # fmt: skip
     test = parser.add_mutually_exclusive_group()
     test.add_argument("--arm-conformance", action="store_true",
-                      help="check by check, whether the arm's controller keeps the contract of the link")  # fmt: skip
+                      help="check whether the arm's controller conforms to the arm link's protocol")  # fmt: skip
     test.add_argument("--actuator-conformance", action="store_true",
-                      help="the same of whatever turns the palms, an arm or servos")  # fmt: skip
-    test.add_argument("--touch", action="store_true", help="which pad is which, and which way round: by touching them")
-    parser.add_argument("--port", metavar="PATH", help="of the arm, instead of the configured one")
-    parser.add_argument(
-        "--baud", type=int, choices=sorted({*BAUDS, *SERVO_BAUDS}), help="of the arm, instead of the configured one"
+                      help="the same for the configured actuator, an arm or servos")  # fmt: skip
+    test.add_argument(
+        "--touch", action="store_true", help="find which pad is which and its orientation, by touching them"
     )
-    parser.add_argument("--yes", action="store_true", help="the arm may move: do not ask")
+    parser.add_argument("--port", metavar="PATH", help="the arm's port, instead of the configured one")
+    parser.add_argument(
+        "--baud",
+        type=int,
+        choices=sorted({*BAUDS, *SERVO_BAUDS}),
+        help="the arm's baud rate, instead of the configured one",
+    )
+    parser.add_argument("--yes", action="store_true", help="allow the arm to move without asking")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Returns the exit status; CliError for a configuration that cannot be used, and for a rig that does not answer."""
-    path = usual(arguments.config)
+    """Return the exit status. CliError for an invalid configuration, and if the rig does not answer."""
+    path = default_path(arguments.config)
     if arguments.actuator_conformance and (arguments.config or not arguments.port):
         arm = configured(path).arm
         if isinstance(arm, ServosConfig):
@@ -59,10 +64,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _arm(arguments: argparse.Namespace, path: Path) -> tuple[str, int]:
-    """The arm's port and baud: what was given, and the configuration's for the rest."""
+    """Return the arm's port and baud: from the arguments, else from the configuration."""
     if arguments.port and not arguments.config:
         return arguments.port, arguments.baud or AdeptConfig(port=arguments.port).baud
     arm = configured(path).arm
     if isinstance(arm, ServosConfig):
-        raise CliError(BAD_INPUT, f"{path}: arm.kind {arm.kind} is on no arm link: palmd doctor --actuator-conformance")
+        raise CliError(
+            BAD_INPUT, f"{path}: arm.kind {arm.kind} does not use the arm link: use palmd doctor --actuator-conformance"
+        )
     return arguments.port or arm.port, arguments.baud or arm.baud

@@ -1,4 +1,4 @@
-"""From measured latency to what should be changed: questions in their order, each with what was measured. Pure."""
+"""Decision tree from measured latencies to recommended changes. Pure."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from palmd.doctor.lateness import Case, percentiles
 
 WAKEUP_LIMIT_MS = 1.0
-"""Of the 99th percentile of wake-ups on an idle machine: a set-point must leave within 1 ms of its time."""
+"""Limit of the 99th percentile of wake-up latency when idle: a set-point must be sent within 1 ms of its time."""
 
 TICK_LIMIT_MS = 2.0
-"""Of the 99th percentile of the ticks' lateness: a fifth of the usual period."""
+"""Limit of the 99th percentile of tick lateness: a fifth of the default period."""
 
 IDLE = "idle"
 _PRIORITY = "give palmd real-time priority and locked memory (palmd doctor says how), then palmd doctor build"
 _BUSY: Mapping[str, str] = {
-    "every core busy": "a core for the loop alone: isolcpus=N on the kernel's command line, CPUAffinity=N in the unit",
+    "every core busy": "reserve a core for the loop: isolcpus=N on the kernel command line, CPUAffinity=N in the unit",
     "disk busy": "record to another disk (record.directory), or to a faster one",
     "network busy": "move the network card's interrupts to another core (/proc/irq/*/smp_affinity)",
     "recorder and page": "view the page from another machine, and record with palmd record there",
@@ -25,7 +25,7 @@ _BUSY: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """A question, the answer with its number, and what to change; empty where nothing needs to be."""
+    """A question, its answer with the measured number, and what to change; empty if nothing needs to be changed."""
 
     question: str
     answer: str
@@ -33,7 +33,7 @@ class Branch:
 
 
 def branches(cases: Sequence[Case]) -> Iterator[Branch]:
-    """The tree down to the first change that is needed while idle, then one branch for each kind of load."""
+    """Yield the branches down to the first change needed when idle, then one branch for each kind of load."""
     by_name = {case.name: case for case in cases}
     idle = by_name.get(IDLE)
     if idle is not None:
@@ -53,7 +53,7 @@ def branches(cases: Sequence[Case]) -> Iterator[Branch]:
 
 
 def wakeup_branch(p99_ms: float) -> Branch:
-    """How late the idle machine wakes a program; the 99th percentile in ms."""
+    """Branch for the wake-up latency of the idle machine; `p99_ms` is its 99th percentile."""
     late = p99_ms > WAKEUP_LIMIT_MS
     return Branch(
         "Does this machine wake programs in time?", _answer(late, p99_ms, WAKEUP_LIMIT_MS),
@@ -63,15 +63,15 @@ def wakeup_branch(p99_ms: float) -> Branch:
 
 
 def lines(found: Sequence[Branch]) -> list[str]:
-    """The tree for people: a question a line, what to change below it."""
-    said = []
+    """The tree as text lines: each question, and below it what to change."""
+    texts = []
     for each in found:
-        said.append(f"{each.question} {each.answer}")
+        texts.append(f"{each.question} {each.answer}")
         if each.change:
-            said.append(f"  -> {each.change}")
+            texts.append(f"  -> {each.change}")
     if not any(each.change for each in found):
-        said.append("  -> nothing to change")
-    return said
+        texts.append("  -> nothing to change")
+    return texts
 
 
 def _tick_branch(case: Case, change: str) -> Branch:

@@ -1,25 +1,25 @@
-"""One thing that was looked into: how it stands, and what mends it."""
+"""Result of one check of machine or rig."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["ok", "open", "missing", "off", "cannot tell"]
+Verdict = Literal["ok", "open", "missing", "mismatch", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that palmd needs: how it stands, and the command that mends it, if there is one.
+    """Result of one check, and the command that fixes it, if there is one.
 
-    `off`: readings tell that it is not as configured. `open`: it works, and lets in more than a rig should.
+    `mismatch`: readings contradict the configuration. `open`: it works, but gives access to too many users.
     """
 
     what: str
     verdict: Verdict
-    says: str
-    mend: str = ""
+    text: str
+    fix: str = ""
 
     def line(self) -> str:
-        """It in one line."""
-        return f"{self.verdict:12} {self.what:18} {self.says}" + (f": {self.mend}" if self.mend else "")
+        """The finding as one line of text."""
+        return f"{self.verdict:12} {self.what:18} {self.text}" + (f": {self.fix}" if self.fix else "")

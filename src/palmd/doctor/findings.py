@@ -1,4 +1,4 @@
-"""What palmd needs of this machine and this rig, one finding a line, in the order in which to mend it."""
+"""All checks of machine and rig, one finding a line, in the order in which to fix them."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ from palmd.yamlfile import ConfigError, load_config, read_document
 
 METER_S, METER_PERIOD_S = 1.0, 0.01
 RIG_WITHIN_S = 1.5
-"""How long a daemon may take to say what it knows of the rig: it does each second."""
+"""Time (s) within which a daemon publishes `palm/rig`, which it does each second."""
 
 
 def examine_all(path: Path) -> int:
-    """Prints every finding as it is made; 0 if all are ok, or merely open, else 1."""
+    """Print each finding as it is made; return 0 if all are ok or open, else 1."""
     verdicts = []
     for finding in findings(path):
         print(finding.line(), flush=True)
         verdicts.append(finding.verdict)
     counts = ", ".join(
-        f"{verdicts.count(each)} {each}" for each in ("ok", "open", "missing", "off", "cannot tell") if each in verdicts
+        f"{verdicts.count(each)} {each}"
+        for each in ("ok", "open", "missing", "mismatch", "unknown")
+        if each in verdicts
     )
     print(counts)
     print("\n".join(["", *latency_tree()]))
@@ -41,7 +43,7 @@ def examine_all(path: Path) -> int:
 
 
 def latency_tree() -> list[str]:
-    """What a second of wake-ups on this machine, as it is busy now, should change; in lines for people."""
+    """Measure wake-ups for a second under the current load; return the recommended changes as text lines."""
     with tempfile.TemporaryDirectory(prefix="palmd-doctor-") as name:
         try:
             meter = Meter(METER_S, METER_PERIOD_S, Path(name))
@@ -56,12 +58,12 @@ def latency_tree() -> list[str]:
     found = [decision_tree.wakeup_branch(percentiles(wakeups.lateness_ms)[1])]
     return [
         *decision_tree.lines(found),
-        f"  measured for {METER_S:g} s by {wakeups.by}; palmd doctor latency asks the rest",
+        f"  measured for {METER_S:g} s by {wakeups.by}; run palmd doctor latency for the rest",
     ]
 
 
 def findings(path: Path) -> Iterator[Finding]:
-    """Everything, in order; what rests on a bad configuration is left out."""
+    """Yield all findings in order; checks that need a valid configuration are skipped without one."""
     yield machine.python(sys.version_info[:3])
     yield machine.packages()
     yield machine.compiler()
@@ -73,7 +75,7 @@ def findings(path: Path) -> Iterator[Finding]:
         yield Finding("configuration", "missing", str(error).splitlines()[0], f"palmd check {path}")
         return
     if odd:
-        yield Finding("configuration", "off", odd[0], f"palmd check {path}")
+        yield Finding("configuration", "mismatch", odd[0], f"palmd check {path}")
     else:
         yield Finding("configuration", "ok", str(path))
     yield plan(config, path)
@@ -92,7 +94,7 @@ def findings(path: Path) -> Iterator[Finding]:
 
 
 def plan(config: Config, path: Path) -> Finding:
-    """The motion plan that the configuration names."""
+    """Check the motion plan named in the configuration."""
     from palmd.motion.check import load_trajectory, motion_limits
 
     if config.plan is None:
@@ -105,7 +107,7 @@ def plan(config: Config, path: Path) -> Finding:
 
 
 def daemon(config: Config) -> dict[str, Any] | None:
-    """What a running daemon says of itself, None if none answers."""
+    """Return the status of a running daemon, None if none answers."""
     from palmd.bus.command_client import CommandClient
 
     with CommandClient(config.bus.command, timeout_s=0.5) as client, contextlib.suppress(CliError):
@@ -116,38 +118,38 @@ def daemon(config: Config) -> dict[str, Any] | None:
 
 
 def rig(config: Config) -> Iterator[Finding]:
-    """What a running daemon's smoother has found the rig to be off by."""
+    """Yield the rig constants that the smoother of a running daemon contradicts."""
     from palmd.bus.subscriber import Subscriber
     from palmd.quantities import RIG
 
     with Subscriber(from_here(config.bus.publish), topics=(RIG.name,)) as subscriber:
         message = next(subscriber.until(time.monotonic() + RIG_WITHIN_S), None)
     if message is None:
-        yield Finding("rig's constants", "cannot tell", f"nothing is heard of them from {config.bus.publish}")
+        yield Finding("rig's constants", "unknown", f"no message palm/rig from {config.bus.publish}")
         return
-    said = message.fields["off"]
-    if not said:
-        yield Finding("rig's constants", "ok", "no reading says that one is off")
-    for each in said:
-        yield Finding("rig's constants", "off", *each.split(": ", 1))
+    texts = message.fields["off"]
+    if not texts:
+        yield Finding("rig's constants", "ok", "no reading contradicts them")
+    for each in texts:
+        yield Finding("rig's constants", "mismatch", *each.split(": ", 1))
 
 
 def exposure(config: Config) -> Finding:
-    """Who may listen to the daemon and command it."""
+    """Check who may listen to the daemon and command it."""
     bus = config.bus
     if bus.keys is not None:
-        return Finding("bus access", "ok", f"whoever holds a key that {bus.keys} lists")
+        return Finding("bus access", "ok", f"holders of the keys listed in {bus.keys}")
     if all(address.startswith("ipc://") for address in (bus.publish, bus.command)):
-        who = f"the members of the group {bus.group}" if bus.group else "the daemon's user alone"
+        who = f"the members of the group {bus.group}" if bus.group else "the daemon's user only"
         return Finding("bus access", "ok", f"local sockets, for {who}")
     open_ = next(address for address in (bus.command, bus.publish) if address.startswith("tcp://"))
-    mend = 'bus: {publish: "ipc:///run/palmd/publish", command: "ipc:///run/palmd/command", group: palmd}'
-    says = f"{open_} without keys: every user of this machine can command the arm; good for a demo. For a rig"
-    return Finding("bus access", "open", says, mend)
+    fix = 'bus: {publish: "ipc:///run/palmd/publish", command: "ipc:///run/palmd/command", group: palmd}'
+    text = f"{open_} without keys: every user of this machine can command the arm; fine for a demo. For a rig"
+    return Finding("bus access", "open", text, fix)
 
 
 def bus(config: Config, status: dict[str, Any] | None) -> Finding:
-    """Both addresses are free, or a daemon has them."""
+    """Check that both addresses are free or used by a daemon."""
     if status is not None:
         return Finding("bus", "ok", f"a daemon answers at {config.bus.command}, state {status.get('state', 'unknown')}")
     import zmq
@@ -159,5 +161,5 @@ def bus(config: Config, status: dict[str, Any] | None) -> Finding:
             except zmq.ZMQError as error:
                 port = address.rpartition(":")[2]
                 look = f"sudo ss -ltnp 'sport = :{port}'" if address.startswith("tcp") else f"sudo fuser -v {port}"
-                return Finding("bus", "missing", f"{address} cannot be had ({error.strerror})", look)
+                return Finding("bus", "missing", f"{address} cannot be bound ({error.strerror})", look)
     return Finding("bus", "ok", f"{config.bus.publish} and {config.bus.command} are free")

@@ -1,7 +1,7 @@
-"""How late the control loop's ticks begin on this machine: idle, and while it has other things to do.
+"""Measures the lateness of the control loop's ticks on this machine, idle and under several kinds of load.
 
-A daemon moves an emulated rig; beside it, in the same seconds, a bare timer tells what this machine can do at best:
-cyclictest where it is installed (Debian: rt-tests), else one in Python. Times are in milliseconds.
+A daemon moves an emulated rig; at the same time a bare timer measures the lower bound of this machine: cyclictest if
+it is installed (Debian: rt-tests), else a timer in Python. Times are in milliseconds.
 """
 
 from __future__ import annotations
@@ -30,18 +30,20 @@ from palmd.rig.imperfections import perfect
 from palmd.yamlfile import load_config
 
 SEED = 3
-SETTLING_S = 1.5  # a load takes hold, and palm/loop speaks once of it
+SETTLING_S = 1.5  # until the load is effective and palm/loop has been published once
 LOOK_S = 0.1
-DISK = Path("/var/tmp")  # unlike /tmp never in memory
+DISK = Path("/var/tmp")  # never in memory, as /tmp may be
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
-    parser.add_argument("--seconds", type=seconds, default=10.0, metavar="N", help="for each case (default: 10)")
+    """Add the command's arguments."""
+    parser.add_argument(
+        "--seconds", type=seconds, default=10.0, metavar="N", help="duration of each case in s (default: 10)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Ctrl-C ends it with what is measured until then; raises CliError when rig or daemon do not start."""
+    """Ctrl-C ends it with the cases measured so far. CliError if rig or daemon do not start."""
     cases: list[Case] = []
     by: set[str] = set()
     config = perfect(load_config(shipped("demo.yaml"))).model_copy(update={"plan": shipped("plans/lively.yaml")})
@@ -52,11 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
         bench = _Bench(Path(name), stack, 1.0 / config.loop.rate_hz)
         bench.listen_until(lambda: bench.operator.moves or stop.made, START_S)
         if "no-realtime" in bench.operator.state.get("faults", ()):
-            _tell("no real-time priority or locked memory: these are the figures of an ordinary process")
+            _print("no real-time priority or locked memory: the results are those of an ordinary process")
         for what, busy in CASES.items():
             if stop.made:
                 break
-            _tell(f"{what}, {arguments.seconds:g} s…")
+            _print(f"{what}, {arguments.seconds:g} s…")
             with busy(bench):
                 bench.listen_until(lambda: stop.made, SETTLING_S)
                 case, measured_by = _measured(what, bench, arguments.seconds, stop)
@@ -71,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 @dataclass(slots=True)
 class _Bench:
-    """A daemon on an emulated rig, kept moving while we listen."""
+    """A daemon on an emulated rig, kept moving while listening."""
 
     folder: Path
     stack: Stack
@@ -81,7 +83,7 @@ class _Bench:
     def listen_until(
         self, done: Callable[[], bool], patience_s: float, hear: Callable[[dict[str, Any]], None] | None = None
     ) -> None:
-        """Listen so long at most; `hear` is given each palm/loop. Raises CliError when the daemon has ended."""
+        """Listen for at most `patience_s`; `hear` receives each palm/loop. Raises CliError if the daemon has ended."""
         t_end = time.monotonic() + patience_s
         while not done() and (t := time.monotonic()) < t_end:
             for message in self.stack.subscriber.until(min(t + LOOK_S, t_end)):
@@ -151,7 +153,7 @@ CASES = {
     "network busy": _network,
     "recorder and page": _companions,
 }
-"""What the machine is busy with, and how it is made so."""
+"""Names of the loads and the context managers that create them."""
 
 
 @contextmanager
@@ -165,5 +167,5 @@ def _beside(work: Callable[..., None], *arguments: str) -> Iterator[None]:
         process.join()
 
 
-def _tell(text: str) -> None:
+def _print(text: str) -> None:
     print(text, file=sys.stderr, flush=True)

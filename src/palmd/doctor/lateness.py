@@ -1,4 +1,4 @@
-"""How late the daemon's ticks begin, beside how late the machine wakes anybody. Pure."""
+"""Statistics of tick lateness and wake-up latency. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PERMILLE = (500, 990, 999, 1000)
 
 
 class TickLateness:
-    """Gathers every tick's lateness (ms) from `palm/loop`, each tick once."""
+    """Collects the lateness (ms) of every tick from `palm/loop`, each tick once."""
 
     def __init__(self) -> None:
         self.values_ms: list[float] = []
@@ -22,7 +22,7 @@ class TickLateness:
         self._before: tuple[int, int] | None = None
 
     def take(self, fields: Mapping[str, Any]) -> None:
-        """One message; the first one only tells where to begin."""
+        """Process one message; the first one only initialises the counters."""
         ticks, overruns = int(fields["ticks"]), int(fields["overruns"])
         if self._before is not None:
             fresh = min(ticks - self._before[0], len(fields["lateness_ms"]))
@@ -34,7 +34,7 @@ class TickLateness:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What was measured while the machine was busy in one way; lateness in ms, `wakeups_ms` empty if not measured."""
+    """Measurements under one load; lateness in ms, `wakeups_ms` empty if not measured."""
 
     name: str
     ticks_ms: Sequence[float]
@@ -43,7 +43,7 @@ class Case:
 
 
 def percentiles(values: Sequence[float]) -> tuple[float, ...]:
-    """Median, 99th and 99.9th percentile (nearest rank), and maximum: one for each of `PARTS`; NaN without values."""
+    """Return median, 99th and 99.9th percentile (nearest rank), and maximum, as in `PARTS`; NaN without values."""
     ordered = sorted(values)
     if not ordered:
         return (math.nan,) * len(PARTS)
@@ -51,13 +51,13 @@ def percentiles(values: Sequence[float]) -> tuple[float, ...]:
 
 
 def table(cases: Sequence[Case], by: str) -> str:
-    """The cases side by side in ms, and the ratio of the 99th percentiles; `by` is what measured the wake-ups."""
+    """Return a table of the cases in ms with the ratio of the 99th percentiles; `by` names the wake-up meter."""
     head = ["ticks", "skipped", *_headed("late", PARTS), *_headed(by, PARTS), "ratio p99"]
     return aligned([("", head), *((case.name, _cells(case)) for case in cases)])
 
 
 def _headed(name: str, parts: Sequence[str]) -> list[str]:
-    """Column heads of which the first one says whose they are."""
+    """Column heads, the first one with the group's name."""
     return [f"{name}: {parts[0]}", *parts[1:]]
 
 

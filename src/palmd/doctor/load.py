@@ -1,7 +1,7 @@
-"""What else a machine may have to do: processes that keep its processors, its disk or its network busy.
+"""Load generators: processes that keep the processors, the disk or the network busy.
 
-Each function is a process of its own; it goes on until it is ended, or `starter`, the process number of whoever started
-it, is no longer its parent.
+Each function is the main function of a process; it runs until the process is ended, or until `starter`, the id of the
+process that started it, is no longer its parent.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ HEARD_S = 0.5
 
 
 def processor(starter: int) -> None:
-    """One core, all of it."""
+    """Use one core completely."""
     while os.getppid() == starter:
         for _ in range(LOOPS):
             pass
 
 
 def disk(starter: int, folder: str) -> None:
-    """Blocks written and brought to the disk, over and over in one file of 64 MB that has no name."""
+    """Write and sync blocks repeatedly in one unnamed file of 64 MB."""
     block = os.urandom(BLOCK_BYTES)
     with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
         while os.getppid() == starter:
@@ -44,7 +44,7 @@ def disk(starter: int, folder: str) -> None:
 
 
 def network(starter: int) -> None:
-    """Datagrams on the loopback interface, as fast as they go."""
+    """Send datagrams on the loopback interface at the highest rate."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end, socket.socket(type=socket.SOCK_DGRAM) as start:
         end.bind(("127.0.0.1", 0))
         start.connect(end.getsockname())
@@ -56,7 +56,7 @@ def network(starter: int) -> None:
 
 
 def browser(starter: int, page: str) -> None:
-    """A live page's socket, read as a browser reads it that only watches."""
+    """Read a live page's socket as a browser that only watches."""
     address = urlsplit(page).netloc
     with (
         contextlib.suppress(WebSocketException, OSError),
@@ -69,6 +69,6 @@ def browser(starter: int, page: str) -> None:
 
 
 def _swallow(end: socket.socket) -> None:
-    with contextlib.suppress(OSError):  # closed by who began it
+    with contextlib.suppress(OSError):  # closed by the sender
         while True:
             end.recv(DATAGRAM_BYTES)

@@ -1,4 +1,4 @@
-"""What palmd needs of this machine: Python, packages, compiler, rights, room, services."""
+"""Checks of this machine: Python, packages, compiler, permissions, disk space, services."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from palmd.console.folders import nearest, takes_files
+from palmd.console.folders import is_writable_folder, nearest
 from palmd.daemon.realtime import PRIORITY, limits_command, user
 from palmd.doctor.finding import Finding
 
@@ -25,13 +25,13 @@ UNIT_FOLDERS = tuple(map(Path, (
 UNITS = ("palmd.service", "palmd-record.service", "palmd-view.service")
 SYSTEMD_RUNS = Path("/run/systemd/system")
 FREE_MB = 2000
-"""Room for some hours of recording."""
+"""Enough for some hours of recording."""
 
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 
 def python(version: Sequence[int]) -> Finding:
-    """The interpreter."""
+    """Check the version of the interpreter."""
     text = ".".join(map(str, version))
     if tuple(version) >= (3, 11):
         return Finding("python", "ok", text)
@@ -39,18 +39,18 @@ def python(version: Sequence[int]) -> Finding:
 
 
 def packages(distribution: str = "palmd") -> Finding:
-    """What the package itself says it needs, its extras left out."""
+    """Check that the package's dependencies are installed, without extras."""
     try:
         needed = importlib.metadata.requires(distribution) or []
     except importlib.metadata.PackageNotFoundError:
-        return Finding("packages", "cannot tell", f"{distribution} runs from its sources", "pip install -e .")
+        return Finding("packages", "unknown", f"{distribution} runs from its sources", "pip install -e .")
     names = [re.split(r"[^A-Za-z0-9._-]", each)[0] for each in needed if "extra ==" not in each]
     missing = [name for name in names if not _installed(name)]
     if missing:
         return Finding(
             "packages", "missing", ", ".join(missing), f"{sys.executable} -m pip install {' '.join(missing)}"
         )
-    return Finding("packages", "ok", f"all {len(names)} are there")
+    return Finding("packages", "ok", f"all {len(names)} are installed")
 
 
 def _installed(name: str) -> bool:
@@ -62,7 +62,7 @@ def _installed(name: str) -> bool:
 
 
 def compiler() -> Finding:
-    """Without one the observers run only where the wheel carries compiled ones."""
+    """Check the C compiler; it is not needed if the wheel contains compiled observers."""
     from palmd.model.compiled import shipped_fits
     from palmd.model.compiler import CompilerError, check_compiler, command
 
@@ -72,38 +72,38 @@ def compiler() -> Finding:
             check_compiler(found, _where_compiled())
             return Finding("compiler", "ok", shlex.join(found))
     except (CompilerError, OSError) as error:
-        return Finding("compiler", "missing", str(error), "mend that, or name another compiler in CC")
+        return Finding("compiler", "missing", str(error), "fix it, or set CC to another compiler")
     if shipped_fits():
-        return Finding("compiler", "ok", "none, and none is needed: palmd was installed with compiled observers")
+        return Finding("compiler", "ok", "none, and none is needed: palmd is installed with compiled observers")
     return Finding("compiler", "missing", "no C compiler", "sudo apt-get install gcc libc6-dev")
 
 
 def _where_compiled() -> Path:
-    """The folder that compiled observers go to or will be made in; where that takes no files, that for scratch files.
+    """Return the folder of the compiled observers or its nearest parent; the temporary folder if that is not writable.
 
-    What keeps files from it is told by `observers`.
+    `observers` reports why it is not writable.
     """
     from palmd.model.compiled import cache_directory
 
     with contextlib.suppress(OSError, RuntimeError):
         there = nearest(cache_directory())
-        if takes_files(there):
+        if is_writable_folder(there):
             return there
     return Path(tempfile.gettempdir())
 
 
 def observers() -> Finding:
-    """The compiled observers; whether they are this version's is known when they are loaded."""
+    """Check for compiled observers; whether they are of this version is checked when they are loaded."""
     from palmd.model.compiled import SHIPPED, cache_directory, shipped_fits
 
-    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then palmd doctor build"
+    own = f"set XDG_CACHE_HOME to a folder of {user()}'s own, then run palmd doctor build"
     try:
         folder = cache_directory()
     except RuntimeError:
-        return Finding("observers", "missing", f"{user()} has no home to keep them in", own)
+        return Finding("observers", "missing", f"{user()} has no home folder to store them in", own)
     try:
         count = sum(each.suffix == ".so" for each in folder.iterdir()) if folder.is_dir() else 0
-        makes_more = takes_files(nearest(folder))
+        makes_more = is_writable_folder(nearest(folder))
     except OSError as error:
         return Finding("observers", "missing", f"{folder}: {error.strerror}", own)
     if count:
@@ -114,21 +114,21 @@ def observers() -> Finding:
 
 
 def real_time() -> Finding:
-    """Whether this user may have the loop's priority; the service has it in any case."""
+    """Check whether this user may use the loop's real-time priority; the service always may."""
     allowed, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if allowed >= PRIORITY or allowed == resource.RLIM_INFINITY or _capable(_CAP_SYS_NICE):
         return Finding("real time", "ok", f"priority {PRIORITY} is allowed")
-    mend = f"{limits_command(f'rtprio {PRIORITY}')}; or run the service"
-    return Finding("real time", "missing", f"no right to priority {PRIORITY}", mend)
+    fix = f"{limits_command(f'rtprio {PRIORITY}')}; or run the service"
+    return Finding("real time", "missing", f"no right to priority {PRIORITY}", fix)
 
 
 def locked_memory() -> Finding:
-    """Whether this user may lock all memory."""
+    """Check whether this user may lock all memory."""
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK):
         return Finding("locked memory", "ok", "no limit")
-    mend = f"{limits_command('memlock unlimited')}; or run the service"
-    return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", mend)
+    fix = f"{limits_command('memlock unlimited')}; or run the service"
+    return Finding("locked memory", "missing", f"limited to {limit / 1e6:.1f} MB", fix)
 
 
 def _capable(capability: int) -> bool:
@@ -141,12 +141,12 @@ def _capable(capability: int) -> bool:
 
 
 def runs(folder: Path) -> Finding:
-    """Where runs are recorded: made when needed, so that its nearest parent counts."""
+    """Check the folder of recordings; it is created when needed, so its nearest parent is checked."""
     try:
         there = nearest(folder)
     except OSError as error:
         return Finding("runs", "missing", f"{folder}: {error.strerror}", "edit record.directory in the configuration")
-    if not takes_files(there):
+    if not is_writable_folder(there):
         owner = f"sudo install -d -o {user()} {folder}"
         return Finding("runs", "missing", f"{there} cannot be written", owner)
     free_mb = shutil.disk_usage(there).free / 1e6
@@ -156,10 +156,10 @@ def runs(folder: Path) -> Finding:
 
 
 def units(folders: Sequence[Path] = UNIT_FOLDERS) -> Finding:
-    """The services: installed, and of use only where systemd runs the machine."""
+    """Check that the services are installed and that systemd runs this machine."""
     missing = [name for name in UNITS if not any((folder / name).exists() for folder in folders)]
     if missing:
         return Finding("services", "missing", f"{', '.join(missing)} not installed", "sudo palmd install")
     if not SYSTEMD_RUNS.is_dir():
-        return Finding("services", "cannot tell", "installed, but systemd does not run this machine")
+        return Finding("services", "unknown", "installed, but systemd does not run this machine")
     return Finding("services", "ok", "installed")

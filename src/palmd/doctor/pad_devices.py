@@ -1,4 +1,4 @@
-"""What pads' own kinds say of them before they are opened: which device is there, and whether its units are right."""
+"""Checks of the pads' devices before they are opened: which device it is, and whether its units are right."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from palmd.yamlfile import Document
 
 
 def device_findings(name: str, pad: PadConfig, path: Path) -> Iterator[Finding]:
-    """Each remark of a pad's kind as a finding."""
+    """Yield each remark of a pad's driver as a finding."""
     for remark in inspect_pad(pad).remarks:
-        mend = remark.mend or ("" if remark.verdict == "ok" else f"edit {path}")
-        yield Finding(f"{name} {remark.what}", remark.verdict, remark.says, mend)
+        fix = remark.fix or ("" if remark.verdict == "ok" else f"edit {path}")
+        yield Finding(f"{name} {remark.what}", remark.verdict, remark.text, fix)
 
 
 def device_errors(document: Document, config: AnyConfig) -> list[str]:
-    """What a configuration says otherwise than the devices it names, `file:line:col: what`.
+    """Return contradictions between a configuration and its devices, as `file:line:col: text`.
 
-    A device that is not there, or that this user may not open, is no error.
+    A device that is missing, or that this user may not open, is no error.
     """
     pads = getattr(config, "pads", None)
     if not isinstance(pads, AnyPads):
@@ -32,5 +32,5 @@ def device_errors(document: Document, config: AnyConfig) -> list[str]:
         for remark in inspect_pad(getattr(pads, palm)).remarks:
             if remark.verdict != "ok":
                 place = document.place(("pads", palm, remark.key))
-                errors.append(document.line(place, f"pads.{palm}.{remark.key}: {remark.says}"))
+                errors.append(document.line(place, f"pads.{palm}.{remark.key}: {remark.text}"))
     return errors

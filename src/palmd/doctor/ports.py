@@ -1,4 +1,4 @@
-"""The serial ports that a configuration names: there, ours to open, free, and something behind them that answers."""
+"""Checks of the configured ports: present, permitted, free, and a device that answers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LATENCY_MS = 1
 
 
 def pad_findings(name: str, pad: PadConfig, status: dict[str, Any] | None, path: Path) -> Iterator[Finding]:
-    """A pad's port, and whether a pad is behind it."""
+    """Yield the findings about a pad's port and the pad."""
     port = port_finding(name, pad.port)
     yield port
     if port.verdict != "ok":
@@ -35,13 +35,13 @@ def pad_findings(name: str, pad: PadConfig, status: dict[str, Any] | None, path:
     if status is not None:
         prefix = name.replace(" ", "")
         faults = [fault for fault in status.get("faults", ()) if fault.startswith(prefix)]
-        yield _by_daemon(f"{name} talks", faults, "the daemon hears it")
+        yield _by_daemon(f"{name} talks", faults, "the daemon receives its reports")
     else:
         yield pad_talks(name, pad, path)
 
 
 def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> Iterator[Finding]:
-    """The arm's port, and whether its controller answers and is ready."""
+    """Yield the findings about the arm's port and its controller."""
     port = port_finding("arm", config.arm.port)
     yield port
     if port.verdict != "ok":
@@ -49,7 +49,7 @@ def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> I
     yield latency("arm", config.arm.port)
     if status is not None:
         faults = [fault for fault in status.get("faults", ()) if fault.startswith("arm")]
-        yield _by_daemon("arm answers", faults, f"the daemon hears it, state {status.get('arm_state')}")
+        yield _by_daemon("arm answers", faults, f"the daemon receives its answers, state {status.get('arm_state')}")
     elif isinstance(config.arm, ServosConfig):
         from palmd.doctor import servos
 
@@ -60,28 +60,30 @@ def arm_findings(config: Config, status: dict[str, Any] | None, path: Path) -> I
 
 def _by_daemon(what: str, faults: Sequence[str], well: str) -> Finding:
     if faults:
-        return Finding(what, "missing", f"the daemon says {', '.join(faults)}", "palmd ctl status")
+        return Finding(what, "missing", f"the daemon reports {', '.join(faults)}", "palmd ctl status")
     return Finding(what, "ok", well)
 
 
 def port_finding(name: str, path: str) -> Finding:
-    """Whether a port is there, may be opened, and is not somebody else's; a palmd may have it."""
+    """Check whether a port exists, may be opened, and is not used by another program than palmd."""
     what = f"{name} port"
     try:
         mode = Path(path).stat()
     except OSError:
-        names = "ls -l /dev/serial/by-id, then name it in /etc/udev/rules.d/71-palmd-names.rules"
+        names = "find it with ls -l /dev/serial/by-id, then name it in /etc/udev/rules.d/71-palmd-names.rules"
         return Finding(what, "missing", f"no port {path}", names)
     if not (stat.S_ISCHR(mode.st_mode) or stat.S_ISSOCK(mode.st_mode)):
         return Finding(what, "missing", f"{path} is not a serial port", f"ls -l {path}")
     if not os.access(path, os.R_OK | os.W_OK):
         group = _group(mode.st_gid)
-        return Finding(what, "missing", f"no right to open {path}", f"sudo usermod -aG {group} {user()}, log in again")
+        return Finding(
+            what, "missing", f"no permission to open {path}", f"sudo usermod -aG {group} {user()}, then log in again"
+        )
     users = [holder for holder in holders(path) if holder[0] != os.getpid()]
     strangers = [f"{command} ({process})" for process, command in users if command != "palmd"]
     if strangers:
         return Finding(what, "missing", f"{path} is held by {', '.join(strangers)}", f"sudo fuser -v {path}")
-    return Finding(what, "ok", path + (" (palmd has it)" if users else ""))
+    return Finding(what, "ok", path + (" (in use by palmd)" if users else ""))
 
 
 def _group(number: int) -> str:
@@ -92,9 +94,9 @@ def _group(number: int) -> str:
 
 
 def holders(path: str) -> list[tuple[int, str]]:
-    """Process number and name of everybody who has this port open, as far as we may look.
+    """Return id and name of each process that has this port open, as far as permissions allow.
 
-    A process of palmd is called so whatever interpreter runs it. Nobody has a port that is not there.
+    The name of a palmd process is `palmd`, whatever interpreter runs it. Empty if the port does not exist.
     """
     real = os.path.realpath(path)
     try:
@@ -107,13 +109,13 @@ def holders(path: str) -> list[tuple[int, str]]:
             links = (folder / "fd").iterdir()
             if any(str(link.readlink()) == real and same_port(link.stat(), asked) for link in links):
                 found.append((int(folder.name), _command(folder)))
-        except OSError:  # gone in the meantime, or somebody else's
+        except OSError:  # ended in the meantime, or of another user
             continue
     return found
 
 
 def same_port(one: os.stat_result, other: os.stat_result) -> bool:
-    """Whether two device files of one name are one port: a container counts its pseudo-terminals for itself."""
+    """Whether two device files of one name are the same port: containers number their pseudo-terminals separately."""
     if os.major(other.st_rdev) in PSEUDO_TERMINALS and one.st_dev != other.st_dev:
         return False
     return one.st_rdev == other.st_rdev
@@ -126,7 +128,7 @@ def _command(folder: Path) -> str:
 
 
 def latency(name: str, path: str) -> Finding:
-    """A USB adapter's latency timer; other ports have none."""
+    """Check a USB adapter's latency timer; other ports have none."""
     device = Path(os.path.realpath(path)).name
     timer = USB_SERIAL / device / "latency_timer"
     try:
@@ -134,13 +136,13 @@ def latency(name: str, path: str) -> Finding:
     except (OSError, ValueError):
         return Finding(f"{name} latency", "ok", f"{device} has no latency timer")
     if milliseconds > LATENCY_MS:
-        mend = f"sudo palmd install, or: echo {LATENCY_MS} | sudo tee {timer}"
-        return Finding(f"{name} latency", "missing", f"{device} holds bytes back for {milliseconds} ms", mend)
+        fix = f"sudo palmd install, or: echo {LATENCY_MS} | sudo tee {timer}"
+        return Finding(f"{name} latency", "missing", f"{device} delays received bytes by up to {milliseconds} ms", fix)
     return Finding(f"{name} latency", "ok", f"{device}: {milliseconds} ms")
 
 
 def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
-    """Whether reports come, which takes a touch."""
+    """Check whether reports arrive; most pads report only while they are touched."""
     from palmd.devices.pad import make_pad
     from palmd.devices.port import PortWaiter
 
@@ -162,13 +164,13 @@ def pad_talks(name: str, pad: PadConfig, path: Path) -> Finding:
     port.close()
     if reports:
         return Finding(what, "ok", f"{reports} reports in {LISTEN_S:g} s")
-    if driver.complaint is not None:
-        return Finding(what, "missing", driver.complaint, f"check the pad's section in {path}")
-    return Finding(what, "cannot tell", "silent, as a pad is that nothing touches", f"palmd doctor --touch {path}")
+    if driver.diagnosis is not None:
+        return Finding(what, "missing", driver.diagnosis, f"check the pad's section in {path}")
+    return Finding(what, "unknown", "no reports, as is normal for an untouched pad", f"palmd doctor --touch {path}")
 
 
 def arm_answers(port: str, baud: int, path: Path) -> Finding:
-    """Hello and a report; neither moves anything."""
+    """Check that the controller answers hello and query; nothing moves."""
     from palmd.devices.armconformance import CHECKS, REPORT, examine
     from palmd.devices.armconformance_port import ArmLine, ArmLineError
     from palmd.devices.armconformance_talk import Talk
@@ -181,8 +183,8 @@ def arm_answers(port: str, baud: int, path: Path) -> Finding:
     except ArmLineError as error:
         return Finding(what, "missing", str(error))
     if talk.home is None:
-        mend = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"
-        return Finding(what, "missing", f"no answer at {baud} baud", mend)
+        fix = f"start the program on the controller (tools/adept/README.md), check arm.baud in {path}"
+        return Finding(what, "missing", f"no answer at {baud} baud", fix)
     if results[1].outcome != "passed":
         return Finding(what, "missing", results[1].seen)
     return Finding(what, "ok", f"{results[1].seen}")

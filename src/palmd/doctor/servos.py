@@ -1,4 +1,4 @@
-"""The servos of a rig: what doctor says of them, and their conformance check by check."""
+"""Checks of a rig's servos: findings for `palmd doctor`, and the conformance checks."""
 
 from __future__ import annotations
 
@@ -13,48 +13,46 @@ from palmd.devices.servohost import ServoHost
 from palmd.doctor.arm import confirmed
 from palmd.doctor.finding import Finding
 
-LOOKED_AT = CHECKS[:7]
-"""What doctor looks at when it is asked for nothing in particular: nothing is changed by it."""
+READ_ONLY_CHECKS = CHECKS[:7]
+"""Checks that `palmd doctor` runs without options; they change nothing."""
 
 _QUESTION = (
-    f"The next checks turn the torque on; the last moves each palm by up to {STEP_COUNTS * 360 / 4096:.0f}°. Are the\n"
-    "palms free, nobody within reach, and a hand on the supply's switch? Then type yes: "
+    f"The next checks turn the torque on; the last moves each palm by up to {STEP_COUNTS * 360 / 4096:.0f}°. If the\n"
+    "palms are free, nobody is within reach, and a hand is on the supply's switch, type yes: "
 )
 
 
 def findings(arm: DynamixelConfig | FeetechConfig) -> Iterator[Finding]:
-    """One line for each thing that each servo must be."""
+    """Yield one finding for each check of each servo."""
     try:
         with _talk(arm) as talk:
-            for result in examine(talk, talk.axes, LOOKED_AT):
-                yield Finding(
-                    _name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.mend
-                )
+            for result in examine(talk, talk.axes, READ_ONLY_CHECKS):
+                yield Finding(_name(result), "ok" if result.outcome == "passed" else "missing", result.seen, result.fix)
     except OSError as error:
         yield Finding("servos", "missing", str(error))
 
 
 def examine_servos(arm: DynamixelConfig | FeetechConfig, sure: bool) -> int:
-    """Makes every check that is allowed, prints each; returns the exit status, CliError where the port cannot be had.
+    """Run all permitted checks and print the results; return the exit status. CliError if the port cannot be opened.
 
-    sure: what turns the torque on needs no question.
+    sure: run the checks that turn the torque on without asking.
     """
     results: list[ServoResult] = []
     moving = False
     try:
         with _talk(arm) as talk:
             still = [check for check in CHECKS if not check.moves]
-            results += _told(examine(talk, talk.axes, still))
+            results += _printed(examine(talk, talk.axes, still))
             if not any(result.outcome == "failed" for result in results):
                 moving = sure or confirmed(_QUESTION)
             if moving:
-                results += _told(examine(talk, talk.axes, [check for check in CHECKS if check.moves]))
+                results += _printed(examine(talk, talk.axes, [check for check in CHECKS if check.moves]))
     except OSError as error:
         raise CliError(RIG_FAILED, str(error)) from None
     failed = sum(result.outcome == "failed" for result in results)
     print(f"{arm.port}: {len(results) - failed} of {len(results)} checks passed, {failed} failed")
     if not moving and not failed:
-        print("what turns the torque on was left out: give --yes, or answer yes", file=sys.stderr)
+        print("checks that turn the torque on were skipped: give --yes, or answer yes", file=sys.stderr)
     return RIG_FAILED if failed else 0 if moving else BAD_INPUT
 
 
@@ -64,12 +62,12 @@ def _talk(arm: DynamixelConfig | FeetechConfig) -> PortTalk:
     return PortTalk(host, arm.baud, arm.port)
 
 
-def _told(results: Iterator[ServoResult]) -> list[ServoResult]:
+def _printed(results: Iterator[ServoResult]) -> list[ServoResult]:
     made = []
     for result in results:
         word = "pass" if result.outcome == "passed" else "FAIL"
-        mend = f"\n         mend      {result.mend}" if result.mend else ""
-        print(f"{result.number:2} {word}  {_name(result)}: {result.clause}\n         {result.seen}{mend}", flush=True)
+        fix = f"\n         fix       {result.fix}" if result.fix else ""
+        print(f"{result.number:2} {word}  {_name(result)}: {result.clause}\n         {result.seen}{fix}", flush=True)
         made.append(result)
     return made
 

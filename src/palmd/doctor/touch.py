@@ -1,4 +1,4 @@
-"""The touch test: a finger tells which pad is which, which axis lies along the palm, and which way it runs."""
+"""Touch test: finds by a finger which pad is which, which axis lies along the palm, and its sign."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from palmd.system.mechanism import HELD_BY, PALMS
 
 TOUCH_WITHIN_S = 20.0
 LIFTED_S = 0.5
-"""A silence of this length ends a stroke."""
+"""Silence (s) that ends a stroke."""
 
 FEWEST_REPORTS = 12
 STRAIGHT = 2.0
-"""By how much a stroke must be longer along one axis than along the other."""
+"""Smallest ratio of a stroke's lengths along both axes."""
 
 _LOOK_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class FingerStroke:
-    """A finger that slid over a pad from the hinge outwards: the reports' counts, in order."""
+    """Counts of the reports, in order, of a finger that slid over a pad from the hinge outwards."""
 
-    heard_on: int  # by the configuration
+    received_on: int  # palm number according to the configuration
     x: tuple[int, ...]
     y: tuple[int, ...]
 
     def slid(self) -> tuple[int, int]:
-        """How far along x and along y (counts), from the mean of the first fifth to that of the last."""
+        """Displacement along x and y (counts), from the mean of the first fifth to that of the last."""
         fifth = max(1, len(self.x) // 5)
         along_x, along_y = (sum(c[-fifth:]) - sum(c[:fifth]) for c in (self.x, self.y))
         return round(along_x / fifth), round(along_y / fifth)
 
 
 class _Listener:
-    """One pad's port, and what has come from it."""
+    """Reads the reports of one pad."""
 
     def __init__(self, palm: int, pad: PadConfig) -> None:
-        """Opens it; CliError when it cannot be opened."""
+        """Open the pad's port; CliError if that fails."""
         t = time.monotonic()
         self.palm = palm
         self._pad = make_pad(palm, pad)
@@ -53,8 +53,8 @@ class _Listener:
             raise CliError(RIG_FAILED, str(self.port.error))
         self._pad.opened(t)
 
-    def hear(self) -> list[PadReport]:
-        """The reports of a touch that have come; CliError when the port is lost."""
+    def read(self) -> list[PadReport]:
+        """Return the new reports of a touch; CliError if the port is lost."""
         data = self.port.read()
         t = time.monotonic()
         if not self.port.is_open:
@@ -65,9 +65,9 @@ class _Listener:
 
 
 def examine_pads(path: Path, pads: PadsConfig) -> int:
-    """Asks for a stroke on each pad and prints what to change; 0 if there is nothing, else 1.
+    """Ask for a stroke on each pad and print what to change; return 0 if nothing, else 1.
 
-    CliError when a port cannot be opened, or nobody touches a pad.
+    CliError if a port cannot be opened, or no pad is touched.
     """
     listeners: list[_Listener] = []
     strokes: list[FingerStroke] = []
@@ -86,32 +86,32 @@ def examine_pads(path: Path, pads: PadsConfig) -> int:
             listener.port.close()
     lines = list(changes(strokes, pads))
     if not lines:
-        print(f"both pads are as {path} says")
+        print(f"both pads match {path}")
         return 0
-    print(f"write in {path}:")
+    print(f"change in {path}:")
     print("\n".join(lines))
     return BAD_INPUT
 
 
 def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
-    """The next one, on whichever pad it comes; on both at once is a mistake."""
+    """Return the next stroke, on any pad; CliError for a touch of both at once or none in time."""
     waiter = PortWaiter([listener.port for listener in listeners])
-    heard: dict[int, list[PadReport]] = {listener.palm: [] for listener in listeners}
+    received: dict[int, list[PadReport]] = {listener.palm: [] for listener in listeners}
     t = time.monotonic()
     t_end = t + TOUCH_WITHIN_S
     while t < t_end:
         waiter.wait(min(t + _LOOK_S, t_end))
         for listener in listeners:
-            packets = listener.hear()
-            heard[listener.palm] += packets
+            packets = listener.read()
+            received[listener.palm] += packets
             if packets:
                 t_end = time.monotonic() + LIFTED_S
         t = time.monotonic()
-    touched = [each for each, packets in heard.items() if len(packets) >= FEWEST_REPORTS]
+    touched = [each for each, packets in received.items() if len(packets) >= FEWEST_REPORTS]
     if len(touched) != 1:
         what = "both pads were touched at once" if touched else f"no stroke within {TOUCH_WITHIN_S:.0f} s"
         raise CliError(RIG_FAILED, f"palm {palm}: {what}; start again with palmd doctor --touch")
-    packets = heard[touched[0]]
+    packets = received[touched[0]]
     print(f"  heard on the port of pads.palm{touched[0]}, {len(packets)} reports", flush=True)
     return FingerStroke(
         touched[0], tuple(packet.x_counts for packet in packets), tuple(packet.y_counts for packet in packets)
@@ -119,16 +119,16 @@ def _stroke(palm: int, listeners: Sequence[_Listener]) -> FingerStroke:
 
 
 def changes(strokes: Sequence[FingerStroke], pads: PadsConfig) -> Iterator[str]:
-    """What to write into the configuration, given a stroke on palm 1 and then one on palm 2. Pure.
+    """Yield the changes of the configuration that follow from a stroke on palm 1 and then one on palm 2. Pure.
 
-    CliError where the strokes do not tell: both on one pad, or neither along x nor along y.
+    CliError for ambiguous strokes: both on one pad, or neither along x nor along y.
     """
-    if len({stroke.heard_on for stroke in strokes}) < len(strokes):
-        raise CliError(RIG_FAILED, f"both strokes were heard on pads.palm{strokes[0].heard_on}: start again")
+    if len({stroke.received_on for stroke in strokes}) < len(strokes):
+        raise CliError(RIG_FAILED, f"both strokes were received on pads.palm{strokes[0].received_on}: start again")
     for palm, stroke in zip(PALMS, strokes, strict=True):
         pad = pads.of(palm)
-        if stroke.heard_on != palm:
-            yield f"  pads.palm{palm}: port: {pads.of(stroke.heard_on).port}    # the pads are swapped"
+        if stroke.received_on != palm:
+            yield f"  pads.palm{palm}: port: {pads.of(stroke.received_on).port}    # the pads are swapped"
         axis, sign = _direction(palm, stroke)
         if axis != pad.axis:
             yield f"  pads.palm{palm}: axis: {axis}    # the other one lies across the palm"
@@ -137,7 +137,7 @@ def changes(strokes: Sequence[FingerStroke], pads: PadsConfig) -> Iterator[str]:
 
 
 def _direction(palm: int, stroke: FingerStroke) -> tuple[str, int]:
-    """The axis along the palm, and whether its counts grow outwards, as s does."""
+    """Return the axis along the palm, and 1 if its counts increase outwards, as s does, else -1."""
     x, y = stroke.slid()
     if abs(x) >= STRAIGHT * abs(y) and x:
         return "x", 1 if x > 0 else -1

@@ -1,6 +1,6 @@
-"""How late this machine wakes a thread that asked for a time: what no program on it can better.
+"""Measures this machine's wake-up latency, the lower bound of any program's lateness.
 
-cyclictest (Debian: rt-tests) measures it where it is installed; else a timer in Python does, which says so.
+It uses cyclictest (Debian: rt-tests) if it is installed, else a timer in Python; the result names the meter.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from palmd.daemon.realtime import PRIORITY
 
 ABOVE = PRIORITY + 1
-"""Just above the loop, so that the loop's own work is no load here; it takes the loop some 20 µs a period."""
+"""Priority just above the loop's, so that the loop does not disturb the measurement; costs the loop 20 µs a period."""
 
 LATEST_US = 100_000
 _MCL_CURRENT = 1
@@ -27,17 +27,17 @@ _MCL_CURRENT = 1
 
 @dataclass(frozen=True, slots=True)
 class Wakeups:
-    """Lateness of each wake-up (ms), and what measured it."""
+    """Lateness of each wake-up (ms), and the name of the meter."""
 
     lateness_ms: tuple[float, ...]
     by: str
 
 
 class Meter:
-    """Measures beside whatever runs, in a process of its own."""
+    """Measures in a separate process."""
 
     def __init__(self, seconds: float, period_s: float, folder: Path) -> None:
-        """Begins at once; `folder` is for its report. Raises OSError when no process can be started."""
+        """Start at once; `folder` is for its report. Raises OSError if the process cannot be started."""
         self._report = folder / "wakeups.json"
         self._report.unlink(missing_ok=True)
         count = max(1, round(seconds / period_s))
@@ -57,7 +57,7 @@ class Meter:
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def result(self) -> Wakeups | None:
-        """What it found, once it is done; None when it failed."""
+        """Wait for the end and return the result; None if it failed."""
         if self._process.wait() != 0 or not self._report.exists():
             return None
         report = json.loads(self._report.read_text(encoding="utf-8"))
@@ -66,24 +66,24 @@ class Meter:
         return Wakeups(tuple(report["lateness_ms"]), "a timer in Python" + ("" if report["fifo"] else ", not FIFO"))
 
     def close(self) -> None:
-        """End it if it still runs."""
+        """End the process if it still runs."""
         self._process.kill()
         self._process.wait()
 
 
 def spread(histogram: dict[str, int]) -> tuple[float, ...]:
-    """A histogram of counts by whole microseconds as single values (ms), in their order. Pure."""
+    """Convert a histogram (counts by integer microseconds) to single values (ms), sorted. Pure."""
     return tuple(int(us) * 1e-3 for us in sorted(histogram, key=int) for _ in range(histogram[us]))
 
 
 def _may_be_urgent() -> bool:
-    """Whether a process of ours may have the priority: a child tries, for we want to keep ours."""
+    """Whether this user may use the priority; tried in a child process, since this one keeps its own."""
     attempt = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({ABOVE}))"
     return subprocess.run([sys.executable, "-S", "-c", attempt], capture_output=True, check=False).returncode == 0
 
 
 def _measure(count: int, period_s: float, report: Path) -> None:
-    """The timer in Python: absolute deadlines, nothing to do at them."""
+    """The timer in Python: measure the lateness at absolute deadlines."""
     fifo = True
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(ABOVE))

@@ -14,7 +14,7 @@ from palmd.config.any_config import AnyConfig
 from palmd.config.pads import PadBase
 from palmd.config.plans import AnyPlanSpec
 from palmd.config.two_palms import Config, PlanSpec
-from palmd.console.folders import nearest, takes_files
+from palmd.console.folders import is_writable_folder, nearest
 from palmd.keys import KeysClosedError, KeysError, server_keys
 from palmd.motion.limits import MotionLimits
 from palmd.motion.plan import PlanError, PlanForm, Trajectory
@@ -80,7 +80,7 @@ def check_files(paths: Sequence[Path]) -> list[str]:
     plans = [document for document in documents if is_plan(document)]
     configs = [document for document in documents if not is_plan(document)]
     limits = [] if configs else [_limits(name, {}) for name in LIVE]
-    blind: list[tuple[str, Document]] = []  # system and configuration, where the observer has no outline for exploring
+    blind: list[tuple[str, Document]] = []  # configurations, and their systems, whose observers explore by no outline
     for document in configs:
         try:
             config = parse_config(document)
@@ -103,7 +103,7 @@ def check_files(paths: Sequence[Path]) -> list[str]:
         errors += _plan_errors(document, applicable)
         systems = {each.system for each in applicable}
         errors += _blind_errors(document, [each for name, each in blind if systems == {name}])
-    return list(dict.fromkeys(errors))  # two configurations may refer to the same plan
+    return list(dict.fromkeys(errors))  # two configurations may name one plan
 
 
 def shaking_notes(paths: Sequence[Path]) -> list[str]:
@@ -161,7 +161,7 @@ def _keys_errors(document: Document, config: AnyConfig) -> list[str]:
         return []
     try:
         server_keys(config.bus.keys)
-    except KeysClosedError:  # the service's own: `palmd doctor` reports what its user may do
+    except KeysClosedError:  # the service's own: `palmd doctor` tells what its user may do
         return []
     except KeysError as error:
         return [document.line(document.place(("bus", "keys")), f"bus.keys: {error}")]
@@ -173,13 +173,16 @@ def _folder_errors(document: Document, config: AnyConfig) -> list[str]:
     place = document.place(("record", "directory"))
     try:
         there = nearest(config.record.directory)
-    except PermissionError:  # usually the service's own: `palmd doctor` reports what its user may do
+    except PermissionError:  # the service's own, most often: `palmd doctor` tells what its user may do
         return []
     except OSError as error:
         return [document.line(place, f"record.directory: {config.record.directory}: {error.strerror}")]
     if not there.is_dir():
         return [document.line(place, f"record.directory: {there} is no folder: nothing could be recorded")]
-    if not takes_files(there) and there.stat().st_uid in (os.geteuid(), 0):  # else it belongs to the service's user
+    if not is_writable_folder(there) and there.stat().st_uid in (
+        os.geteuid(),
+        0,
+    ):  # another user's is the service's own
         text = f"record.directory: {there} is not writable: nothing could be recorded; see its permissions"
         return [document.line(place, text)]
     return []
@@ -191,7 +194,7 @@ def _plan_named(document: Document, config: AnyConfig, errors: list[str], *, giv
         return []
     try:
         there = config.plan.exists()
-    except OSError:  # reading it reports why
+    except OSError:  # whoever reads it tells why
         return [config.plan]
     if not there:
         beside = {each.stem: each for each in _plans_beside(config.plan)}

@@ -12,8 +12,8 @@ from palmd.config.pivot import (
     PivotHoldSpec,
     PivotLimitsConfig,
     PivotMoveSpec,
-    PivotPlace,
     PivotPlanSpec,
+    PivotTarget,
 )
 from palmd.events import PalmMotion
 from palmd.motion.exploration import Exploration
@@ -112,7 +112,7 @@ def _legs(start: Angles, end: Angles, duration: float) -> list[Move]:
     return [Move(a, b, duration * length / sum(lengths)) for (a, b), length in each if length]
 
 
-def _target(place: PivotPlace, pose: Angles) -> Angles:
+def _target(place: PivotTarget, pose: Angles) -> Angles:
     target = (place.x_mm, place.z_mm)
     return tuple(here if mm is None else mm * 1e-3 for mm, here in zip(target, pose, strict=True))
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 from statistics import fmean
 from typing import Any, Literal
 
-from palmd.devices.pad import SILENT_INTERVALS, pad_counted
+from palmd.devices.pad import SILENT_INTERVALS, pad_counter_names
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
@@ -401,7 +401,7 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     evidence = [*_ages(case, int(end[-1]), t)]
     said = _said(case, code, t)
     kind = getattr(case.config.pads, f"palm{end[-1]}").kind
-    names = tuple(f"{end}_{name}" for name in pad_counted(kind) or ())
+    names = tuple(f"{end}_{name}" for name in pad_counter_names(kind) or ())
     lost = 0.0
     if any("not even a damaged one's" in each.what for each in said):  # the daemon has judged byte by byte
         sentence = f"what came from pad {end[-1]}'s line was no packet: another device, or another baud rate"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palmd.console.errors import BAD_INPUT, CliError
-from palmd.console.extras import missing, only_without
+from palmd.console.extras import missing, raise_if_other
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
 from palmd.record.run import AnyRun, RunError, read_any_run
@@ -84,7 +84,7 @@ def _drawn(made: Callable[[], Report], *, as_pdf: bool) -> bytes:
     try:
         from palmd.report import html, pdf
     except ModuleNotFoundError as error:
-        only_without("matplotlib", error)
+        raise_if_other("matplotlib", error)
         raise missing("the report", "matplotlib", "report") from None
     logging.getLogger("fontTools").setLevel(logging.WARNING)  # tells of every glyph that it embeds
     report = made()

@@ -35,7 +35,7 @@ import zmq
 
 from palmd.config.any_config import AnyConfig
 from palmd.console.extras import require
-from palmd.console.folders import for_sockets
+from palmd.console.folders import socket_folder
 from palmd.messages import stamp
 from palmd.quantities import BODY, STALL, TRUTH, Topic
 from palmd.rig import uinput
@@ -174,7 +174,7 @@ def _folder(given: Path | None, longest_name: str, exit_stack: contextlib.ExitSt
     longest_name: of the ports, as paths of sockets are limited. Raises OSError.
     """
     if given is None:
-        return Path(exit_stack.enter_context(for_sockets("palmd-rig-", longest_name)))
+        return Path(exit_stack.enter_context(socket_folder("palmd-rig-", longest_name)))
     given.mkdir(parents=True, exist_ok=True)
     if not os.access(given, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -225,7 +225,7 @@ class RigProcess:
         self.world = world
         self.ticks = self.late_ticks = self.stalls = 0
         self.latest_s = 0.0
-        self._t_last_tick = math.inf
+        self._t_last_tick = math.inf  # the last tick's time
         self._stop = stop
         self._parent = os.getppid()
         self._seq = {topic.name: 0 for topic in RIG_TOPICS}
@@ -323,7 +323,7 @@ class RigProcess:
         self.ticks += 1
         self.late_ticks += late_s > _LATE_S
         self.latest_s = max(self.latest_s, late_s)
-        if late_s > _STALLED_S:  # the daemon may rightly detect silence
+        if late_s > _STALLED_S:  # the daemon may rightly take it for silence
             self.stalls += 1
             self._publish(STALL, {"t_s": time.monotonic(), "lasted_s": late_s, "count": self.stalls})
 
@@ -354,7 +354,7 @@ class RigProcess:
             result = self._execute(message["cmd"], message.get("args") or {})
         except InjectionError as error:
             return {"id": identity, "ok": False, "error": str(error)}
-        except Exception as error:  # no input may stop the rig
+        except Exception as error:  # whatever a stranger sends, the rig goes on
             return {"id": identity, "ok": False, "error": f"invalid command: {type(error).__name__}: {error}"}
         return {"id": identity, "ok": True, "result": result}
 

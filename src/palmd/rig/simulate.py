@@ -24,7 +24,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.compiled_plant import ContactBounds, Drive, RockNumbers
 from palmd.rig.friction import law_of, plant_on, shaken
@@ -56,10 +56,10 @@ VIBRATIONS: Mapping[str, Vibration] = {relation: Vibration(relation) for relatio
 """Vibration of the palms by the names in commands: the relation between them, or the law of old logs."""
 
 STEP_S = 5e-4
-_STEPS_PER_TRUTH = 20  # truth every 10 ms
+_STEPS_PER_TRUTH = 20  # truth each 10 ms
 _ARM_PERIOD_S = 0.016
 _PAD_PERIOD_S = 0.010
-_PACKET_S = 0.00625  # one packet at 9600 baud; the three reporting bands are one, two and three of these
+_PACKET_S = 0.00625  # one packet at 9600 baud: the three reporting bands are one, two and three of these
 _BAND_WEIGHTS = (0.55, 0.30, 0.15)
 _BAND_JITTER_S = 0.002
 _PAD_NOISE_M, _PAD_RESOLUTION_M = 1e-4, 1.27e-4
@@ -68,15 +68,15 @@ _PALM_NOISE_RAD = 2e-4
 _ANGLE_COLUMNS = tuple(f"{joint}_rad" for joint in JOINTS)
 _COLUMNS = ("t", "psi_rad", "omega0_rad_s", "r1_m", "r2_m", "s1_m", "s2_m", *_ANGLE_COLUMNS, "f1_n", "f2_n")
 _PAD_MARGIN_M = 3e-3
-_MIN_TURN_RAD = 0.3  # by which an object is turned when it is put back
-_MIN_FORCE = 0.1  # m/s²: with less the contact counts as lost
-_SMOOTHING_S = 0.02  # averaging window of force readings: five periods of 250 Hz
+_MIN_TURN_RAD = 0.3
+_MIN_FORCE = 0.1  # m/s²: below it the contact is as good as lost
+_SMOOTHING_S = 0.02  # over which readings of force are means: five periods of 250 Hz
 
 
 Span = tuple[float, float]
 
 PERFECTLY_KNOWN: Mapping[str, float] = dict.fromkeys(AS_CALIBRATED, 0.0)
-CALIBRATION: Mapping[Drawn, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
+CALIBRATION: Mapping[DrawnImperfections, Mapping[str, float]] = {"none": PERFECTLY_KNOWN, "calibrated": AS_CALIBRATED}
 """Standard deviations from which the rig's imperfections are drawn, by the names in commands."""
 
 
@@ -98,7 +98,7 @@ class Rock:
         w, dw, ddw = smooth_step(t)
         for start, end in self.rests:
             if not start < t < end + 1.0:
-                continue  # v = 1, constant
+                continue  # v = 1, and it does not change
             out, back = smooth_step(t - start), smooth_step(t - end)
             v, dv, ddv = (b - a for a, b in zip(out, back, strict=True))
             v += 1.0
@@ -173,7 +173,7 @@ class SimulatedRun:
         """`palms_at(t - lag_s)` in the form that compiled plants take."""
         angle_errors = self.imperfections.true_palms(PalmMotion.at_rest((0.0,) * len(JOINTS))).angles
         return Drive(
-            [RockNumbers(*astuple(draw_rock)) for draw_rock in (self.rocking.palm1, self.rocking.palm2)],
+            [RockNumbers(*astuple(rock)) for rock in (self.rocking.palm1, self.rocking.palm2)],
             angle_errors,
             lag_s,
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.config.arms import AdeptConfig
 from palmd.config.pads import PadConfig, VersaPadConfig
-from palmd.config.two_palms import Config, Drawn, PadsConfig, RigConfig
+from palmd.config.two_palms import Config, DrawnImperfections, PadsConfig, RigConfig
 from palmd.config.vibration import vibration_of
 from palmd.events import Joints, PalmMotion
 from palmd.quantities import BODY, TRUTH
@@ -37,13 +37,13 @@ from palmd.rig.shapes import Body, Kind, random_body
 from palmd.system.arcs import joints_of
 from palmd.system.mechanism import JOINT_RATES, JOINTS, PALMS
 
-_HOME_DEG = (45.0, 90.0)  # of flat palms; of curved ones, of their tangents where a body of the radius touches them
+_HOME_DEG = (45.0, 90.0)  # of flat palms, and of the tangents where a body of the radius touches curved ones
 _HOME_RADIUS_M = 0.02
-AWAY_S = 1.0  # time for which the palms are empty when the object is exchanged
-_PAD_END_M = 3e-3  # a body is placed with its contacts at least this far from the pads' ends
+AWAY_S = 1.0  # how long a hand takes to put another object on the palms
+_PAD_END_M = 3e-3
 
 
-def default_config(imperfections: Drawn = "none") -> Config:
+def default_config(imperfections: DrawnImperfections = "none") -> Config:
     """The default configuration: of a rig exactly as described, or with the errors that calibration leaves."""
     pads = PadsConfig(**{f"palm{palm}": VersaPadConfig(port=pad) for palm, pad in zip(PALMS, PADS, strict=True)})
     config = Config(rig=RigConfig(imperfections=imperfections), pads=pads, arm=AdeptConfig(port="arm"))
@@ -111,7 +111,7 @@ class World(EmulatedRig[EmulatedActuator]):
         self._draw_body()
         self._put_on_palms()
 
-    # -- interface ----------------------------------------------------------------------------------------
+    # -- the outside --------------------------------------------------------------------------------------
 
     def new_object(self) -> None:
         """Take the object away and, one second later, put another one on the palms."""
@@ -191,7 +191,7 @@ class World(EmulatedRig[EmulatedActuator]):
     def _true_palms(self) -> PalmMotion:
         return self.imperfections.true_palms(self._palms)
 
-    # -- placing and removing the body --------------------------------------------------------------------
+    # -- the body and the hands that move it --------------------------------------------------------------
 
     def _draw_body(self) -> None:
         rig = self.config.rig
@@ -199,7 +199,7 @@ class World(EmulatedRig[EmulatedActuator]):
         bodies = self._bodies
         body = bodies[self.objects % len(bodies)] if bodies else random_body(self.kind, self._rng)
         while not bodies and any(curvatures) and max(curvatures) * max_curvature_radius(body) > MAX_CURVATURE_RATIO:
-            body = random_body(self.kind, self._rng)  # bodies that would nest in a concave palm are not used
+            body = random_body(self.kind, self._rng)  # nobody puts what would lie in a palm on the palms
         surface = self._surface or random_surface(self.kind, self._rng)
         shaking, surface = shaken(vibration_of(rig.vibration), surface, body.mass, self.seed)
         self.plant = plant_on(

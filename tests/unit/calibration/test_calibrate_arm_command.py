@@ -167,7 +167,7 @@ def test_nobody_swings_it(configured, capsys):
 def test_nobody_answers(configured, capsys, monkeypatch):
     monkeypatch.setattr(command, "FIRST_MOTION_S", 20.0)
     with arm(deaf=range(1000)) as port:
-        assert "does not answer: expected A04, saw nothing" in refused(configured(port), capsys)
+        assert "does not answer: expected A04, observed nothing" in refused(configured(port), capsys)
 
 
 def test_a_port_that_is_not_there_and_one_that_the_daemon_has(configured, capsys, monkeypatch):

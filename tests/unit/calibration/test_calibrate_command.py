@@ -13,7 +13,7 @@ import palmd.calibration
 from palmd.calibration import pad
 from palmd.calibration.pad_characteristic import characterise
 from palmd.cli import main
-from palmd.cli.table import below
+from palmd.cli.table import subcommands
 from palmd.config.any_config import config_hash
 from palmd.config.pads import VersaPadConfig
 from palmd.config.two_palms import rig_description
@@ -216,7 +216,7 @@ def test_garbage_only(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 0.3)
     on_first_wait(monkeypatch, lambda: os.write(line[0], b"\x15" * 10))
     said = refused(configured(line[1]), 3, capsys)
-    assert said == "pad1: 10 bytes, but no report among them at 9600 baud: is it a pad?"
+    assert said == "pad1: 10 bytes, but no report among them at 9600 baud: check pad and baud rate"
 
 
 def test_too_few_reports(configured, line, monkeypatch, capsys):
@@ -237,7 +237,7 @@ def test_the_plug_is_pulled(configured, monkeypatch, capsys):
 def test_a_pad_that_does_not_answer_its_start_up(configured, line, monkeypatch, capsys):
     monkeypatch.setattr(pad, "FIRST_TOUCH_S", 1.8)
     said = refused(configured(line[1], ", handshake: break"), 3, capsys)
-    assert said.startswith("pad1: no identity within 1 s of the break")
+    assert said.startswith("pad1: no identity within 1 s after the break")
 
 
 def test_bad_configurations(configured, tmp_path, capsys):
@@ -285,7 +285,7 @@ def test_its_help_names_the_calibrations(capsys):
     with pytest.raises(SystemExit):
         main(["calibrate", "--help"])
     told = " ".join(capsys.readouterr().out.split())
-    assert all(f"{name} {each.help}" in told for name, each in below("calibrate").items())
+    assert all(f"{name} {each.help}" in told for name, each in subcommands("calibrate").items())
 
 
 def test_each_pad_s_noise_is_the_observer_s(configured):
@@ -300,4 +300,4 @@ def test_each_pad_s_noise_is_the_observer_s(configured):
 
 def test_what_rolls_is_not_evaluated_on_curved_palms(capsys):
     assert main(["calibrate", "gravity", str(shipped("cradle.yaml"))]) == 1
-    assert "is evaluated on flat palms only, and these are curved" in capsys.readouterr().err
+    assert "supports flat palms only, and these are curved" in capsys.readouterr().err

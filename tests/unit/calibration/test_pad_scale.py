@@ -10,7 +10,7 @@ from turned_cylinder import turned
 from palmd.calibration.cylinder import CylinderError, contact_m, turning_plan
 from palmd.calibration.pad_scale import pad_scales
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import place_mm, straight_mm
+from palmd.devices.pad import counts_to_mm, linear_mm
 from palmd.events import PadSample, PalmSample
 from palmd.rig.pads import PadOptions
 
@@ -141,7 +141,7 @@ def test_a_curve_makes_bent_readings_straight(bent):
         for s_mm in np.linspace(6.0, 50.0, 23):
             said_mm = s_mm + bend_m * 1e3 * math.sin(math.pi * s_mm / true.length_mm)
             counts = true.sign * (said_mm - true.zero_mm) * true.counts_per_mm
-            assert place_mm(curved, counts) == pytest.approx(s_mm, abs=0.04)
+            assert counts_to_mm(curved, counts) == pytest.approx(s_mm, abs=0.04)
         assert pad.bend_mm < 0.03
         assert pad.noise_mm == pytest.approx(0.107, rel=0.05)
     assert max(pad.bend_mm for pad in pad_scales(bent, CONFIGURED, RADIUS_M)) > 0.15
@@ -168,7 +168,7 @@ def test_a_curve_is_undone_where_it_was_added():
     pad = CONFIGURED[0].model_copy(update={"curve_mm": (0.3, -0.2, 0.5, 0.0)})
     counts = np.arange(-300, 300, 7)
     straight = pad.zero_mm + counts / pad.counts_per_mm
-    back = straight_mm(pad, np.array([place_mm(pad, count) for count in counts.tolist()]))
+    back = linear_mm(pad, np.array([counts_to_mm(pad, count) for count in counts.tolist()]))
     assert back == pytest.approx(straight, abs=1e-9)
 
 

@@ -59,7 +59,7 @@ def test_a_demo_has_everything_made_before_it_starts_and_is_silent_when_that_is_
     parts = [("one", lambda: make("one")), ("two", lambda: make("two"))]
     monkeypatch.setattr(build, "needed_by", lambda _: parts)
     told: list[str] = []
-    build.made_ready(load_config(shipped("cradle.yaml")), told.append)
+    build.prepare_kernels(load_config(shipped("cradle.yaml")), told.append)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["one", "two"]
     assert not told
 
@@ -85,7 +85,7 @@ def test_one_that_lasts_is_told_of_once_and_keeps_no_other_waiting(
         (tmp_path / "told").touch()
 
     parts = [("long", after_all_others), ("short", lambda: short("short")), ("shorter", lambda: short("shorter"))]
-    assert {what for what, *_ in build.side_by_side(parts, lasts)} == {"long", "short", "shorter"}
+    assert {what for what, *_ in build.compile_parallel(parts, lasts)} == {"long", "short", "shorter"}
     assert told == ["patience"]
 
 
@@ -94,9 +94,9 @@ def test_what_cannot_be_made_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         raise RuntimeError("compiled f differs")
 
     with pytest.raises(RuntimeError, match="compiled f differs"):
-        list(build.side_by_side([("f", differs)]))
-    with pytest.raises(CliError, match="f: what compiled it was killed, for want of memory"):
-        list(build.side_by_side([("f", lambda: str(os.kill(os.getpid(), signal.SIGKILL)))]))
+        list(build.compile_parallel([("f", differs)]))
+    with pytest.raises(CliError, match="f: its compiler was killed, most often for lack of memory"):
+        list(build.compile_parallel([("f", lambda: str(os.kill(os.getpid(), signal.SIGKILL)))]))
 
 
 def test_what_keeps_all_parts_from_being_compiled_is_said_once(
@@ -111,7 +111,7 @@ def test_what_keeps_all_parts_from_being_compiled_is_said_once(
     def part(name: str) -> tuple[str, Callable[[], str]]:
         return name, lambda: "python" if compiled.load_written(name, source) is None else "c"
 
-    made = list(build.side_by_side([part(name) for name in "abc"]))
+    made = list(build.compile_parallel([part(name) for name in "abc"]))
     assert sorted((what, backend) for what, backend, _ in made) == [(name, "python") for name in "abc"]
     assert caplog.text.count("/nowhere/cc: No such file or directory") == 1
     assert compiler.known_fault(tmp_path), "so that no process that is started later says it again"

@@ -97,11 +97,11 @@ def test_bad_input_is_one_clear_line_and_loses_nothing(folder, tmp_path, capsys)
         ([bad["back.json"], track], "trajectory.t must increase"),
         ([result, str(tmp_path / "no.csv")], "No such file"),
         ([result, bad["short.csv"]], "short.csv: 19 rows show the object"),
-        ([result, track, "--log", bad["still.jsonl"]], "tells no palm angles"),
+        ([result, track, "--log", bad["still.jsonl"]], "has no palm angles"),
         ([result, track, "--outline", log], "a .json or a .csv file"),
         ([result, track, "--figure", str(tmp_path / "no" / "a.svg")], "cannot be written"),
-        ([result, track, "-o", result], "result.json: is read here"),
-        ([result, track, "--figure", track], "track.csv: is read here"),
+        ([result, track, "-o", result], "result.json: is an input"),
+        ([result, track, "--figure", track], "track.csv: is an input"),
         ([result, track, "--figure", str(tmp_path / "a.txt")], "name it .svg"),
     ):
         assert main(["report", "camera", *(["-o", str(out)] if "-o" not in arguments else []), *arguments]) == 1, what

@@ -68,11 +68,11 @@ def failing(times):
 
 
 def test_a_failed_step_says_what_to_do_and_is_tried_again(monkeypatch, tmp_path, capsys):
-    assert guide(monkeypatch, tmp_path, "", "yes")._until_done(failing(2), "wipe the pads") == "done"
+    assert guide(monkeypatch, tmp_path, "", "yes")._retry(failing(2), "wipe the pads") == "done"
     said = capsys.readouterr().err
-    assert said.count("It failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
+    assert said.count("Failed: pad 1 is silent\nWhat to do: wipe the pads.") == 2
     with pytest.raises(CliError, match="silent"):
-        guide(monkeypatch, tmp_path / "other", "no")._until_done(failing(1), "wipe the pads")
+        guide(monkeypatch, tmp_path / "other", "no")._retry(failing(1), "wipe the pads")
 
 
 def test_calipers_are_asked_for_and_a_slip_is_asked_again(monkeypatch, tmp_path, capsys):

@@ -13,7 +13,7 @@ import pytest
 
 import palmd
 from palmd import cli
-from palmd.cli.table import COMMANDS, RENAMED, below, loaded
+from palmd.cli.table import COMMANDS, RENAMED, load_module, subcommands
 from palmd.console.errors import CliError
 from palmd.console.extras import install_line
 from palmd.console.progress import Progress, working
@@ -31,7 +31,7 @@ def test_version_and_help(capsys):
     assert capsys.readouterr().out == f"palmd {palmd.__version__}\n"
     assert usage("--help") == 0
     told = capsys.readouterr().out
-    assert all(f"  {name} " in told for name in below())
+    assert all(f"  {name} " in told for name in subcommands())
 
 
 @pytest.mark.parametrize("argv", [(), ("dance",), ("run",), ("ctl",), ("ctl", "dance"), ("rig", "--seed", "x")])
@@ -43,16 +43,16 @@ def test_usage_errors(argv, capsys):
 def test_without_a_command_there_is_help(capsys):
     assert usage() == 2
     told = capsys.readouterr().err
-    assert all(f"  {name} " in told for name in below())
+    assert all(f"  {name} " in told for name in subcommands())
 
 
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        (("rnu",), "there is no 'rnu'; is run meant?"),
-        (("recrod", "x.yaml"), "there is no 'recrod'; is record meant?"),
-        (("calibrate", "pda"), "there is no 'pda'; is pad meant?"),
-        (("calibrate", "waltz"), "there is no 'waltz'; there are pad, "),
+        (("rnu",), "there is no 'rnu'; did you mean 'run'?"),
+        (("recrod", "x.yaml"), "there is no 'recrod'; did you mean 'record'?"),
+        (("calibrate", "pda"), "there is no 'pda'; did you mean 'pad'?"),
+        (("calibrate", "waltz"), "there is no 'waltz'; choose from pad, "),
     ],
 )
 def test_a_slip_is_told_what_may_be_meant(argv, told, capsys):
@@ -81,7 +81,7 @@ def test_errors_on_any_terminal(tmp_path):
 def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
     program = (
         "import pathlib; from palmd.cli import logs, main; main(['keys', 'list'])\n"
-        "with logs.opened(logs.STDOUT, pathlib.Path('x')) as stream: stream.write('µ…')"
+        "with logs.open_output(logs.STDOUT, pathlib.Path('x')) as stream: stream.write('µ…')"
     )
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
@@ -92,7 +92,7 @@ def test_data_on_standard_output_are_utf_8_on_any_terminal(tmp_path):
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda each: each.name)
 def test_every_command_has_its_module_and_help(command, capsys):
-    assert command.module is None or callable(loaded(command).run)
+    assert command.module is None or callable(load_module(command).run)
     assert usage(*command.name.split(), "--help") == 0
     assert capsys.readouterr().out.startswith(f"usage: palmd {command.name} ")
 
@@ -123,7 +123,7 @@ def test_a_command_that_is_a_study_now_names_where_it_is(argv, place, capsys):
 
 
 def test_few_commands_are_listed():
-    assert len(below()) <= 25  # with bundle, compare, capture
+    assert len(subcommands()) <= 25  # with bundle, compare, capture
     assert all(len(each.help) <= 100 for each in COMMANDS)
 
 
@@ -215,7 +215,7 @@ def test_check_draws_what_a_plan_does(tmp_path, capsys, monkeypatch):
     assert picture.read_bytes() == first
     capsys.readouterr()
     for argv, error in (
-        ([str(plan), "--draw", "out.txt"], "out.txt: a picture is .svg, .pdf, .png; name it so"),
+        ([str(plan), "--draw", "out.txt"], "out.txt: use the suffix .svg, .pdf, .png for a picture"),
         ([str(plan), str(plan), "--draw", str(picture)], "there are 2 plans and 0 configurations"),
         ([str(plan), "--draw", str(tmp_path / "none/out.svg")], "cannot be written: No such file or directory"),
     ):

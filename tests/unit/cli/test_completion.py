@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from palmd.cli import completion, main
-from palmd.cli.table import COMMANDS, below
+from palmd.cli.table import COMMANDS, subcommands
 from palmd.console.shipped import shipped
 
 
@@ -63,4 +63,4 @@ def test_the_manual_page_tells_of_every_command(capsys) -> None:
 def test_the_script_is_printed(shell: str, capsys) -> None:
     assert main(["install", "completion", shell]) == 0
     script = capsys.readouterr().out
-    assert all(name in script for name in below())
+    assert all(name in script for name in subcommands())

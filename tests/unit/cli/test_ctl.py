@@ -13,7 +13,7 @@ from palmd.bus.command_client import CommandClient
 from palmd.bus.jogging import JOG_EVERY_S, jog_steps
 from palmd.bus.link import COMMAND, PUBLISH
 from palmd.cli import main
-from palmd.cli.ctl import told
+from palmd.cli.ctl import as_text
 from palmd.config.any_config import BusConfig
 from palmd.console.errors import CliError
 from palmd.daemon.bus import Bus
@@ -91,7 +91,7 @@ def test_status_reads_well(tmp_path, capsys):
 def test_status_tells_angles_and_estimate():
     seen = {"valid": True, "observer": "shape", "object": 2, "touched": 0.34, "nis": 0.98, "observability": None}
     seen |= {"r1_m": 0.02103, "mu": None, "sd": {"r1_m": 1.2e-5}}
-    lines = told("status", STATUS | {"phi1_rad": 0.5, "phi2_rad": 1.5, "estimate": seen}).splitlines()
+    lines = as_text("status", STATUS | {"phi1_rad": 0.5, "phi2_rad": 1.5, "estimate": seen}).splitlines()
     assert lines[2:5] == [
         "angles  phi1 28.6°, phi2 85.9°",
         "object  valid, shape, object 2, touched 34 %, nis 0.98, obs –",
@@ -101,7 +101,7 @@ def test_status_tells_angles_and_estimate():
 
 def test_status_of_a_rig_that_is_not_there():
     nothing = {"plan": "", "segment": -1, "arm_state": "", "arm_error": "−600 link lost", "arm_linked": False}
-    assert told("status", STATUS | nothing | {"state": "idle", "cause": ""}).splitlines()[:4] == [
+    assert as_text("status", STATUS | nothing | {"state": "idle", "cause": ""}).splitlines()[:4] == [
         "state   idle",
         "plan    none",
         "arm     state unknown, does not answer",
@@ -113,10 +113,10 @@ def test_status_of_a_pivoting_gripper_is_told_with_and_without_its_arm():
     known = {"valid": False, "observer": "pivot", "object": 1, "touched": 0.25, "nis": 1.0, "reason": "why not",
              "z_m": 0.018, "s1_m": None, "e_m": None, "psi_rad": None, "omega0_rad_s": None, "f1_n": None, "mu": None,
              "sd": {"z_m": 2e-5}}  # fmt: skip
-    silent = told("status", STATUS | {"estimate": known})
-    assert "\nobject  not valid: why not; 25% of the normals felt\n        z 18.00 ± 0.02 mm\n" in silent
+    silent = as_text("status", STATUS | {"estimate": known})
+    assert "\nobject  not valid: why not; 25% of the normals touched\n        z 18.00 ± 0.02 mm\n" in silent
     assert "pivot   " not in silent
-    assert "\npivot   x 20.0 mm, z 18.0 mm\nobject" in told(
+    assert "\npivot   x 20.0 mm, z 18.0 mm\nobject" in as_text(
         "status", STATUS | {"estimate": known, "x_m": 0.02, "z_m": 0.018}
     )
 
@@ -152,17 +152,17 @@ def test_what_cannot_go_along_is_told_here(tmp_path, content, complaint, capsys)
 
 def test_how_far_an_exploration_is_and_why_it_ended_is_told():
     explored = {"coverage": 0.83, "reachable": 0.91, "reason": "the time is over, untouched: 40–60°"}
-    lines = told("status", STATUS | {"explored": explored}).splitlines()
+    lines = as_text("status", STATUS | {"explored": explored}).splitlines()
     assert lines[2].strip() == (
         "explored 83% of the 91% of the outline that can be reached: the time is over, untouched: 40–60°"
     )
     nothing = {"coverage": None, "reachable": None, "reason": "it has just begun"}
-    assert "explored nothing yet: it has just begun" in told("status", STATUS | {"explored": nothing})
+    assert "explored nothing yet: it has just begun" in as_text("status", STATUS | {"explored": nothing})
 
 
 def test_of_what_is_not_valid_no_number_is_told():
     estimate = {"observer": "shape", "object": 2, "valid": False, "r1_m": 0.02103, "sd": {"r1_m": 1e-5}}
-    lines = told("status", STATUS | {"estimate": estimate})
+    lines = as_text("status", STATUS | {"estimate": estimate})
     assert "not valid" in lines
     assert "±0" not in lines
     assert "21.03" not in lines
@@ -198,28 +198,28 @@ def test_how_the_recorder_fares_is_told():
         "process": 4711,
         "newer": 1,
     }
-    assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in told("status", STATUS | {"recorder": recorder})
+    assert "record  runs/a.mcap, 9392 messages, 4.8 MB, 0 s ago" in as_text("status", STATUS | {"recorder": recorder})
     failed = {"bytes": 0, "messages": 0, "lost": 7, "age_s": 0.4, "problem": "/runs: the disk is full"}
-    text = told("status", STATUS | {"recorder": failed})
+    text = as_text("status", STATUS | {"recorder": failed})
     assert "record  no file, 0 messages, 0.0 MB, 7 lost: /runs: the disk is full" in text
 
 
 def test_the_last_of_the_log_is_told_with_who_gave_a_command():
     entry = LogEntry(3, 98.0, "command", "hold", "", "ann, by palmd ctl", math.nan, "done")
-    text = told("status", STATUS | {"t_s": 100.0, "log": log_fields([entry])})
+    text = as_text("status", STATUS | {"t_s": 100.0, "log": log_fields([entry])})
     assert text.splitlines()[-1] == "log       2.0 s   ago  hold, by ann, by palmd ctl: done"
 
 
 def test_what_a_reset_has_cleared_is_told_and_that_there_was_nothing():
     cleared = {"state": "ready", "cleared": ["arm-lost", "arm-fault"]}
-    assert told("reset", cleared) == "state ready, cleared: arm-lost, arm-fault"
-    assert told("reset", {"state": "ready", "cleared": []}) == "state ready, there was nothing to reset"
+    assert as_text("reset", cleared) == "state ready, cleared: arm-lost, arm-fault"
+    assert as_text("reset", {"state": "ready", "cleared": []}) == "state ready, there was nothing to reset"
 
 
 def test_only_what_people_do_can_be_asked(capsys):
     with pytest.raises(SystemExit):
         main(["ctl", "recorder"])
-    assert "there is no 'recorder'; there are status, arm, " in capsys.readouterr().err
+    assert "there is no 'recorder'; choose from status, arm, " in capsys.readouterr().err
 
 
 def test_a_refusal_is_told_and_ends_with_1(tmp_path, capsys):

@@ -147,7 +147,7 @@ def test_a_hold_is_told_and_given_up_after_a_while(tmp_path, capsys, monkeypatch
     with serving(tmp_path, daemon) as where:
         assert main(["ctl", "explore", *where]) == 3
     err = capsys.readouterr().err
-    assert "pad1-lifted: put the object back (palmd ctl start goes on)" in err
+    assert "pad1-lifted: put the object back (palmd ctl start continues)" in err
     assert "held for 0.3 s" in err
     assert daemon.asked[-2:] == ["hold", "stop"]
 

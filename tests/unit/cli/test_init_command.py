@@ -85,7 +85,7 @@ def test_it_writes_over_nothing(monkeypatch, tmp_path, capsys):
     path = tmp_path / "my.yaml"
     path.write_text("mine")
     assert init(monkeypatch, path, [""] * 20) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "exists" in capsys.readouterr().err
     assert path.read_text() == "mine"
     assert init(monkeypatch, path, [""] * 20, "--force") == 0
 
@@ -94,12 +94,12 @@ def test_two_pads_at_one_port_are_refused(monkeypatch, tmp_path, capsys):
     answers = lines("strip", "dynamixel")
     answers[2] = answers[1]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 1
-    assert "is already that of palm1" in capsys.readouterr().err
+    assert "is already used by palm1" in capsys.readouterr().err
 
 
 def test_without_anybody_it_ends(monkeypatch, tmp_path, capsys):
     assert init(monkeypatch, tmp_path / "my.yaml", []) == 1
-    assert "nobody answers" in capsys.readouterr().err
+    assert "no answer" in capsys.readouterr().err
     assert not (tmp_path / "my.yaml").exists()
 
 
@@ -107,4 +107,4 @@ def test_touch_devices_keep_their_own_units_and_come_with_a_warning(monkeypatch,
     answers = ["evdev", "/dev/a", "/dev/b", "", "yes", "d", "/dev/c", "", "", "90"]
     assert init(monkeypatch, tmp_path / "my.yaml", answers) == 0
     assert "counts_per_mm" not in (tmp_path / "my.yaml").read_text()
-    assert "feels no plastic" in capsys.readouterr().err
+    assert "does not sense plastic" in capsys.readouterr().err

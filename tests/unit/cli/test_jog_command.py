@@ -11,7 +11,7 @@ import time
 import pytest
 
 from palmd.cli import jog, main
-from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, Handle, line
+from palmd.cli.jog import EVERY_S, HELD_S, STEP_DEG, DeadMansSwitch, line
 from palmd.config.two_palms import LimitsConfig
 from palmd.daemon.bus import Bus
 from palmd.daemon.commands import JOG_STEP_MAX_DEG, Reply
@@ -22,26 +22,26 @@ RIGHT, LEFT, UP, DOWN = b"\x1b[C", b"\x1b[D", b"\x1b[A", b"\x1b[B"
 
 
 def test_nothing_moves_without_a_key():
-    assert Handle().step(0.0) is None
+    assert DeadMansSwitch().step(0.0) is None
 
 
 @pytest.mark.parametrize(("key", "phi1", "phi2"), [(RIGHT, 1, 0), (LEFT, -1, 0), (UP, 0, 1), (DOWN, 0, -1),
                                                    (b"\x1bOC", 1, 0)])  # fmt: skip
 def test_arrows(key, phi1, phi2):
-    handle = Handle()
+    handle = DeadMansSwitch()
     assert handle.pressed(key, 1.0) == []
     assert handle.step(1.0) == {"phi1_deg": STEP_DEG * phi1, "phi2_deg": STEP_DEG * phi2}
 
 
 def test_letting_go_stops():
-    handle = Handle()
+    handle = DeadMansSwitch()
     handle.pressed(RIGHT * 3, 1.0)
     assert handle.step(1.0 + HELD_S - 1e-3) is not None
     assert handle.step(1.0 + HELD_S + 1e-3) is None
 
 
 def test_the_last_arrow_counts_and_any_other_key_lets_go():
-    handle = Handle()
+    handle = DeadMansSwitch()
     handle.pressed(RIGHT + UP, 1.0)
     assert handle.step(1.0) == {"phi1_deg": 0.0, "phi2_deg": STEP_DEG}
     handle.pressed(b"x", 1.01)
@@ -49,8 +49,8 @@ def test_the_last_arrow_counts_and_any_other_key_lets_go():
 
 
 def test_what_else_can_be_asked():
-    assert Handle().pressed(b"aS" + RIGHT + b"q", 0.0) == ["arm", "stop", "end"]
-    assert Handle().pressed(b"\x03", 0.0) == ["end"]
+    assert DeadMansSwitch().pressed(b"aS" + RIGHT + b"q", 0.0) == ["arm", "stop", "end"]
+    assert DeadMansSwitch().pressed(b"\x03", 0.0) == ["end"]
 
 
 def test_steps_are_such_that_the_daemon_takes_them_and_goes_on():

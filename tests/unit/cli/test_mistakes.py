@@ -16,13 +16,13 @@ FIRST = "name: p\nsegments:\n  - {move: {phi1_deg: 45, phi2_deg: 90}, duration_s
 MISTAKES = {
     # ---------------------------------------------------------------------------------------- what to type
     "a slip in a command's name": Mistake(
-        "rnu my.yaml", 2, "palmd: error: argument COMMAND: there is no 'rnu'; is run meant?"
+        "rnu my.yaml", 2, "palmd: error: argument COMMAND: there is no 'rnu'; did you mean 'run'?"
     ),
     "a slip in the name of one below": Mistake(
-        "calibrate pda", 2, "palmd calibrate: error: argument NAME: there is no 'pda'; is pad meant?"
+        "calibrate pda", 2, "palmd calibrate: error: argument NAME: there is no 'pda'; did you mean 'pad'?"
     ),
     "a slip in what the daemon shall do": Mistake(
-        "ctl strat", 2, "palmd ctl: error: argument COMMAND: there is no 'strat'; is start meant?"
+        "ctl strat", 2, "palmd ctl: error: argument COMMAND: there is no 'strat'; did you mean 'start'?"
     ),
     "no configuration": Mistake("run", 2, "palmd run: error: the following arguments are required: CONFIG"),
     "which pad was not said": Mistake(
@@ -31,7 +31,7 @@ MISTAKES = {
     "a third pad": Mistake(
         "calibrate pad my.yaml --pad 3",
         2,
-        "palmd calibrate pad: error: argument --pad: there is no '3'; there are 1, 2",
+        "palmd calibrate pad: error: argument --pad: there is no '3'; choose from 1, 2",
     ),
     "a jog without angles": Mistake(
         "ctl jog", 2, "ctl jog: by how much? give --phi1-deg, --phi2-deg or both, such as --phi1-deg 1"
@@ -48,13 +48,13 @@ MISTAKES = {
     "per cent for a share": Mistake(
         "ctl explore --coverage 95",
         2,
-        "palmd ctl explore: error: argument --coverage: must be more than 0 and at most 1, got 95; is a share of 1 "
-        "meant, such as 0.95?",
+        "palmd ctl explore: error: argument --coverage: must be more than 0 and at most 1, got 95; did you mean a "
+        "share of 1, such as 0.95?",
     ),
     "an observer that does not exist": Mistake(
         "estimate run.jsonl -o out.jsonl --observer kalman",
         2,
-        "palmd estimate: error: argument --observer: there is no observer 'kalman'; there are shape, extended,"
+        "palmd estimate: error: argument --observer: there is no observer 'kalman'; choose from shape, extended,"
         " quasistatic",
     ),
     "nowhere to write to": Mistake(
@@ -84,7 +84,7 @@ MISTAKES = {
     "keys without a terminal": Mistake(
         "jog my.yaml",
         1,
-        "jog needs a terminal, for its keys; elsewhere: palmd ctl jog --phi1-deg 1",
+        "jog needs a terminal for its keys; without one use palmd ctl jog --phi1-deg 1",
         {"my.yaml": PORTS},
     ),
     # --------------------------------------------------------------------------------------- configurations
@@ -130,7 +130,7 @@ MISTAKES = {
     "one port for both pads": Mistake(
         "check my.yaml",
         1,
-        "my.yaml:1:38: pads.palm2: port /dev/a is already that of palm1",
+        "my.yaml:1:38: pads.palm2: port /dev/a is already used by palm1",
         {"my.yaml": PORTS.replace("/dev/b", "/dev/a")},
     ),
     "metres for millimetres": Mistake(
@@ -202,7 +202,7 @@ MISTAKES = {
     "a form of export that there is not": Mistake(
         "export run.mcap -o run.xls",
         1,
-        "run.xls: the name does not tell the form; add --as log|csv|mcap-json|rrd|lerobot|svg|dxf|points",
+        "run.xls: the name does not determine the format; add --as log|csv|mcap-json|rrd|lerobot|svg|dxf|points",
     ),
     "an outline with other columns": Mistake(
         "check o.csv", 1, "o.csv:1: the header must be x_mm,y_mm, got x,y", {"o.csv": "x,y\n"}

@@ -45,13 +45,13 @@ MISTAKES = {
     "a figure in a text format": Mistake(
         "compare t.tum --figure f.doc",
         1,
-        "f.doc: a figure is .svg, .png, .pdf; name it so",
+        "f.doc: use the suffix .svg, .png, .pdf for a figure",
         {"t.tum": "0 0 0 0 0 0 0 1\n"},
     ),
     "a comparison over its input": Mistake(
         "compare t.tum -o t.tum",
         1,
-        "t.tum: is read here; write to another file",
+        "t.tum: is an input; write to another file",
         {"t.tum": "0 0 0 0 0 0 0 1\n"},
     ),
     "a result without a trajectory": Mistake(
@@ -103,7 +103,7 @@ MISTAKES = {
     "an export in a form of pictures": Mistake(
         "export run.mcap -o x.svg --as pdf",
         2,
-        "palmd export: error: argument --as: there is no 'pdf'; is dxf meant?",
+        "palmd export: error: argument --as: there is no 'pdf'; did you mean 'dxf'?",
     ),
     "a report of a folder": Mistake(
         "report runs",
@@ -130,13 +130,13 @@ MISTAKES = {
     "runs of a file": Mistake(
         "runs notes.txt",
         1,
-        "notes.txt: is a file; name the folder that it lies in",
+        "notes.txt: is a file; name its folder",
         {"notes.txt": "hello\n"},
     ),
     "runs of a folder that is not there": Mistake(
         "runs nowhere",
         1,
-        "nowhere: no such folder: no run has been recorded into it; `palmd demo` records one into runs/ here",
+        "nowhere: no such folder: no run has been recorded into it; `palmd demo` records one into runs/",
     ),
     "runs since a word": Mistake(
         "runs --since yesterday",
@@ -307,12 +307,12 @@ MISTAKES = {
     "a shell that there is not": Mistake(
         "install completion tcsh",
         2,
-        "palmd install completion: error: argument shell: there is no 'tcsh'; there are bash, zsh, man",
+        "palmd install completion: error: argument shell: there is no 'tcsh'; choose from bash, zsh, man",
     ),
     "an init over a file": Mistake(
         "init notes.txt",
         1,
-        "notes.txt is there already: name another file, or give --force",
+        "notes.txt exists: name another file, or give --force",
         {"notes.txt": "x\n"},
     ),
     "pads without a radius": Mistake(

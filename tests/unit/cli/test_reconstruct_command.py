@@ -161,7 +161,7 @@ def test_an_outline_for_cad_is_that_of_the_result(log, tmp_path, capsys):
     copy = tmp_path / "log.csv"
     copy.write_bytes(log.read_bytes())
     assert main(["reconstruct", str(copy), "-o", str(copy)]) == 1
-    assert "is what the outline is made of" in capsys.readouterr().err
+    assert "is the input" in capsys.readouterr().err
 
 
 def test_a_reconstruction_without_an_outline_draws_none(log, tmp_path, monkeypatch, capsys):

@@ -27,7 +27,7 @@ def test_a_run_that_lacks_its_end_only_is_finished_in_place(tmp_path, capsys):
     assert is_packed(file.path)
     assert read_run(file.path).complete
     assert main(["runs", "recover", str(file.path)]) == 0
-    assert capsys.readouterr().out == f"{file.path}: is whole already\n"
+    assert capsys.readouterr().out == f"{file.path}: is already complete\n"
 
 
 def test_what_cannot_be_read_stays_where_it_is(cut_off, capsys):

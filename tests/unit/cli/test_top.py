@@ -114,7 +114,7 @@ def test_what_is_old_is_said_to_be_old():
     told = text(frame(shown, 102.0))
     assert told.count("2.0 s old") == 3  # of the topics that come often
     assert "no data" not in told
-    assert "no data from tcp://127.0.0.1:9872 for 9 s; what follows is old" in text(frame(shown, 110.5))
+    assert "no data from tcp://127.0.0.1:9872 for 9 s; the following data are old" in text(frame(shown, 110.5))
 
 
 def test_the_latest_of_the_log_comes_first_with_how_long_ago_it_was():
@@ -129,7 +129,7 @@ def test_the_latest_of_the_log_comes_first_with_how_long_ago_it_was():
 
 def test_without_data_it_says_where_it_listens():
     told = text(frame(Board("tcp://127.0.0.1:1"), 5.0))
-    assert told == "no data from tcp://127.0.0.1:1: is a palmd running there?"
+    assert told == "no data from tcp://127.0.0.1:1: check that palmd runs there"
 
 
 @pytest.mark.parametrize("topic", MESSAGES)

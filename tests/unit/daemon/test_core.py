@@ -732,7 +732,7 @@ def test_arm_needs_power(ready):
 def test_a_controller_that_answers_all_but_arm_is_given_up_after_a_second(ready, monkeypatch):
     ready.go(0.003)  # between two ticks
     host, begun = type(ready.core.arm.host), ready.t
-    monkeypatch.setattr(host, "want_tracking", lambda _: monkeypatch.setattr(host, "busy", True))
+    monkeypatch.setattr(host, "request_tracking", lambda _: monkeypatch.setattr(host, "busy", True))
     assert ready.ask("arm", seconds=1.5).error == "arm refused: the controller does not answer"
     assert ready.t - begun == pytest.approx(1.0, abs=0.02)
 

@@ -6,7 +6,7 @@ import pytest
 from farend import BAUD, HOME, LIMITS, FarEnd
 
 from palmd.devices import armlink
-from palmd.devices.armconformance import CHECKS, REACH_M, examine
+from palmd.devices.armconformance import CHECKS, MAX_EXCURSION_M, examine
 from palmd.devices.armconformance_talk import Talk
 from palmd.devices.armlink import Ack, ArmState, HelloReply, LineReader, Refusal, SetPoint, Start, Stop, encode_reply
 from palmd.rig import controller
@@ -26,7 +26,7 @@ def test_the_emulated_controller_passes_and_hardly_moves(phase_s):
     far_end = FarEnd(phase_s=phase_s)
     results = far_end.examine()
     assert [result for result in results if result.outcome != "passed"] == []
-    assert far_end.far_m < REACH_M
+    assert far_end.far_m < MAX_EXCURSION_M
     assert far_end.controller.state is ArmState.READY
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from palmd.devices.armhost import QUERY_S, ArmHost, ArmReport, _near
+from palmd.devices.armhost import QUERY_S, ArmHost, ArmReport, _is_near
 from palmd.devices.armlink import (
     Ack,
     ArmState,
@@ -181,7 +181,7 @@ class Bench:
     def track(self) -> None:
         """Bring the link up and start tracking."""
         self.run(0.2)
-        self.host.want_tracking()
+        self.host.request_tracking()
         self.run(0.1)
         assert self.host.tracking, self.host.refusal
 
@@ -319,7 +319,7 @@ def test_a_late_host_skips_periods_and_never_bursts(bench: Bench) -> None:
 def test_start_refused_says_why(bench: Bench) -> None:
     bench.run(0.3)
     bench.controller.refuse[Start] = -622
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.run(0.2)
     assert not bench.host.tracking
     assert not bench.host.busy
@@ -331,7 +331,7 @@ def test_start_refused_says_why(bench: Bench) -> None:
 
 def test_start_without_a_link_is_refused_at_once() -> None:
     host = ArmHost(BAUD)
-    host.want_tracking()
+    host.request_tracking()
     assert host.refusal == "start refused: no link to the arm's controller"
     assert not host.busy
 
@@ -340,7 +340,7 @@ def test_line_too_slow_for_the_cycle_is_refused() -> None:
     host = ArmHost(9600)
     host.poll(0.0, None)
     host.feed(encode_reply(HELLO), 0.05)
-    host.want_tracking()
+    host.request_tracking()
     assert host.refusal is not None
     assert "29.2 ms at 9600 baud, longer than the controller's cycle of 16 ms" in host.refusal
 
@@ -348,7 +348,7 @@ def test_line_too_slow_for_the_cycle_is_refused() -> None:
 def test_a_host_begins_with_nothing_counted_known_or_asked() -> None:
     host = ArmHost(BAUD)
     assert set(host.counters.as_dict().values()) == {0}
-    assert (host.tracking, host.busy, host.unanswering) == (False, False, (0, 0))
+    assert (host.tracking, host.busy, host.since_last_report) == (False, False, (0, 0))
     assert (host.state, host.pose, host.commanded, host.last_error, host.refusal) == (None,) * 5
     assert host.age(5.0) == math.inf
     assert host.lost(5.0)
@@ -358,7 +358,7 @@ def test_a_host_begins_with_nothing_counted_known_or_asked() -> None:
 def test_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: str) -> None:
     bench.run(0.25)
     setattr(bench, direction, mute)
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.run(0.05)
     setattr(bench, direction, intact)
     bench.run(0.1)
@@ -374,7 +374,7 @@ def test_lost_start_is_repeated_with_the_same_number(bench: Bench, direction: st
 
 def test_stop_decelerates_and_is_followed_until_ready(bench: Bench) -> None:
     bench.track()
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.run(0.05)
     assert not bench.host.tracking
     assert bench.host.state is ArmState.DECELERATING
@@ -387,7 +387,7 @@ def test_stop_decelerates_and_is_followed_until_ready(bench: Bench) -> None:
 def test_lost_stop_is_repeated(bench: Bench) -> None:
     bench.track()
     bench.to_controller = mute
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.run(0.04)
     bench.to_controller = intact
     bench.run(0.06)
@@ -396,8 +396,8 @@ def test_lost_stop_is_repeated(bench: Bench) -> None:
 
 def test_a_stop_under_way_is_not_overtaken(bench: Bench) -> None:
     bench.track()
-    bench.host.want_stop()
-    bench.host.want_tracking()
+    bench.host.request_stop()
+    bench.host.request_tracking()
     assert bench.host.refusal == "start refused: a stop is under way"
     bench.run(0.05)
     assert bench.host.state is ArmState.DECELERATING
@@ -424,7 +424,7 @@ def test_reset_while_tracking_is_refused_here(bench: Bench) -> None:
 
 def test_a_stop_that_was_answered_is_followed_by_a_query_100_ms_later_and_none_sooner(bench: Bench) -> None:
     bench.track()
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.run(0.3)
     ((t_stop, _),) = bench.controller.commands(Stop)
     assert 0.100 < min(t for t, _ in bench.controller.commands(Query) if t > t_stop) - t_stop < 0.130
@@ -518,9 +518,9 @@ def test_a_first_answer_that_is_a_refusal_is_the_last_error() -> None:
 def test_near_the_actual_pose_is_near_by_place_and_by_turn_either_way_round() -> None:
     half = Pose(0.1, 0.2, math.pi)
     for turn_deg, near in ((0.0, True), (2.9, True), (-2.9, True), (3.1, False), (-3.1, False)):
-        assert _near(Pose(0.1, 0.2, -math.pi + math.radians(turn_deg)), half) is near
-    assert _near(Pose(0.1049, 0.2, math.pi), half)
-    assert not _near(Pose(0.1051, 0.2, math.pi), half)
+        assert _is_near(Pose(0.1, 0.2, -math.pi + math.radians(turn_deg)), half) is near
+    assert _is_near(Pose(0.1049, 0.2, math.pi), half)
+    assert not _is_near(Pose(0.1051, 0.2, math.pi), half)
 
 
 def test_emergency_stop_ends_tracking(bench: Bench) -> None:
@@ -559,9 +559,9 @@ def test_controller_found_ready_ends_tracking(bench: Bench) -> None:
 
 def test_lost_port_is_forgotten_and_reported(bench: Bench) -> None:
     bench.track()
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.host.disconnected()
-    assert bench.host.refusal == "stop came to nothing: the port was lost"
+    assert bench.host.refusal == "stop failed: the port was lost"
     assert bench.host.lost(bench.t)
     assert (bench.host.state, bench.host.pose, bench.host.tracking) == (None, None, False)
     assert not bench.host.busy

@@ -137,7 +137,7 @@ def test_every_split_of_the_bytes_gives_the_same_packets(packets, data):
 @given(st.lists(st.one_of(PACKETS, DATA), max_size=8))
 def test_garbage_is_counted_and_nothing_else(pieces):
     reader = packet_reader(BAUD)
-    found = reader.feed(b"".join(pieces), 0.0) + reader.give_up()
+    found = reader.feed(b"".join(pieces), 0.0) + reader.flush()
     counters = reader.counters
     assert counters.packets == len(found)
     assert reader.pending == 0
@@ -147,7 +147,7 @@ def test_garbage_is_counted_and_nothing_else(pieces):
 def test_what_a_cut_packet_hides_comes_when_it_is_given_up():
     reader, whole = packet_reader(BAUD), encode_status(2, 0, bytes(16))
     assert reader.feed(encode_status(1, 0, bytes(60))[:20] + whole, 0.0) == []
-    (found,) = reader.give_up()
+    (found,) = reader.flush()
     assert found.servo == 2
     assert reader.counters.discarded == 20
 

@@ -67,7 +67,7 @@ def test_silence_is_not_lift_off_and_a_still_contact_is_said_again():
     assert max(b.t_sample - a.t_sample for a, b in pairwise(said)) < 0.1, "before it counts as silent"
     (lift,) = driver.feed(encode([UP, SYN], 6.5), 6.5)
     assert isinstance(lift, PadLift)
-    assert driver.parted == "lifted"
+    assert driver.touch_end == "lifted"
     assert list(driver.poll(7.0)) == []
 
 
@@ -78,7 +78,7 @@ def test_on_palms_that_turn_silence_is_a_device_that_has_gone():
     (lift,) = (event for event in said if isinstance(event, PadLift))
     assert 0.2 < lift.t_sample - 1.0 < 0.23, "six degrees"
     assert said[-1] is lift
-    assert (driver.touching, driver.parted) == (False, "silent")
+    assert (driver.touching, driver.touch_end) == (False, "silent")
     assert "the palms have turned by" in driver.evidence("silent", 2.0)
 
 
@@ -102,7 +102,7 @@ def test_a_lift_off_lost_in_an_overflow_is_not_missed():
     assert driver.feed(encode([y(8), SYN], 1.11), 1.11) == [], "the place along the palm is not known"
     assert list(driver.poll(1.12)) == [], "and is not said again meanwhile"
     assert [type(event) for event in driver.poll(1.14)] == [PadLift]
-    assert driver.parted == "silent"
+    assert driver.touch_end == "silent"
     (again,) = driver.feed(encode([DOWN, x(230), y(8), SYN], 1.15), 1.15)
     assert again.s == pytest.approx(0.023)
 

@@ -114,7 +114,7 @@ def test_what_does_not_touch_is_counted_and_complained_of():
     driver.opened(0.0)
     driver.feed(encode([*slot(0, 7, 50, 3, a(DISTANCE, 5)), SYN], 1.0), 1.0)
     assert driver.counts()["not_touching"] == 1
-    assert "hover" in driver.complaint
+    assert "hover" in driver.diagnosis
 
 
 def test_recorded_bytes_have_no_contact_after_an_overflow_until_it_is_sent_again():

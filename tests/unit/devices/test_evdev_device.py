@@ -9,7 +9,7 @@ from kernel_touch import FakeKernel
 
 from palmd.config.pads import EvdevConfig
 from palmd.devices import evdevport
-from palmd.devices.evdevport import EvdevPort, asked
+from palmd.devices.evdevport import EvdevPort, query_device
 from palmd.devices.pad import inspect_pad, make_pad
 from palmd.devices.touchunits import contradictions, with_reported_units
 from palmd.events import PadLift, PadSample
@@ -48,7 +48,7 @@ NO_PADS = {
     ),
     "an accelerometer": ({"axes": SINGLE, "keys": {kt.TOUCH}, "properties": {6}}, "an accelerometer"),
     "a pointing stick": ({"axes": SINGLE, "keys": {kt.TOUCH}, "properties": {5}}, "a pointing stick"),
-    "a pen tablet": ({"axes": SINGLE, "keys": {kt.TOUCH, kt.PEN}}, "it feels its pen only"),
+    "a pen tablet": ({"axes": SINGLE, "keys": {kt.TOUCH, kt.PEN}}, "it senses its pen only"),
     "slots without ids": (
         {"axes": {code: info for code, info in SLOTTED.items() if code != kt.ID}, "keys": {kt.TOUCH}},
         "slots without tracking ids",
@@ -204,7 +204,7 @@ def test_a_place_whose_unit_nobody_knows_is_not_reported_but_said(device):
     _, path, end = device(axes={kt.X: (0, 0, 3000, 0), kt.Y: (0, 0, 3000, 0)}, keys={kt.TOUCH})
     pad = Pad(path, end)
     assert pad.tick(kt.events(a(kt.X, 500), a(kt.Y, 1), (1, kt.TOUCH, 1))) == []
-    assert "set counts_per_mm" in pad.driver.complaint
+    assert "set counts_per_mm" in pad.driver.diagnosis
 
 
 TRACKPAD = {
@@ -240,14 +240,14 @@ def test_a_reported_scale_is_known_to_a_part_of_a_whole_unit(device):
 
 def test_a_device_is_asked_without_being_grabbed(device):
     kernel, path, _ = device(axes=SLOTTED, keys={kt.TOUCH}, properties={kt.PRESSUREPAD})
-    found = asked(path)
+    found = query_device(path)
     assert (found.name, found.counts_per_mm("x"), found.is_pressure_pad) == ("a test pad", 20.0, True)
     assert kernel.grabbed == 0
 
 
 def test_units_left_out_are_filled_in_and_others_compared(device):
     _, path, _ = device(axes=SLOTTED | {kt.MT_PRESSURE: (0, 0, 255, 10)}, keys={kt.TOUCH})
-    found = asked(path)
+    found = query_device(path)
     plain = EvdevConfig(kind="evdev", port=path)
     filled = with_reported_units(plain, found)
     assert (filled.counts_per_mm, filled.newtons_per_count) == (20.0, pytest.approx(9.80665e-4))

@@ -95,7 +95,7 @@ def test_a_hundred_thousand_splits_give_the_same_packets():
 @given(st.binary(max_size=200))
 def test_any_bytes_raise_nothing_and_are_over_when_given_up(data):
     reader = packet_reader(BAUD)
-    found = reader.feed(data, 0.0) + reader.give_up()
+    found = reader.feed(data, 0.0) + reader.flush()
     assert reader.pending == 0
     assert reader.counters.packets == len(found)
 

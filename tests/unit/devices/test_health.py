@@ -1,20 +1,20 @@
 """When a line's errors are too many: by the share of what has come since the last look."""
 
-from palmd.devices.health import SERIAL_PAD, Share, Shares, bytes_since, last_report
+from palmd.devices.health import SERIAL_PAD_LIMITS, ErrorShare, ErrorShares, bytes_since, last_report
 from palmd.devices.versapad import PACKET_BYTES, VersaPadDecoder, encode_packet
 
 
 def test_too_many_is_more_than_the_share_among_enough():
-    assert not Share(0.1, 20).exceeded(19, 19)  # too few to tell
-    assert not Share(0.1, 20).exceeded(20, 2)  # the share itself is not too many
-    assert Share(0.1, 20).exceeded(20, 3)
+    assert not ErrorShare(0.1, 20).exceeded(19, 19)  # too few to tell
+    assert not ErrorShare(0.1, 20).exceeded(20, 2)  # the share itself is not too many
+    assert ErrorShare(0.1, 20).exceeded(20, 3)
 
 
 def test_only_what_has_come_since_the_last_look_counts():
-    share = Share(0.1, 20)
+    share = ErrorShare(0.1, 20)
     assert share.exceeded(100, 50)
     assert not share.exceeded(200, 52)  # 2 of 100: what was bad before is over
-    assert share.told("packets") == "2 of 100 packets since the last look"
+    assert share.text("packets") == "2 of 100 packets since the last check"
     assert not share.exceeded(200, 52)  # nothing has come
     assert share.exceeded(220, 72)
 
@@ -28,15 +28,15 @@ def test_ages_and_bytes_in_words():
 
 
 def test_conditions_hold_from_one_look_to_the_next_and_tell_what_they_are_of():
-    shares = Shares({"garbled": (0.2, 24, "bytes"), "batched": (0.5, 10, "packets")})
+    shares = ErrorShares({"garbled": (0.2, 24, "bytes"), "batched": (0.5, 10, "packets")})
     assert list(shares) == []
-    shares.look({"garbled": (100, 21), "batched": (9, 9)})
+    shares.update({"garbled": (100, 21), "batched": (9, 9)})
     assert list(shares) == ["garbled"] == list(shares)
-    assert shares.told("garbled") == "21 of 100 bytes since the last look"
-    assert shares.told("silent") == ""
-    shares.look({"garbled": (200, 21), "batched": (20, 15)})
+    assert shares.text("garbled") == "21 of 100 bytes since the last check"
+    assert shares.text("silent") == ""
+    shares.update({"garbled": (200, 21), "batched": (20, 15)})
     assert list(shares) == ["batched"]
-    assert shares.told("batched") == "6 of 11 packets since the last look"
+    assert shares.text("batched") == "6 of 11 packets since the last check"
 
 
 def test_a_packet_that_was_cut_when_its_port_was_opened_is_no_damage():
@@ -44,10 +44,10 @@ def test_a_packet_that_was_cut_when_its_port_was_opened_is_no_damage():
     packet = encode_packet(10, 20, 40)
     for cut in range(1, PACKET_BYTES):
         for whole in range(40):
-            decoder, shares = VersaPadDecoder(9600), Shares(SERIAL_PAD)
+            decoder, shares = VersaPadDecoder(9600), ErrorShares(SERIAL_PAD_LIMITS)
             decoder.feed(packet[cut:] + whole * packet, 0.0)
             counters = decoder.counters
             assert counters.bytes_discarded == PACKET_BYTES - cut
-            counted = dict.fromkeys(SERIAL_PAD, (0, 0)) | {"garbled": (counters.bytes, counters.bytes_discarded)}
-            shares.look(counted)
+            counted = dict.fromkeys(SERIAL_PAD_LIMITS, (0, 0)) | {"garbled": (counters.bytes, counters.bytes_discarded)}
+            shares.update(counted)
             assert list(shares) == []

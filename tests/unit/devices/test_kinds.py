@@ -11,7 +11,7 @@ from pydantic import Discriminator, Tag
 from palmd import devices
 from palmd.config.arms import AdeptConfig, ArmConfig, DynamixelConfig, FeetechConfig
 from palmd.config.pads import PadConfig, VersaPadConfig
-from palmd.devices.actuator import Actuator, ArmState, Pose, Sent, make_actuator
+from palmd.devices.actuator import Actuator, ArmState, Outgoing, Pose, make_actuator
 from palmd.devices.armlink import Ack, HelloReply, encode_reply, parse_command
 from palmd.devices.pad import PadDriver, make_pad
 from palmd.devices.versapad import encode_packet
@@ -79,12 +79,12 @@ def test_a_pad_goes_from_bytes_to_events_and_counts():
     (sample,) = driver.feed(encode_packet(0, 0, 50), 1.0)
     assert isinstance(sample, PadSample)
     assert driver.touching
-    assert driver.parted is None
+    assert driver.touch_end is None
     assert driver.view(1.0).s == sample.s == pytest.approx(0.028)
     assert driver.counts()["packets"] == 1
     (lift,) = driver.poll(1.2)
     assert isinstance(lift, PadLift)
-    assert driver.parted == "silent"
+    assert driver.touch_end == "silent"
 
 
 def test_the_end_of_the_port_ends_the_touch():
@@ -103,7 +103,7 @@ def test_garbage_is_told_at_the_next_look_and_only_then():
     assert list(driver.health(False)) == []
     assert list(driver.health(True)) == ["garbled"]
     assert list(driver.health(False)) == ["garbled"]
-    assert "100 bytes, but no report among them at 9600 baud" in driver.complaint
+    assert "100 bytes, but no report among them at 9600 baud" in driver.diagnosis
     assert list(driver.health(True)) == []
 
 
@@ -116,7 +116,7 @@ def test_a_handshake_holds_the_port_in_break_and_complains_without_an_answer(mon
         driver.tend(port, 0.0)
     assert port.breaks == [True, False]
     assert not driver.starting
-    assert "no identity" in driver.complaint
+    assert "no identity" in driver.diagnosis
     assert list(driver.health(False)) == ["handshake"]
 
 
@@ -127,11 +127,11 @@ def test_an_actuator_says_what_it_sent():
     arm.feed(encode_reply(HelloReply(0.016, -1, 1, -2, 2, 0.5, 5)), 0.01)
     assert arm.reach.y_max_m == 2.0
     t, setpoints = 0.01, []
-    arm.want_tracking()
+    arm.request_tracking()
     for _ in range(2000):
         t += 0.001
         sent = arm.poll(t, Pose(0.1, 0.2, 0.3 + 0.01 * t))
-        assert isinstance(sent, Sent)
+        assert isinstance(sent, Outgoing)
         assert (b"S" in sent.data) is (sent.setpoint is not None)
         if sent.setpoint is not None:
             setpoints.append(sent.setpoint)

@@ -93,7 +93,7 @@ def test_random_bytes_raise_nothing_and_are_no_touch(kind):
     assert counts["bytes"] > 90_000
     assert readings <= (0 if kind != "versapad" else 200), "a VersaPad has no checksum, nor much of a header"
     assert "garbled" in driver.health(True)
-    assert driver.complaint is None or "bytes" in driver.complaint
+    assert driver.diagnosis is None or "bytes" in driver.diagnosis
 
 
 def test_garbage_among_the_bytes_moves_no_reading_and_is_over_when_it_ends(kind):
@@ -118,7 +118,7 @@ def test_a_pad_that_falls_silent_while_touched_is_let_go(bench):
     bench.go(0.2)
     (lift,) = bench.lifts(t)
     assert lift <= t + SOON_S
-    assert bench.driver.parted == "silent"
+    assert bench.driver.touch_end == "silent"
     assert bench.driver.evidence("silent", bench.t)
 
 

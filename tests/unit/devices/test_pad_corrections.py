@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from palmd.config.pads import VersaPadConfig
-from palmd.devices.pad import place_mm, straight_mm
+from palmd.devices.pad import counts_to_mm, linear_mm
 
 PLAIN = VersaPadConfig(port="/dev/pad", zero_mm=0.0, counts_per_mm=10.0)
 PLACES = np.arange(2.0, 50.0, 0.5)
@@ -19,7 +19,7 @@ def mapped(**changes):
 
 
 def read(config):
-    return np.array([place_mm(config, 10.0 * s) for s in PLACES.tolist()])
+    return np.array([counts_to_mm(config, 10.0 * s) for s in PLACES.tolist()])
 
 
 def test_a_reading_has_the_correction_of_its_place():
@@ -33,7 +33,7 @@ def test_a_curve_and_a_map_are_added():
 
 
 def test_a_corrected_place_leads_back_to_its_counts():
-    assert straight_mm(mapped(), read(mapped())) == pytest.approx(PLACES, abs=1e-6)
+    assert linear_mm(mapped(), read(mapped())) == pytest.approx(PLACES, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_palms_are_off_what_is_reported_by_half_of_the_play(kind):
 
 def test_a_planned_stop_comes_to_rest_and_holds(kind):
     bench = following(kind).go(1.1)
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.go(0.3)
     assert bench.host.state is ArmState.READY
     assert bench.speed < 1e-3
@@ -86,7 +86,7 @@ def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_clears_i
     bench = following(kind).go(1.0)
     bench.play(name)
     t = bench.t
-    bench.go(0.2, lambda: code in bench.host.trouble)
+    bench.go(0.2, lambda: code in bench.host.faults)
     assert bench.t - t < 0.15
     assert not bench.host.tracking
     assert list(bench.host.health(False)) == [f"servo-{code}"]
@@ -152,7 +152,7 @@ def test_servos_that_palmd_has_set_up_pass_every_check_of_their_make(kind):
     talk = BenchTalk(bench)
     results = list(examine(talk, talk.axes))
     assert [result for result in results if result.outcome != "passed"] == []
-    made = [check for check in CHECKS if check.concerns(talk.axes[0].make)]
+    made = [check for check in CHECKS if check.applies_to(talk.axes[0].make)]
     assert len(results) == 2 * (len(made) - 1) + 1
     assert len(made) == {"dynamixel": 12, "feetech": 9}[kind]
     assert not any(servo.torque for servo in bench.rig._servos), "and are left without torque"

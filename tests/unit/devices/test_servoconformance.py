@@ -29,7 +29,7 @@ def test_servos_as_they_come_from_the_factory_need_settings():
     found = failures(talk)
     assert set(found) == {5, 9, 12}, "the limits and the profile by time are among them"
     assert "register 9 is 250, 0 is needed" in found[5].seen
-    assert "palmd run sets it" in found[5].mend
+    assert "palmd run sets it" in found[5].fix
 
 
 @pytest.mark.parametrize(
@@ -48,12 +48,12 @@ def test_a_register_that_is_wrong_is_found(bench, register, value, check, says):
     found = failures(BenchTalk(bench))
     assert found[check].servo == 2
     assert says in found[check].seen
-    assert found[check].mend
+    assert found[check].fix
 
 
 def test_an_adapter_that_holds_answers_back_is_found(bench):
     found = failures(BenchTalk(bench, late_s=0.016))
-    assert "latency timer" in found[1].mend
+    assert "latency timer" in found[1].fix
     assert 7 in found
 
 
@@ -72,7 +72,7 @@ def test_a_servo_that_goes_on_when_nobody_speaks_is_found(bench):
     stop, servo._stop = servo._stop, lambda t: stop(t) if t >= servo._t_arrival else None
     found = failures(BenchTalk(bench))
     assert set(found) == {12}
-    assert "do not use it" in found[12].mend
+    assert "do not use it" in found[12].fix
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -81,4 +81,4 @@ def test_a_status_return_level_is_named_and_no_cable_blamed(bench, level):
     found = [result for result in failures(BenchTalk(bench)).values() if result.servo == 1]
     assert found
     assert any("status return level" in result.seen or "register 68" in result.seen for result in found)
-    assert not any("cable" in result.mend for result in found)
+    assert not any("cable" in result.fix for result in found)

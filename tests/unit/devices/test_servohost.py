@@ -68,7 +68,7 @@ def test_it_arms_where_it_stands_and_follows():
 def test_a_planned_stop_comes_to_rest_and_holds():
     bench = following().go(1.1)
     assert bench.speed > 0.3
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.go(0.3)
     assert bench.host.state is ArmState.READY
     assert bench.speed < 1e-3
@@ -97,7 +97,7 @@ def test_a_short_silence_trips_the_watchdog_which_is_told_and_reset():
     bench.go(0.150)
     bench.deaf = False
     bench.go(0.05)
-    assert "watchdog" in bench.host.trouble
+    assert "watchdog" in bench.host.faults
     assert bench.host.state is ArmState.FAULT
     assert not bench.host.tracking
     bench.go(0.5)
@@ -113,7 +113,7 @@ def test_a_hardware_error_is_named_within_a_tenth_of_a_second_and_reset_restarts
     bench = following().go(1.0)
     bench.play(name)
     t = bench.t
-    bench.go(0.2, lambda: code in bench.host.trouble)
+    bench.go(0.2, lambda: code in bench.host.faults)
     assert bench.t - t < 0.1
     assert not bench.host.tracking
     assert list(bench.host.health(False)) == [f"servo-{code}"]
@@ -140,7 +140,7 @@ def test_a_goal_that_is_not_taken_is_noticed_by_reading_it_back():
     servo._set(dxl.MAX_POSITION, servo.get(dxl.GOAL))
     servo._set(dxl.MIN_POSITION, servo.get(dxl.GOAL))
     bench.go(0.06)
-    assert "does not take its goals" in bench.host.error
+    assert "does not accept its goals" in bench.host.error
     assert not bench.host.tracking
 
 
@@ -177,7 +177,7 @@ def test_a_servo_whose_watchdog_does_not_stop_it_is_refused():
     bench.go(1.0)
     assert "XL330-M288, whose watchdog trips without stopping it" in bench.host.refusal
     assert not bench.host.linked(bench.t) or bench.host.state is ArmState.FAULT
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     assert not bench.go(0.3).host.tracking
 
 
@@ -215,7 +215,7 @@ def test_no_bytes_whatever_make_it_raise():
 def test_an_adapter_that_holds_answers_back_arms_and_follows(held_ms):
     bench = ServoBench(held_s=held_ms * 1e-3).go(1.0)
     assert bench.host.state is ArmState.READY
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     while bench.t < 2.0 and not bench.host.tracking:
         bench.go(5e-4)
         assert bench.host.linked(bench.t), "answers are life"
@@ -241,7 +241,7 @@ def refuses_torque(servo):
 def test_a_failed_arm_turns_off_the_torque_that_it_turned_on():
     bench = ServoBench().go(1.0)
     refuses_torque(bench.rig._servos[1])
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     assert bench.host.busy
     bench.go(0.5, lambda: not bench.host.busy)
     assert "start refused: servo 2 has 0 in register 64" in bench.host.refusal
@@ -252,7 +252,7 @@ def test_a_failed_arm_turns_off_the_torque_that_it_turned_on():
 def test_an_arm_that_takes_long_is_no_loss_of_the_link():
     bench = ServoBench(held_s=0.039).go(2.0)
     refuses_torque(bench.rig._servos[1])
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     while bench.host.busy:
         bench.go(5e-4)
         assert bench.host.linked(bench.t)
@@ -262,11 +262,11 @@ def test_an_arm_that_takes_long_is_no_loss_of_the_link():
 
 def test_a_failed_arm_leaves_what_held_before_holding():
     bench = following().go(0.5)
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.go(0.5)
     refuses_torque(bench.rig._servos[1])
     bench.rig._servos[1]._set(dxl.TORQUE, 0)
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.go(0.5, lambda: not bench.host.busy)
     assert "start refused" in bench.host.refusal
     assert [servo.torque for servo in bench.rig._servos] == [True, False]
@@ -275,7 +275,7 @@ def test_a_failed_arm_leaves_what_held_before_holding():
 @pytest.mark.parametrize("after_s", [0.002, 0.004, 0.006])
 def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
     bench = ServoBench().go(1.0)
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.go(after_s)
     bench.rig._servos[1].restart(bench.t, silent_s=0.5)
     bench.go(0.4, lambda: not bench.host.busy and not bench.host.tracking)
@@ -283,15 +283,15 @@ def test_an_arm_that_a_silent_servo_ends_leaves_no_torque_on(after_s):
     assert bench.host.state in (ArmState.READY, ArmState.FAULT)
     assert not bench.rig._servos[1].torque
     assert not bench.host.tracking
-    if "came to nothing" in (bench.host.refusal or ""):
+    if "failed" in (bench.host.refusal or ""):
         assert not bench.rig._servos[0].torque
 
 
 def test_a_stop_while_it_arms_turns_the_torque_off_again():
     bench = ServoBench().go(1.0)
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.go(0.5, lambda: any(servo.torque for servo in bench.rig._servos))
-    bench.host.want_stop()
+    bench.host.request_stop()
     bench.go(0.5)
     assert bench.host.state is ArmState.READY
     assert not any(servo.torque for servo in bench.rig._servos)
@@ -310,7 +310,7 @@ def test_a_status_return_level_that_somebody_left_is_set_right(level):
 
 def test_a_lost_bus_names_the_latency_timer_when_answers_were_slow():
     bench = ServoBench(held_s=0.016).go(1.0)
-    bench.host.want_tracking()
+    bench.host.request_tracking()
     bench.play("power_off")
     bench.go(0.5)
     assert "latency timer to 1 ms" in bench.host.refusal

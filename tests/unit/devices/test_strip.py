@@ -146,7 +146,7 @@ def test_a_strip_goes_from_bytes_to_events():
     assert driver.touching
     (lift,) = driver.feed(encode(0, 0, 1, touched=False), 1.01)
     assert isinstance(lift, PadLift)
-    assert (driver.touching, driver.parted) == (False, "lifted")
+    assert (driver.touching, driver.touch_end) == (False, "lifted")
     assert list(driver.poll(5.0)) == []
 
 
@@ -155,7 +155,7 @@ def test_a_strip_that_falls_silent_while_touched_is_told():
     driver.feed(encode(5460, 250, 0), 1.0)
     assert list(driver.poll(1.05)) == []
     assert len(driver.poll(1.14)) == 1
-    assert driver.parted == "silent"
+    assert driver.touch_end == "silent"
 
 
 def test_a_force_at_its_end_of_scale_is_none():
@@ -171,4 +171,4 @@ def test_another_firmware_is_told():
     body[0] = 0x21
     raw = module.SYNC + bytes(body) + module.checksum(bytes(body)).to_bytes(2, "little")
     assert driver.feed(raw, 1.0) == []
-    assert "flash that of tools/strip" in driver.complaint
+    assert "flash the firmware in tools/strip" in driver.diagnosis

@@ -22,10 +22,10 @@ def array(protocol="text", rows=20, columns=4, pitch_mm=3.0, **values):
     )
 
 
-def counts_of(place_mm, config, width_mm, total=2000.0):
+def counts_of(position_mm, config, width_mm, total=2000.0):
     """Exact counts of a logistic contact (the profile that the host assumes) at a place from the first row's middle."""
     edges = (np.arange(config.rows + 1) - 0.5) * config.pitch_mm
-    shares = np.diff(1.0 / (1.0 + np.exp(-(edges - place_mm) / (width_mm * math.sqrt(3.0) / math.pi))))
+    shares = np.diff(1.0 / (1.0 + np.exp(-(edges - position_mm) / (width_mm * math.sqrt(3.0) / math.pi))))
     return np.repeat(shares[:, None] * total / config.columns, config.columns, axis=1)
 
 
@@ -40,7 +40,7 @@ def read(config, counts):
 
 def test_the_stream_of_a_module_of_7_by_4_begins_with_the_documented_command():
     config = array("tsf85", 7, pitch_mm=5.0)
-    assert TaxelDecoder(config).protocol.opening() == bytes.fromhex("9A 00 58 01 0A"), "every 10 ms"
+    assert TaxelDecoder(config).protocol.startup() == bytes.fromhex("9A 00 58 01 0A"), "every 10 ms"
 
 
 def test_a_frame_of_every_field_is_read_big_endian_whatever_its_checksum_byte_is():
@@ -91,14 +91,14 @@ def test_modbus_frames_have_the_standard_checksum(frame, documented):
 def test_an_exception_is_counted_and_named():
     bench = PadBench(KINDS["st0001"])
     bench.driver.feed(modbus_frame(0xC2, b"\x01"), 0.5)
-    assert "Modbus exceptions" in bench.driver.complaint
+    assert "Modbus exceptions" in bench.driver.diagnosis
 
 
 def test_questions_that_nothing_answers_are_named():
     bench = PadBench(KINDS["st0001"])
     bench.plugged = False
     bench.go(1.0)
-    assert "without an answer" in bench.driver.complaint
+    assert "without an answer" in bench.driver.diagnosis
 
 
 @pytest.mark.parametrize("text", ["1, 2;3\t4", " 1 2  3 ,4 ", "0001 2 3 4;"])
@@ -127,17 +127,17 @@ def test_a_place_is_right_up_to_where_the_arrays_end_hides_much_of_the_profile()
     config = array(contact_width_mm=2.0, newtons_per_count=1e-6)
     for place in np.linspace(1.5, 55.5, 40):
         report = read(config, counts_of(place, config, 2.0, 8e5))
-        assert not report.unplaced
+        assert not report.unlocated
         assert report.x_counts * 1e-3 == pytest.approx(place, abs=0.05)
     beyond = read(config, counts_of(-1.5, config, 2.0, 8e5))
-    assert beyond.unplaced
+    assert beyond.unlocated
 
 
 def test_two_contacts_have_no_place():
     config = array(contact_width_mm=2.0)
     report = read(config, counts_of(9.0, config, 2.0) + counts_of(45.0, config, 2.0))
     assert report.in_use
-    assert report.unplaced
+    assert report.unlocated
 
 
 def test_a_touch_begins_at_its_threshold_and_ends_at_half_of_it():
@@ -184,7 +184,7 @@ def test_the_band_of_a_place_is_its_error_over_many_skins(kind, ratio):
         decoder = TaxelDecoder(config)
         decoder.feed(b"\n", 0.0)
         for s in np.linspace(0.02, 0.04, 41):
-            far.receive(decoder.protocol.question(), 0.0)
+            far.receive(decoder.protocol.request(), 0.0)
             (report,) = decoder.feed(far.report(0.0, [Press(float(s), 1.0)]), 1.0)
             errors.append(report.x_counts * 1e-3 + config.zero_mm - s * 1e3)
     rms, band = float(np.sqrt(np.mean(np.square(errors)))), math.hypot(config.grid_sd_mm, config.gain_sd_mm)

@@ -302,7 +302,7 @@ def alive(intervals: list[float], lots: int = 900) -> tuple[TouchTracker, float]
     touch, t = TouchTracker(1, PACKET_S, PACKET_S), 1.0
     for number in range(lots):
         t += intervals[number % len(intervals)]
-        touch.heard(t)
+        touch.bytes_received(t)
         touch.report(packet(t))
     return touch, t
 
@@ -317,7 +317,7 @@ def test_a_dead_line_is_told_sooner_from_a_pad_that_never_pauses_so_long() -> No
 def test_a_line_that_still_brings_bytes_has_the_patience_of_five() -> None:
     touch, t = alive([0.00625, 0.00625, 0.00625, 0.0125, 0.01875])
     five_s = 5.0 * touch.mean_interval_s
-    touch.heard(t + 0.04)
+    touch.bytes_received(t + 0.04)
     assert five_s - 0.04 < touch.patience_s
     assert touch.poll(t + five_s - 1e-4) is None
     assert touch.poll(t + five_s + 1e-4) is not None
@@ -338,7 +338,7 @@ def test_no_pause_of_a_pad_that_reports_in_bands_is_taken_for_its_end(adapter_s:
         begun, ended = (adapter_s * math.ceil(at / adapter_s) for at in (t + BYTE_S, t + PACKET_S))
         if touch.touching and begun > heard:
             assert touch.poll(begun + MARGIN_S) is None
-        touch.heard(ended)
+        touch.bytes_received(ended)
         touch.report(replace(packet(ended), t_first=t + BYTE_S))
         band = rng.choices((1, 2, 3), (0.64, 0.20, 0.16))[0]
         t, heard = t + max(PACKET_S, band * PACKET_S + rng.gauss(0.0, 0.002)), ended

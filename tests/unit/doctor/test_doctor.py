@@ -24,7 +24,7 @@ from palmd.daemon.commands import Reply
 from palmd.devices.armconformance import CheckResult
 from palmd.devices.versapad import encode_packet
 from palmd.doctor import machine, ports
-from palmd.doctor.arm import told
+from palmd.doctor.arm import as_text
 from palmd.doctor.findings import bus, daemon, findings, plan
 from palmd.model import compiled
 from palmd.quantities import RIG
@@ -87,14 +87,14 @@ def test_all_is_well_only_if_everything_is(monkeypatch, path):
     from palmd.doctor import findings
     from palmd.doctor.finding import Finding
 
-    for verdicts, status in ((("ok", "ok"), 0), (("ok", "missing"), 1), (("ok", "cannot tell"), 1)):
+    for verdicts, status in ((("ok", "ok"), 0), (("ok", "missing"), 1), (("ok", "unknown"), 1)):
         made = [Finding("a", each, "b") for each in verdicts]
         monkeypatch.setattr(findings, "findings", lambda _path, made=made: iter(made))
         assert main(["doctor", str(path)]) == status
 
 
 def test_a_failed_check_tells_what_was_sent_expected_and_seen():
-    text = told(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
+    text = as_text(CheckResult(7, "numbers", "failed", "Q07*98", "A07", "nothing"))
     assert [line.split(maxsplit=1) for line in text.splitlines()[1:]] == [
         ["sent", "Q07*98"], ["expected", "A07"], ["seen", "nothing"]
     ]  # fmt: skip
@@ -111,10 +111,10 @@ def test_python():
 
 def test_packages(monkeypatch):
     assert machine.packages().verdict == "ok"
-    assert machine.packages("nobody-made-this").verdict == "cannot tell"
+    assert machine.packages("nobody-made-this").verdict == "unknown"
     needed = ["numpy>=1", "no-such-thing[x]>=2 ; python_version > '3'", "neither-this; extra == 'report'"]
     monkeypatch.setattr(machine.importlib.metadata, "requires", lambda _: needed)
-    assert machine.packages().says == "no-such-thing"
+    assert machine.packages().text == "no-such-thing"
 
 
 def test_compiler(monkeypatch, tmp_path):
@@ -123,7 +123,7 @@ def test_compiler(monkeypatch, tmp_path):
     assert machine.compiler().verdict == "missing"
     (tmp_path / "gcc").touch(0o755)
     assert machine.compiler().verdict == "missing"
-    assert "gcc" in machine.compiler().says
+    assert "gcc" in machine.compiler().text
     monkeypatch.undo()
     assert machine.compiler().verdict == "ok"
 
@@ -138,12 +138,12 @@ def test_a_wheel_with_compiled_observers_needs_no_compiler(monkeypatch, tmp_path
     assert {machine.compiler().verdict, machine.observers().verdict} == {"missing"}
     (tmp_path / compiled.NEEDS).write_text("")
     assert {machine.compiler().verdict, machine.observers().verdict} == {"ok"}
-    assert machine.observers().says == f"1 compiled in {tmp_path}"
+    assert machine.observers().text == f"1 compiled in {tmp_path}"
 
 
 def test_observers(monkeypatch, tmp_path):
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
-    assert machine.observers().mend == "palmd doctor build"
+    assert machine.observers().fix == "palmd doctor build"
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache/shape-12.so").touch()
     assert machine.observers().verdict == "ok"
@@ -155,8 +155,8 @@ def test_observers_where_we_may_not_look(monkeypatch, tmp_path, what):
     (tmp_path / "cache/deeper").mkdir(parents=True)
     with shut(tmp_path / "cache"):
         finding, user = machine.observers(), realtime.user()
-    assert (finding.verdict, finding.says) == ("missing", f"{tmp_path / what}: Permission denied")
-    assert finding.mend == f"set XDG_CACHE_HOME to a folder of {user}'s own, then palmd doctor build"
+    assert (finding.verdict, finding.text) == ("missing", f"{tmp_path / what}: Permission denied")
+    assert finding.fix == f"set XDG_CACHE_HOME to a folder of {user}'s own, then run palmd doctor build"
 
 
 def test_observers_of_who_has_no_home(monkeypatch):
@@ -167,7 +167,7 @@ def test_observers_of_who_has_no_home(monkeypatch):
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    assert "has no home" in machine.observers().says
+    assert "has no home" in machine.observers().text
 
 
 def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
@@ -176,7 +176,7 @@ def test_a_value_that_can_hardly_be_meant_is_off(tmp_path, capsys):
     path.write_text(ports)
     assert main(["doctor", str(path)]) == 1
     [line] = [line for line in capsys.readouterr().out.splitlines() if " configuration " in line]
-    assert line.startswith("off ")
+    assert line.startswith("mismatch ")
     assert line.endswith(f"did you mean 28 mm?: palmd check {path}")
 
 
@@ -185,8 +185,8 @@ def test_an_installed_configuration_that_may_not_be_read_is_not_passed_over(monk
     folder.mkdir()
     monkeypatch.setattr(configured, "INSTALLED", folder / "palmd.yaml")
     with shut(folder):
-        assert configured.usual(None) == folder / "palmd.yaml"
-    assert configured.usual(None) == shipped("palmd.yaml")
+        assert configured.default_path(None) == folder / "palmd.yaml"
+    assert configured.default_path(None) == shipped("palmd.yaml")
 
 
 @pytest.mark.parametrize(("what", "limit"), [("real_time", "RTPRIO"), ("locked_memory", "MEMLOCK")])
@@ -201,7 +201,7 @@ def test_rights(monkeypatch, tmp_path, what, limit):
         finding = getattr(machine, what)()
         assert finding.verdict == verdict
         assert asked == [getattr(machine.resource, f"RLIMIT_{limit}")]
-    assert "limits.d" not in finding.mend
+    assert "limits.d" not in finding.fix
 
 
 def test_the_daemons_start_tells_the_same_commands(monkeypatch):
@@ -212,9 +212,9 @@ def test_the_daemons_start_tells_the_same_commands(monkeypatch):
     monkeypatch.setattr(realtime.resource, "getrlimit", lambda _: (0, 0))
     monkeypatch.setattr(realtime, "_may_lock", lambda: False)
     monkeypatch.setattr(machine, "_capable", lambda _: False)
-    told = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
-    for text, finding in zip(told, (machine.real_time(), machine.locked_memory()), strict=True):
-        command = finding.mend.split("; ")[0]
+    as_text = [realtime._prioritise(realtime.PRIORITY), realtime._lock_memory()]
+    for text, finding in zip(as_text, (machine.real_time(), machine.locked_memory()), strict=True):
+        command = finding.fix.split("; ")[0]
         assert "sudo tee -a /etc/security/limits.d/" in command
         assert text.endswith(command)
 
@@ -227,7 +227,7 @@ resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
 if sys.argv[2] == "stripped":
     os.setresuid(65534, 65534, 65534)
 locks = ctypes.CDLL(None).mlockall(3) == 0  # what is there and what comes, as the daemon asks for it
-print(locked_memory().verdict, locked_memory().says, locks, sep="|")
+print(locked_memory().verdict, locked_memory().text, locks, sep="|")
 """
 
 
@@ -252,19 +252,19 @@ def test_runs(monkeypatch, tmp_path):
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: SimpleNamespace(free=5e9))
     assert machine.runs(tmp_path / "a/b").verdict == "ok"
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: SimpleNamespace(free=1e9))
-    assert "1000 MB free" in machine.runs(tmp_path / "a/b").says
+    assert "1000 MB free" in machine.runs(tmp_path / "a/b").text
     (tmp_path / "file").touch()
     assert machine.runs(tmp_path / "file/b").verdict == "missing"
     finding = machine.runs(tmp_path / ("a" * 300))
-    assert (finding.verdict, finding.says.endswith("File name too long")) == ("missing", True)
+    assert (finding.verdict, finding.text.endswith("File name too long")) == ("missing", True)
 
 
 def test_units(monkeypatch, tmp_path):
-    assert machine.units([tmp_path]).mend == "sudo palmd install"
+    assert machine.units([tmp_path]).fix == "sudo palmd install"
     for name in machine.UNITS:
         (tmp_path / name).touch()
     monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path / "none")
-    assert machine.units([tmp_path / "other", tmp_path]).verdict == "cannot tell"
+    assert machine.units([tmp_path / "other", tmp_path]).verdict == "unknown"
     monkeypatch.setattr(machine, "SYSTEMD_RUNS", tmp_path)
     assert machine.units([tmp_path]).verdict == "ok"
 
@@ -277,7 +277,7 @@ def test_plan(path, tmp_path):
     path.write_text(path.read_text() + "plan: far.yaml\n")
     assert plan(load_config(path), path).verdict == "missing"
     (tmp_path / "far.yaml").write_text("name: far\nsegments: [{move: {phi1_deg: 175}, duration_s: 2}]\n")
-    assert "far.yaml:2:" in plan(load_config(path), path).says
+    assert "far.yaml:2:" in plan(load_config(path), path).text
     (tmp_path / "far.yaml").write_text("name: near\nsegments: [{hold_s: 1}]\n")
     assert plan(load_config(path), path).verdict == "ok"
 
@@ -291,7 +291,7 @@ def test_bus_is_free_or_somebody_elses(path):
         path.write_text(path.read_text().replace(f'"ipc://{path.parent}/publish"', f'"tcp://127.0.0.1:{port}"'))
         finding = bus(load_config(path), None)
     assert finding.verdict == "missing"
-    assert f"sport = :{port}" in finding.mend
+    assert f"sport = :{port}" in finding.fix
 
 
 def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
@@ -314,11 +314,11 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
         over.set()
         thread.join()
         server.close()
-    assert "state ready" in seen["bus"].says
+    assert "state ready" in seen["bus"].text
     assert (seen["pad 1 talks"].verdict, seen["pad 2 talks"].verdict) == ("missing", "ok")
-    assert "arm-link-lost" in seen["arm answers"].says
+    assert "arm-link-lost" in seen["arm answers"].text
     rig = seen["rig's constants"]
-    assert (rig.verdict, rig.says, rig.mend) == ("off", "pad 1's zero seems +0.30 ± 0.03 mm off", "mend it")
+    assert (rig.verdict, rig.text, rig.fix) == ("mismatch", "pad 1's zero seems +0.30 ± 0.03 mm off", "mend it")
 
 
 # -- ports -----------------------------------------------------------------------------------------------------
@@ -326,7 +326,7 @@ def test_a_daemon_that_has_the_ports_is_asked_instead(path, tmp_path):
 
 def test_a_port_is_there_and_nobody_has_it(tmp_path):
     (tmp_path / "file").touch()
-    assert "not a serial port" in ports.port_finding("arm", str(tmp_path / "file")).says
+    assert "not a serial port" in ports.port_finding("arm", str(tmp_path / "file")).text
     with terminal(tmp_path / "arm"):
         assert ports.port_finding("arm", str(tmp_path / "arm")).verdict == "ok"
     with socket.socket(socket.AF_UNIX) as line:
@@ -340,7 +340,7 @@ def test_a_port_that_may_not_be_opened(tmp_path, monkeypatch):
         monkeypatch.setattr(ports, "_group", lambda _: "dialout")
         finding = ports.port_finding("arm", str(tmp_path / "arm"))
     assert finding.verdict == "missing"
-    assert finding.mend.startswith(f"sudo usermod -aG dialout {realtime.user()},")
+    assert finding.fix.startswith(f"sudo usermod -aG dialout {realtime.user()},")
 
 
 @pytest.mark.parametrize(("name", "verdict"), [("stranger", "missing"), ("palmd", "ok")])
@@ -355,7 +355,7 @@ def test_who_has_a_port(tmp_path, name, verdict):
             finding = ports.port_finding("arm", str(tmp_path / "arm"))
             process.kill()
     assert finding.verdict == verdict
-    assert f"({process.pid})" in finding.says if verdict == "missing" else "palmd has it" in finding.says
+    assert f"({process.pid})" in finding.text if verdict == "missing" else "in use by palmd" in finding.text
 
 
 def test_latency_timers(tmp_path, monkeypatch):
@@ -372,7 +372,7 @@ def test_latency_timers(tmp_path, monkeypatch):
     [
         (encode_packet(10, 20, 30), "ok", "reports in"),
         (b"\x07\x55", "missing", "at 9600 baud"),
-        (b"", "cannot tell", "silent"),
+        (b"", "unknown", "no reports"),
     ],
 )
 def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
@@ -389,7 +389,7 @@ def test_a_pad_is_heard(tmp_path, path, data, verdict, says):
         over.set()
         thread.join()
     assert finding.verdict == verdict
-    assert says in finding.says
+    assert says in finding.text
 
 
 def test_an_arm_that_says_nothing(tmp_path, path):
@@ -398,7 +398,7 @@ def test_an_arm_that_says_nothing(tmp_path, path):
         finding = ports.arm_answers(str(tmp_path / "arm"), 38400, path)
         assert time.monotonic() - t < 10.0
     assert finding.verdict == "missing"
-    assert "tools/adept/README.md" in finding.mend
+    assert "tools/adept/README.md" in finding.fix
 
 
 def test_a_container_s_pseudo_terminal_of_the_same_number_is_another_port():

@@ -28,7 +28,7 @@ def test_with_leave_every_check_is_made_and_passed(kind, monkeypatch, capsys):
     bench = ServoBench(kind=kind).go(1.0)
     monkeypatch.setattr(servos, "_talk", lambda _arm: nullcontext(BenchTalk(bench)))
     assert servos.examine_servos(tabletop(kind=kind).arm, sure=True) == 0
-    count = 2 * (sum(check.concerns(bench.host.axes[0].make) for check in CHECKS) - 1) + 1
+    count = 2 * (sum(check.applies_to(bench.host.axes[0].make) for check in CHECKS) - 1) + 1
     assert f"c: {count} of {count} checks passed, 0 failed\n" in capsys.readouterr().out
 
 
@@ -41,7 +41,7 @@ def test_without_leave_no_torque_and_no_success(bench, capsys):
     assert not any(torque)
     out, err = capsys.readouterr()
     assert "FAIL" not in out
-    assert "what turns the torque on was left out: give --yes, or answer yes" in err
+    assert "checks that turn the torque on were skipped: give --yes, or answer yes" in err
 
 
 def test_servos_that_fail_at_rest_are_not_asked_to_move(bench, monkeypatch, capsys):
@@ -62,7 +62,7 @@ def test_doctors_list_names_what_is_wrong_and_how_to_mend_it(bench):
     missing = [finding for finding in found if finding.verdict != "ok"]
     assert len(found) > len(missing) == 1
     assert missing[0].what == "servo 2"
-    assert "68 °C" in missing[0].says
+    assert "68 °C" in missing[0].text
 
 
 def test_a_port_that_cannot_be_had_is_told(monkeypatch, capsys):

@@ -39,9 +39,9 @@ def findings(pad, tmp_path):
 
 def test_doctor_tells_the_device_its_units_and_what_it_cannot_feel(device, tmp_path):
     found = findings(config(device()).pads.palm1, tmp_path)
-    assert found["pad 1 device"].says == "a test pad, single touch, a pressure pad"
-    assert "20 counts/mm" in found["pad 1 units"].says
-    assert "plastic" in found["pad 1 senses"].says
+    assert found["pad 1 device"].text == "a test pad, single touch, a pressure pad"
+    assert "20 counts/mm" in found["pad 1 units"].text
+    assert "plastic" in found["pad 1 senses"].text
     assert {each.verdict for each in found.values()} == {"ok"}
 
 
@@ -49,8 +49,8 @@ def test_doctor_tells_the_device_its_units_and_what_it_cannot_feel(device, tmp_p
     ("values", "pad", "what", "verdict"),
     [
         ({"axes": {}, "keys": {30}}, {}, "pad 1 device", "missing"),
-        ({}, {"counts_per_mm": 10.0}, "pad 1 units", "off"),
-        ({}, {"newtons_per_count": 0.5}, "pad 1 units", "off"),
+        ({}, {"counts_per_mm": 10.0}, "pad 1 units", "mismatch"),
+        ({}, {"newtons_per_count": 0.5}, "pad 1 units", "mismatch"),
         ({"axes": {kt.X: (0, 0, 3000, 0)}}, {}, "pad 1 units", "missing"),
     ],
     ids=["a keyboard", "another scale", "another force", "no scale"],

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from body_stand import WIDE, BodyStand, known_parameters
+from plain_body_equations import acceleration_kernel
 
 from palmd.model import rotation
 from palmd.model.body_rollout import ROUGH_ORDER
@@ -18,7 +19,6 @@ from palmd.motion.body_explorer import DECISION_S, DRAWN_BODIES, LEAST_SHARE, Bo
 from palmd.motion.body_prediction import COLUMNS, Bearings, BodyPredictor
 from palmd.motion.segments import Move
 from palmd.motion.three_palms import TiltLimits
-from palmd.observer.three_palms import kernels
 from palmd.observer.three_palms.body import ORDER
 from palmd.observer.three_palms.kernels import by_columns, palm_inputs
 from palmd.rig.three_palms.world import REST_POSE

@@ -143,7 +143,7 @@ def test_what_has_no_outline_is_told(tmp_path, capsys):
     assert main(["export", str(result), "-o", str(tmp_path / "o.svg")]) == 1
     assert "the reconstruction has no trajectory: too little" in capsys.readouterr().err
     assert main(["export", str(result), "-o", str(tmp_path / "o.zip")]) == 1
-    assert "of a result only the outline is exported" in capsys.readouterr().err
+    assert "only the outline of a result can be exported" in capsys.readouterr().err
 
 
 def test_a_straight_part_is_drawn_dashed_and_said():

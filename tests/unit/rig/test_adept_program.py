@@ -10,7 +10,7 @@ import pytest
 from farend import BAUD, HOME, LIMITS, FarEnd
 from vplus import Module, VPlusError
 
-from palmd.devices.armconformance import REACH_M
+from palmd.devices.armconformance import MAX_EXCURSION_M
 from palmd.devices.armlink import (
     CONTROLLER_NEWLINE,
     HOST_NEWLINE,
@@ -186,7 +186,7 @@ def test_answers_are_written_as_the_codec_writes_them(um):
     module = started()
     module.call("pd.cycle")
     module.globals |= {"pd.ax": um, "pd.ay": -um, "pd.at": 0}
-    module.call("pd.tell.a", [([ord("Q")], 0), ([0xAB], 0)])
+    module.call("pd.send.a", [([ord("Q")], 0), ([0xAB], 0)])
     metres = min(int(um + 0.5 if um > 0 else um - 0.5), 999_999) / UM
     [line] = said(module)
     assert line + "\r\n" == encode_reply(Ack(0xAB, ArmState.READY, Pose(metres, -metres, 0.0))).decode()
@@ -255,7 +255,7 @@ def _random_body(random_, ss, actual):
 def test_it_keeps_the_contract(phase_s):
     far_end = FarEnd(VPlusController, phase_s)
     assert [result for result in far_end.examine() if result.outcome != "passed"] == []
-    assert far_end.far_m < REACH_M
+    assert far_end.far_m < MAX_EXCURSION_M
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def test_it_keeps_the_contract(phase_s):
         ("IF code == 0 THEN\n                pd.gx = pd.nx", "pd.sage = 0\nIF code == 0 THEN\npd.gx = pd.nx"),
         ("CALL pd.say($pd.d.ans)\n            RETURN", "CALL pd.say($pd.d.ans)"),
         ("pd.sage = -1\n                CALL", "pd.sage = 0\n                CALL"),
-        ("CALL pd.tell.e(0, pd.last, code)", "CALL pd.tell.e(0, 0, code)"),
+        ("CALL pd.send.e(0, pd.last, code)", "CALL pd.send.e(0, 0, code)"),
         ("code = -610", "code = -611"),
     ],
 )

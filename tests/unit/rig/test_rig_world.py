@@ -62,7 +62,7 @@ class Loop:
         self.reports += self.host.feed(out["arm"], t)
         if self.rocking and not self.asked and self.host.state is ArmState.READY:
             self.asked = True
-            self.host.want_tracking()
+            self.host.request_tracking()
         if self.host.tracking:
             self.t_tracking = min(self.t_tracking, t)
         said = self.host.poll(t, self._target(t) if self.host.tracking else None).data

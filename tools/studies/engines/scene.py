@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray, PalmMotion
 from palmd.rig.ellipses import Ellipse, ellipse_of
 from palmd.rig.imperfections import drawn
@@ -170,7 +170,7 @@ class Engine(Protocol):
         """Simulates it for that long."""
 
 
-def draw_scene(kind: EngineKind, seed: int, known: Drawn = "none") -> EngineScene:
+def draw_scene(kind: EngineKind, seed: int, known: DrawnImperfections = "none") -> EngineScene:
     """A scene by its seed: ellipses whose centre of mass is off-centre, real vibration as sines.
 
     known: `none` for a rig exactly as described, `calibrated` for one with drawn imperfections.
@@ -227,7 +227,7 @@ def history_of(scene: EngineScene, simulated: EngineRun) -> FloatArray | None:
 
 
 def engine_log(
-    engine: Engine, kind: EngineKind, seed: int, duration_s: float, known: Drawn = "none"
+    engine: Engine, kind: EngineKind, seed: int, duration_s: float, known: DrawnImperfections = "none"
 ) -> tuple[list[Line], Line]:
     """A run of an engine as event-log lines, and its truth, which has the engine's penetration and the vibration too.
 

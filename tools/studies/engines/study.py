@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from palmd import observer
-from palmd.config.two_palms import Drawn
+from palmd.config.two_palms import DrawnImperfections
 from palmd.events import FloatArray
 from palmd.jsonvalues import or_none
 from palmd.observer.reconstruct import reconstruct
@@ -36,7 +36,7 @@ class EngineTask:
 
     engine: EngineName
     kind: EngineKind
-    known: Drawn
+    known: DrawnImperfections
     seed: int
     seconds: float
 
@@ -54,7 +54,7 @@ class EngineRow:
 
     engine: EngineName
     kind: EngineKind
-    known: Drawn
+    known: DrawnImperfections
     seed: int
     seconds: float
     error: str = ""
@@ -94,7 +94,7 @@ class EngineRow:
 def tasks_of(
     engines: Iterable[EngineName],
     kinds: Iterable[EngineKind],
-    known: Iterable[Drawn],
+    known: Iterable[DrawnImperfections],
     first_seed: int,
     runs: int,
     seconds: float,

@@ -152,7 +152,7 @@ class VirtualPort(DevicePort):
         self._wrote(data, self._machine.clock.now)
         self._machine.rig.receive(self.path, data)
 
-    def look(self) -> None:
+    def update_counters(self) -> None:
         """No kernel counts here."""
 
     def close(self) -> None:

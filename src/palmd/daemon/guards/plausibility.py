@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from palmd.daemon.guards.following import FollowingLimits, JointScale
-from palmd.devices.actuator import Place, Pose, Reach
+from palmd.devices.actuator import ArmPose, Pose, Reach
 from palmd.events import Joints
 
 MOST_REPORTS, MOST_S = 3, 0.100
@@ -56,7 +56,7 @@ class PlausibilityGuard:
     def report(
         self,
         t: float,
-        pose: Place,
+        pose: ArmPose,
         reach: Reach | None,
         *,
         impossible: str = "",
@@ -84,10 +84,10 @@ class PlausibilityGuard:
             self.reason = self.reason or self._last_words
         return False
 
-    def _turned(self, pose: Place, twist: float | None) -> str:
+    def _turned(self, pose: ArmPose, twist: float | None) -> str:
         if twist is None or self._twist is None or not isinstance(pose, Pose):
             return ""
-        limit = abs(self._twist) + TOOL_RAD  # the initial twist is reduced slowly
+        limit = abs(self._twist) + TOOL_RAD  # as it was found it is taken back gently
         if abs(twist) <= limit:
             return ""
         return (
@@ -99,7 +99,8 @@ class PlausibilityGuard:
         before = self._errors
         if errors is None or before is None:
             return ""
-        interval_s = TIME_UNCERTAINTY_S + t - self._t_errors  # an arm without set-points stops, and no report says so
+        # an arm that gets no set-points stands still, and no report says so
+        interval_s = TIME_UNCERTAINTY_S + t - self._t_errors
         for joint, (now, then) in enumerate(zip(errors, before, strict=True)):
             limit = self._limits.at_rest + interval_s * abs(peak[joint])
             if abs(now - then) > limit:
@@ -111,7 +112,7 @@ class PlausibilityGuard:
         return ""
 
 
-def _outside(pose: Place, reach: Reach | None) -> str:
+def _outside(pose: ArmPose, reach: Reach | None) -> str:
     if reach is None or not isinstance(pose, Pose):
         return ""
     found = [
@@ -125,7 +126,7 @@ def _outside(pose: Place, reach: Reach | None) -> str:
     return "; ".join(found)
 
 
-def describe_pose(pose: Place) -> str:
+def describe_pose(pose: ArmPose) -> str:
     """A reported pose in words."""
     if isinstance(pose, Pose):
         return f"x {pose.x_m * 1e3:.1f} mm, y {pose.y_m * 1e3:.1f} mm, tool angle {math.degrees(pose.t_rad):.1f}°"

@@ -1,1 +1,1 @@
-"""Kinds of what moves the palms, one file each: `palmd.devices.actuator` finds them by the configuration's `kind`."""
+"""Actuator drivers, one module per kind; `palmd.devices.actuator` imports them by the configuration's `kind`."""

@@ -1,4 +1,4 @@
-"""`kind: dynamixel`: two DYNAMIXEL servos on one bus, which turn the palms about a fixed hinge."""
+"""`kind: dynamixel`: two DYNAMIXEL servos on one bus that turn the palms about a fixed hinge."""
 
 from __future__ import annotations
 

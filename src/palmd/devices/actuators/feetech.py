@@ -1,4 +1,4 @@
-"""`kind: feetech`: two Feetech STS3215 servos on one bus, which turn the palms about a fixed hinge."""
+"""`kind: feetech`: two Feetech STS3215 servos on one bus that turn the palms about a fixed hinge."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Kinds of touch pads, one file each: `palmd.devices.pad` finds them by the configuration's `kind`."""
+"""Touch pad drivers, one module per kind; `palmd.devices.pad` imports them by the configuration's `kind`."""

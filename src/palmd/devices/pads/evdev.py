@@ -1,4 +1,4 @@
-"""`kind: evdev`: any touch device that the kernel's input layer knows."""
+"""`kind: evdev`: any touch device of the kernel's input layer."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Literal
 
 from palmd.config.pads import EvdevConfig
 from palmd.devices.evdev import EvdevReader
-from palmd.devices.evdevport import LOOK, EvdevPort, asked
-from palmd.devices.health import Limits, Shares, last_report
-from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, place_mm
+from palmd.devices.evdevport import LIST_COMMAND, EvdevPort, query_device
+from palmd.devices.health import ErrorShares, Limits, last_report
+from palmd.devices.pad import MARGIN_MM, HostLine, InspectedPad, PadFactory, PadRemark, PadReport, counts_to_mm
 from palmd.devices.touchdevice import unsupported
 from palmd.devices.touchunits import Units, unit_remarks, with_reported_units
 from palmd.events import PadLift, PadSample
 from palmd.messages import PadView
 
-STILL_S = 0.030
-"""A contact that has said nothing for so long is where it was: it is said again, as often as this."""
+REPEAT_S = 0.030
+"""A contact at rest is not reported; after this silence (s) its last sample is repeated, with this period."""
 
-DOUBTED_S = 0.030
-"""A device that does not tell its state within so long, after the kernel has dropped what it said, has gone."""
+STATE_TIMEOUT_S = 0.030
+"""Time (s) after an overflow of the kernel's buffer within which the device's state must be read; else it is lost."""
 
-STUCK_RAD, STUCK_S = math.radians(6.0), 0.15
-"""A device that has said nothing for so long, while the palms turned by so much, has fallen silent."""
+SILENT_TURN_RAD, SILENT_TURN_S = math.radians(6.0), 0.15
+"""A device that is silent for this time (s) while the palms turn by this angle (rad) is considered silent."""
 
-JUDGED: Limits = {"out-of-range": (0.2, 10, "frames"), "foreign-clock": (0.2, 10, "frames")}
+HEALTH_LIMITS: Limits = {"out-of-range": (0.2, 10, "frames"), "foreign-clock": (0.2, 10, "frames")}
 
 
 class Evdev:
@@ -34,30 +34,30 @@ class Evdev:
     starting = False
 
     def __init__(self, number: int, config: EvdevConfig) -> None:
-        """Nothing is opened yet."""
+        """Create the driver; nothing is opened yet."""
         self.is_open = False
         self.touching = False
-        self.parted: Literal["lifted", "silent"] | None = None
+        self.touch_end: Literal["lifted", "silent"] | None = None
         self._number, self._config = number, config
         self._reader = EvdevReader(needed=(config.axis,))
         self._port: EvdevPort | None = None
-        self._in_use = Units(config, None)
+        self._units = Units(config, None)
         self._latest: PadReport | None = None
         self._sample: PadSample | None = None
-        self._t_polled = self._t_doubted = math.inf
-        self._turned = 0.0  # by how much the palms have since the device last spoke (rad)
-        self._state: list[PadReport] = []  # what the device's state said, when it was last read
-        self._shares = Shares(JUDGED)
+        self._t_polled = self._t_overflow = math.inf
+        self._turned = 0.0  # turn of the palms since the device's last report (rad)
+        self._state_reports: list[PadReport] = []  # reports from the device's state, when it was last read
+        self._error_shares = ErrorShares(HEALTH_LIMITS)
 
     @property
-    def complaint(self) -> str | None:
-        """That it sends events without a touch, or that its units are not known."""
+    def diagnosis(self) -> str | None:
+        """The units are unknown, or there are events without a touch."""
         counters = self._reader.counters
-        if self._in_use.missing is not None:
-            return self._in_use.missing
+        if self._units.missing is not None:
+            return self._units.missing
         if counters.not_touching and self._latest is None:
             return (
-                f"{counters.not_touching} frames with contacts that do not touch: they hover, are palms of hands, or"
+                f"{counters.not_touching} frames have contacts that do not touch: they hover, are palms of hands, or"
                 " the device keeps BTN_TOUCH at 0"
             )
         if counters.frames and self._latest is None:
@@ -70,35 +70,35 @@ class Evdev:
         return self._port
 
     def opened(self, t: float) -> None:  # noqa: ARG002
-        """The device has been opened; its state is read next, for something may touch it already."""
+        """Handle the opening of the device; its state is read next, since it may be touched already."""
         self.is_open = True
         self._reader.forget()
         device = None if self._port is None else self._port.device
-        self._in_use = Units(self._config, device)
+        self._units = Units(self._config, device)
         self._reader.has_state = device is not None
         if device is not None:
             self._reader.protocol, self._reader.bounding_box = device.protocol, device.reports_boxes
 
     def lost(self, t: float) -> list[PadLift]:
-        """The device has gone at `t` (s)."""
+        """Handle the loss of the device at `t` (s)."""
         self.is_open = False
         self._reader.reset()
-        return self._part(t, "silent")
+        return self._end_touch(t, "silent")
 
     def tend(self, port: HostLine, t: float) -> None:  # noqa: ARG002
-        """Read the device's state where it is not known: when it has been opened, and after each overflow."""
+        """Read the device's state if it is unknown: after opening and after each overflow."""
         if not (self._reader.wants_state and isinstance(port, EvdevPort)):
             return
         self._reader.wants_state = False
         if state := port.snapshot():
-            self._state += self._reader.restore(state)
+            self._state_reports += self._reader.restore(state)
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """Take what was read at `t` (s)."""
+        """Return the events in the bytes read at `t` (s)."""
         dropped = self._reader.counters.dropped
         reports = self._reader.feed(data, t)
         if self._reader.counters.dropped > dropped and not reports:
-            self._t_doubted, self._sample = t, None  # a lift-off may be lost: the device's state is read
+            self._t_overflow, self._sample = t, None  # a lift-off may be lost: read the device's state
         if data:
             self._turned = 0.0
         return self._events(reports)
@@ -106,81 +106,81 @@ class Evdev:
     def _events(self, reports: list[PadReport]) -> list[PadSample | PadLift]:
         events: list[PadSample | PadLift] = []
         for report in reports:
-            self._latest, self._t_doubted = report, math.inf
+            self._latest, self._t_overflow = report, math.inf
             if not report.in_use:
-                events += self._part(report.t_first, "lifted")
+                events += self._end_touch(report.t_first, "lifted")
             elif (sample := self._calibrated(report)) is not None:
-                self.touching, self.parted, self._sample = True, None, sample
+                self.touching, self.touch_end, self._sample = True, None, sample
                 events.append(sample)
         return events
 
     def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadSample | PadLift]:
-        """What the device said of its state, or that the contact is where it was at `t` (s). Once a tick."""
+        """Return the events in the device's state, or repeat the last sample at `t` (s). Once a tick."""
         self._turned += turning_rad_s * max(t - self._t_polled, 0.0)
         self._t_polled = t
-        if self._state:
-            state, self._state = self._state, []
+        if self._state_reports:
+            state, self._state_reports = self._state_reports, []
             return self._events(state)
-        if t - self._t_doubted > DOUBTED_S:
-            self._t_doubted = math.inf
-            return [*self._part(t, "silent")]
+        if t - self._t_overflow > STATE_TIMEOUT_S:
+            self._t_overflow = math.inf
+            return [*self._end_touch(t, "silent")]
         last = self._sample
-        if not self.touching or last is None or t - last.t_sample < STILL_S:
+        if not self.touching or last is None or t - last.t_sample < REPEAT_S:
             return []
-        if self._latest is not None and self._turned > STUCK_RAD and t - self._latest.t_first > STUCK_S:
-            return [*self._part(t, "silent")]
+        if self._latest is not None and self._turned > SILENT_TURN_RAD and t - self._latest.t_first > SILENT_TURN_S:
+            return [*self._end_touch(t, "silent")]
         self._sample = PadSample(t, last.pad, last.s, last.force)
         return [self._sample]
 
     def reports(self, data: bytes, t: float) -> list[PadReport]:
-        """The reports in what was read at `t` (s), after those of the state that was read before."""
-        state, self._state = self._state, []
+        """Return the reports in the bytes read at `t` (s), after those of the state read before."""
+        state, self._state_reports = self._state_reports, []
         return [*state, *self._reader.feed(data, t)]
 
     def view(self, t: float) -> PadView:
-        """What is to be told of the pad at `t` (s)."""
+        """Return what is published of the pad at `t` (s)."""
         latest, sample = self._latest, self._sample
         if latest is None:
             return PadView()
         s = sample.s if sample is not None and self.touching else math.nan
         return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched)
 
-    def health(self, look: bool) -> Iterator[str]:
-        """The conditions that hold, without the pad's name."""
-        if look:
+    def health(self, refresh: bool) -> Iterator[str]:
+        """Yield the active fault conditions, without the pad's name."""
+        if refresh:
             counters = self._reader.counters
-            self._shares.look(
+            self._error_shares.update(
                 {
                     "out-of-range": (counters.frames, counters.out_of_range),
                     "foreign-clock": (counters.frames, counters.foreign_clock),
                 }
             )
-        yield from self._shares
+        yield from self._error_shares
 
     def evidence(self, condition: str, t: float) -> str:
-        """What speaks for a condition at `t` (s)."""
+        """Return the measurements behind a condition at `t` (s)."""
         last = last_report(None if self._latest is None else self._latest.t_first, t)
         match condition:
             case "silent":
-                if self._turned > STUCK_RAD:
+                if self._turned > SILENT_TURN_RAD:
                     return f"{last}, and the palms have turned by {math.degrees(self._turned):.0f}° since"
-                return f"{last}; then the device went, or the kernel dropped what it had said"
+                return f"{last}; then the device was lost, or the kernel dropped its events"
             case "lifted":
-                return f"{last} and says so"
+                return f"{last} and reports the lift-off"
             case "untouched":
                 return last
-        return self._shares.told(condition)
+        return self._error_shares.text(condition)
 
     def counts(self) -> dict[str, int]:
-        """What has passed since the start, by cause."""
+        """All counters since the start, by name."""
         return self._reader.counters.as_dict()
 
     def _calibrated(self, report: PadReport) -> PadSample | None:
-        config, units = self._config, self._in_use
+        config, units = self._config, self._units
         if units.missing is not None:
             return None
         counts = report.x_counts if config.axis == "x" else report.y_counts
-        s_mm = place_mm(units, counts)
+        s_mm = counts_to_mm(units, counts)
         if not 0.0 < s_mm <= config.length_mm + MARGIN_MM:
             self._reader.counters.out_of_range += 1
             return None
@@ -188,31 +188,31 @@ class Evdev:
         force = report.pressure * gain if config.pressure and gain is not None else None
         return PadSample(report.t_first, self._number, s_mm * 1e-3, force)
 
-    def _part(self, t: float, how: Literal["lifted", "silent"]) -> list[PadLift]:
+    def _end_touch(self, t: float, how: Literal["lifted", "silent"]) -> list[PadLift]:
         if not self.touching:
             return []
-        self.touching, self._sample, self.parted = False, None, how
+        self.touching, self._sample, self.touch_end = False, None, how
         return [PadLift(t, self._number)]
 
 
 NOTE = (
-    "a capacitive pad (touchpads, touch screens) feels no plastic, wood or ungrounded metal: cover the object with"
-    " conductive foil or tape and ground it, or use a pad that feels force"
+    "a capacitive pad (touchpads, touch screens) does not sense plastic, wood or ungrounded metal: cover the object"
+    " with conductive foil or tape and ground it, or use a pad that senses force"
 )
-"""Nothing that a device reports says whether it is capacitive."""
+"""Shown for every device, since devices do not report whether they are capacitive."""
 
 
 def inspect(config: EvdevConfig) -> InspectedPad:
-    """What the kernel says of the device, which is opened for that but not grabbed. See `inspect_pad`."""
+    """Inspect the device by the kernel's description; it is opened but not grabbed. See `inspect_pad`."""
     try:
-        device = asked(config.port)
-    except OSError:  # not there, or not for this user: its port says so
+        device = query_device(config.port)
+    except OSError:  # missing, or no permission: reported by its port
         device = None
     note = PadRemark("senses", "ok", NOTE)
     if device is None:
         return InspectedPad(config, (note,))
     if reason := unsupported(device, config.axis):
-        remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", mend=LOOK)
+        remark = PadRemark("device", "missing", f"{config.port} ({device.name}) {reason}", fix=LIST_COMMAND)
         return InspectedPad(config, (remark,))
     pressed = ", a pressure pad" if device.is_pressure_pad else ""
     found = PadRemark("device", "ok", f"{device.name}, {device.protocol}{pressed}")

@@ -9,28 +9,28 @@ from palmd.devices.strip import FORCE_MAX, TOUCHED_S, StripCounters, StripDecode
 
 
 class Strip(SerialPad[StripPacket, StripCounters]):
-    """One strip's line; see `PadDriver`. Its firmware talks by itself."""
+    """`PadDriver` of one strip, whose firmware sends reports unasked."""
 
     def __init__(self, number: int, config: StripConfig) -> None:
-        """Nothing is opened yet."""
+        """Create the driver; nothing is opened yet."""
         decoder = StripDecoder(config.baud)
         super().__init__(number, config, config.baud, decoder, decoder.counters, TOUCHED_S)
 
     @property
-    def complaint(self) -> str | None:
-        """That what came was no report, or of another version."""
+    def diagnosis(self) -> str | None:
+        """The bytes received are no reports, or of another protocol version."""
         if self._counters.strange:
-            return "its firmware is of another version than palmd: flash that of tools/strip"
+            return "its firmware's protocol version differs from palmd's: flash the firmware in tools/strip"
         if self._counters.discarded:
-            return f"{self._counters.discarded} bytes, but no report among them: is it a strip with palmd's firmware?"
+            return f"{self._counters.discarded} bytes, but no report among them: check that it has palmd's firmware"
         return None
 
-    def _is_place(self, report: StripPacket) -> bool:  # noqa: ARG002
+    def _has_position(self, report: StripPacket) -> bool:  # noqa: ARG002
         return True
 
-    def _is_bounded(self, report: StripPacket) -> bool:
+    def _is_saturated(self, report: StripPacket) -> bool:
         return report.saturated or report.pressure >= FORCE_MAX
 
 
 DRIVER: PadFactory = Strip
-COUNTED = ("bytes", "packets", "discarded")
+COUNTER_NAMES = ("bytes", "packets", "discarded")

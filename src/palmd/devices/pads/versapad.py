@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from palmd.config.pads import VersaPadConfig
 from palmd.devices.handshake import Handshake
-from palmd.devices.health import SERIAL_PAD, Shares, bytes_since, last_report
+from palmd.devices.health import SERIAL_PAD_LIMITS, ErrorShares, bytes_since, last_report
 from palmd.devices.pad import SILENT_INTERVALS, HostLine, PadFactory
 from palmd.devices.port import Port
 from palmd.devices.versapad import IN_USE, PadCalibration, PadPacket, PadReceiver, PressureFormat
@@ -20,10 +20,10 @@ log = logging.getLogger(__name__)
 
 
 class VersaPad:
-    """One pad's line; see `PadDriver`. `in_break` says whether its start-up wants the line in break."""
+    """`PadDriver` of one VersaPad. `in_break`: the start-up requests that the line be in break."""
 
     def __init__(self, number: int, config: VersaPadConfig) -> None:
-        """Nothing is opened yet."""
+        """Create the driver; nothing is opened yet."""
         pressure = PressureFormat(
             config.pressure.byte, config.pressure.mask, config.pressure.shift, config.pressure.invert
         )
@@ -41,20 +41,20 @@ class VersaPad:
         )
         self.is_open = False
         self.in_break = False
-        self.parted: Literal["lifted", "silent"] | None = None
+        self.touch_end: Literal["lifted", "silent"] | None = None
         self._receiver = PadReceiver(calibration, config.baud, pressure)
         self._number: int = number
         self._config = config
-        self._place = math.nan, math.nan
+        self._position = math.nan, math.nan
         self._bytes_at_packet = 0
         self._handshake: Handshake | None = None
-        self._unanswered: str | None = None
-        self._held = False  # in break, as the port has been told
-        self._shares = Shares(SERIAL_PAD)
+        self._handshake_error: str | None = None
+        self._break_set = False  # whether the port is set to break
+        self._error_shares = ErrorShares(SERIAL_PAD_LIMITS)
 
     @property
     def touching(self) -> bool:
-        """Whether the object touches the pad, as far as is known."""
+        """Whether the object touches the pad according to the reports so far."""
         return self._receiver.touch.touching
 
     @property
@@ -63,12 +63,12 @@ class VersaPad:
         return self._handshake is not None
 
     @property
-    def complaint(self) -> str | None:
-        """That the handshake was not answered, or that what came was no report."""
-        if self._unanswered is not None:
-            return self._unanswered
+    def diagnosis(self) -> str | None:
+        """The handshake was not answered, or the bytes received are no reports."""
+        if self._handshake_error is not None:
+            return self._handshake_error
         if discarded := self._receiver.counters.bytes_discarded:
-            return f"{discarded} bytes, but no report among them at {self._config.baud} baud: is it a pad?"
+            return f"{discarded} bytes, but no report among them at {self._config.baud} baud: check pad and baud rate"
         return None
 
     def port(self) -> Port:
@@ -76,28 +76,28 @@ class VersaPad:
         return Port(f"pad{self._number}", self._config.port, self._config.baud)
 
     def opened(self, t: float) -> None:
-        """The port has been opened at `t` (s)."""
+        """Handle the opening of the port at `t` (s)."""
         self.is_open = True
-        self._unanswered = None
+        self._handshake_error = None
         self._handshake = Handshake(self._config.handshake, t)
 
     def lost(self, t: float) -> list[PadLift]:
-        """The port has gone at `t` (s)."""
-        self.is_open = self.in_break = self._held = False
+        """Handle the loss of the port at `t` (s)."""
+        self.is_open = self.in_break = self._break_set = False
         self._handshake = None
         self._receiver.decoder.reset()
         lift = self._receiver.poll(math.inf)
-        return [] if lift is None else [self._part(PadLift(t, self._number), "silent")]
+        return [] if lift is None else [self._end_touch(PadLift(t, self._number), "silent")]
 
     def tend(self, port: HostLine, t: float) -> None:  # noqa: ARG002
-        """Hold the line in break, or end that."""
-        if self.in_break is not self._held and isinstance(port, Port):
+        """Set or clear the line's break condition."""
+        if self.in_break is not self._break_set and isinstance(port, Port):
             port.set_break(self.in_break)
-            self._held = self.in_break
+            self._break_set = self.in_break
 
     def feed(self, data: bytes, t: float) -> list[PadSample | PadLift]:
-        """Take bytes read at `t` (s)."""
-        self._shake(data, t)
+        """Return the events in the bytes read at `t` (s)."""
+        self._step_handshake(data, t)
         counters = self._receiver.counters
         packets = counters.packets
         events = self._receiver.feed(data, t)
@@ -105,65 +105,65 @@ class VersaPad:
             self._bytes_at_packet = counters.bytes
         for event in events:
             if isinstance(event, PadLift):
-                self._part(event, "lifted")
+                self._end_touch(event, "lifted")
             else:
-                beside = math.nan if event.across is None else event.across
-                self._place, self.parted = (event.s, beside), None
+                across = math.nan if event.across is None else event.across
+                self._position, self.touch_end = (event.s, across), None
         return events
 
     def poll(self, t: float, turning_rad_s: float = 0.0) -> list[PadLift]:  # noqa: ARG002
-        """The lift-off that silence tells of at `t` (s). Once a tick."""
-        self._shake(b"", t)
+        """Return the lift-off if the pad has been silent for too long at `t` (s). Once a tick."""
+        self._step_handshake(b"", t)
         lift = self._receiver.poll(t)
-        return [] if lift is None else [self._part(lift, "silent")]
+        return [] if lift is None else [self._end_touch(lift, "silent")]
 
     def reports(self, data: bytes, t: float) -> list[PadPacket]:
-        """The packets in the bytes read at `t` (s)."""
-        self._shake(data, t)
+        """Return the packets in the bytes read at `t` (s)."""
+        self._step_handshake(data, t)
         return self._receiver.decoder.feed(data, t)
 
     def view(self, t: float) -> PadView:
-        """What is to be told of the pad at `t` (s)."""
+        """Return what is published of the pad at `t` (s)."""
         latest = self._receiver.latest
         if latest is None:
             return PadView()
-        s, across = self._place
+        s, across = self._position
         return PadView(s, latest.pressure, t - latest.t_first, self.touching, latest.batched, across)
 
-    def health(self, look: bool) -> Iterator[str]:
-        """The conditions that hold, without the pad's name."""
-        if look:
+    def health(self, refresh: bool) -> Iterator[str]:
+        """Yield the active fault conditions, without the pad's name."""
+        if refresh:
             counters = self._receiver.counters
-            self._shares.look(
+            self._error_shares.update(
                 {
                     "garbled": (counters.bytes, counters.bytes_discarded),
                     "out-of-range": (counters.packets, counters.out_of_range),
                     "batched": (counters.packets, 2 * counters.batches),  # two packets or more in each
                 }
             )
-        yield from self._shares
-        if self._unanswered is not None:
+        yield from self._error_shares
+        if self._handshake_error is not None:
             yield "handshake"
 
     def evidence(self, condition: str, t: float) -> str:
-        """What speaks for a condition at `t` (s)."""
+        """Return the measurements behind a condition at `t` (s)."""
         match condition:
             case "silent":
-                touch, since = self._receiver.touch, bytes_since(self._bytes_come)
-                limit_s = SILENT_INTERVALS * touch.mean_interval_s if self._bytes_come else touch.patience_s
+                touch, since = self._receiver.touch, bytes_since(self._bytes_since_packet)
+                limit_s = SILENT_INTERVALS * touch.mean_interval_s if self._bytes_since_packet else touch.patience_s
                 if self._receiver.decoder.foreign:
                     return f"{self._last_packet(t)}; {since}, and no pad's, not even a damaged one's"
                 return f"{self._last_packet(t)}, the limit is {limit_s * 1e3:.0f} ms; {since}"
             case "lifted":
-                return f"{self._last_packet(t)} and says so: bit {IN_USE:#04x} (in use) of its first byte is 0"
+                return f"{self._last_packet(t)} and reports the lift-off: bit {IN_USE:#04x} (in use) of byte 0 is 0"
             case "untouched":
-                return f"{self._last_packet(t)}; {bytes_since(self._bytes_come)}"
+                return f"{self._last_packet(t)}; {bytes_since(self._bytes_since_packet)}"
             case "handshake":
-                return self._unanswered or ""
-        return self._shares.told(condition)
+                return self._handshake_error or ""
+        return self._error_shares.text(condition)
 
     def counts(self) -> dict[str, int]:
-        """What has passed since the start, by cause."""
+        """All counters since the start, by name."""
         return self._receiver.counters.as_dict()
 
     def _last_packet(self, t: float) -> str:
@@ -171,11 +171,11 @@ class VersaPad:
         return last_report(None if latest is None else latest.t_first, t)
 
     @property
-    def _bytes_come(self) -> int:
+    def _bytes_since_packet(self) -> int:
         return self._receiver.counters.bytes - self._bytes_at_packet
 
-    def _shake(self, data: bytes, t: float) -> None:
-        """Let the start-up go on."""
+    def _step_handshake(self, data: bytes, t: float) -> None:
+        """Advance the start-up."""
         handshake = self._handshake
         if handshake is None:
             return
@@ -183,13 +183,13 @@ class VersaPad:
         if handshake.done:
             self._handshake = None
             if handshake.error is not None:
-                self._unanswered = handshake.error
+                self._handshake_error = handshake.error
                 log.warning("pad%d: %s", self._number, handshake.error)
 
-    def _part(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
-        self._place, self.parted = (math.nan, math.nan), how
+    def _end_touch(self, lift: PadLift, how: Literal["lifted", "silent"]) -> PadLift:
+        self._position, self.touch_end = (math.nan, math.nan), how
         return lift
 
 
 DRIVER: PadFactory = VersaPad
-COUNTED = ("bytes", "packets", "bytes_discarded")
+COUNTER_NAMES = ("bytes", "packets", "bytes_discarded")

@@ -175,7 +175,8 @@ class BodyObserver:
         normals_since = [normals for at, normals in self._normals if at > answer.t]
         return BodyPlanningBelief(
             t, self.object_count, answer.record_start, not self._invalid_reason(t), answer.mass,
-            now.R, now.omega, now.p, now.P, answer.touched > 0, np.array(normals_since).reshape(-1, len(PALMS), 3), self._frame, self._turn,
+            now.R, now.omega, now.p, now.P, answer.touched > 0,
+            np.array(normals_since).reshape(-1, len(PALMS), 3), self._frame, self._turn,
         )  # fmt: skip
 
     def identify(self, t: float) -> None:

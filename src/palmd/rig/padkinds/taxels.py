@@ -99,7 +99,7 @@ class _Tsf85:
     def __init__(self, config: TaxelsConfig) -> None:
         self._modules = config.rows // taxels.TSF85_ROWS
         self._period_ms = 0
-        self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, begins=taxels.TSF85_START)
+        self._commands = FrameScanner(config.line_baud, _command_size, lambda _raw: True, first_byte=taxels.TSF85_START)
 
     def receive(self, data: bytes, t: float) -> bool:
         for _, raw in self._commands.feed(data, t):
@@ -130,7 +130,7 @@ class _St0001:
     """Answers requests; values are in millinewtons once selected, before that in converter counts, a fifth as large."""
 
     def __init__(self, config: TaxelsConfig) -> None:
-        self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, begins=taxels.ST0001_ADDRESS)
+        self._requests = FrameScanner(config.line_baud, _request_size, _has_crc, first_byte=taxels.ST0001_ADDRESS)
         self._answers = b""
         self._is_requested = self._millinewtons = False
 
