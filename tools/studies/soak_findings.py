@@ -16,7 +16,7 @@ import numpy as np
 
 from palmd.console.columns import aligned
 from palmd.jsonvalues import or_none
-from palmd.record.recheck import Checked
+from palmd.record.recheck import CheckedTick
 from palmd.record.run import Survey
 
 JUDGED_FROM_S = 1800.0
@@ -290,7 +290,7 @@ def recorded(
     ]
 
 
-def replayed(ticks: Iterable[Checked]) -> list[SoakFinding]:
+def replayed(ticks: Iterable[CheckedTick]) -> list[SoakFinding]:
     """Of the first ticks, given to the observer again."""
     count = differ = 0
     for tick in ticks:

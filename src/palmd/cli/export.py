@@ -15,7 +15,7 @@ from palmd.console.errors import BAD_INPUT, CliError
 from palmd.console.extras import missing
 from palmd.console.notes import print_notes
 from palmd.console.progress import Progress
-from palmd.record.export import DRAWINGS, FORMS, ExportError, export, form_of, passes
+from palmd.record.export import DRAWINGS, FORMATS, ExportError, export, format_of, passes
 from palmd.record.run import RunError, read_any_run
 
 _NEEDED = {"lerobot": ("pandas", "lerobot")}
@@ -34,15 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=".jsonl event log; folder or .zip CSV, a table for each topic; .mcap messages in JSON; .rrd for rerun; "
         "--as lerobot, a folder: a LeRobot data set; the outline: .svg, .dxf drawings, .csv points, x and y in mm",
     )
-    parser.add_argument("--as", dest="form", choices=FORMS, help="the form, where the name does not tell it")
+    parser.add_argument("--as", dest="form", choices=FORMATS, help="the form, where the name does not tell it")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Leaves no half of an output; CliError when the run cannot be used or the output not be written."""
     source, target = arguments.run, arguments.output
-    form = arguments.form or form_of(target)
+    form = arguments.form or format_of(target)
     if form is None:
-        raise CliError(BAD_INPUT, f"{target}: the name does not tell the form; add --as {'|'.join(FORMS)}")
+        raise CliError(BAD_INPUT, f"{target}: the name does not tell the form; add --as {'|'.join(FORMATS)}")
     if source.suffix.lower() == ".json":
         if form not in DRAWINGS:
             raise CliError(BAD_INPUT, f"{source}: of a result only the outline is exported: .svg, .dxf or .csv")

@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation, Slerp
 
 from palmd.events import FloatArray
-from palmd.report.tracks import LEAST_ROWS, OutlineShape, PoseTrack
+from palmd.report.tracks import MIN_ROWS, OutlineShape, PoseTrack
 from palmd.score import score_outline, support_at
 
 GAP_S = 0.15
@@ -81,9 +81,9 @@ def compared(reference: PoseTrack, source: PoseTrack, *, fit: bool = True) -> Co
     """
     offset = _offset(reference, source) if fit else 0.0
     rows = _common(reference, source, offset)
-    if len(rows) < LEAST_ROWS:
+    if len(rows) < MIN_ROWS:
         raise AlignmentError(
-            f"{source.name} and {reference.name} have {len(rows)} times in common; {LEAST_ROWS} are needed"
+            f"{source.name} and {reference.name} have {len(rows)} times in common; {MIN_ROWS} are needed"
         )
     at = reference.t[rows] - offset
     turned = Slerp(source.t, source.rotation)(at)
@@ -174,7 +174,7 @@ def _disagreement(reference: PoseTrack, source: PoseTrack, offset: float) -> flo
     """Mean square error (rad²) of the rotations at this offset, in the frame that fits them."""
     rows = _common(reference, source, offset)
     rows = rows[:: max(len(rows) // _REFINED_ROWS, 1)]
-    if len(rows) < LEAST_ROWS:
+    if len(rows) < MIN_ROWS:
         return math.inf
     turn, true = Slerp(source.t, source.rotation)(reference.t[rows] - offset), reference.rotation[rows]
     nowhere = np.full((len(rows), 3), math.nan)
@@ -208,7 +208,7 @@ def _in_frame(
     else:
         raise AlignmentError("one of the two turns about one axis only, the other does not: not the same motion")
     known = np.isfinite(true_place).all(axis=1) & np.isfinite(place).all(axis=1)
-    if known.sum() < LEAST_ROWS:
+    if known.sum() < MIN_ROWS:
         return frame * turn, np.full_like(place, math.nan)
     rotated = frame.apply(place)
     columns = np.concatenate([np.tile(np.eye(3), (known.sum(), 1, 1)), (frame * turn[known]).as_matrix()], axis=2)
@@ -237,7 +237,7 @@ def _plane_frame(
         axis = -axis
     tilt = Rotation.align_vectors(true_axis[None], axis[None])[0]
     known = np.isfinite(true_place).all(axis=1) & np.isfinite(place).all(axis=1)
-    if known.sum() < LEAST_ROWS:
+    if known.sum() < MIN_ROWS:
         return tilt
     ex = np.linalg.svd(true_axis[None])[2][1]
     basis = np.stack([ex, np.cross(true_axis, ex)])

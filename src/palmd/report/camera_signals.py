@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from palmd.events import FloatArray, PalmSample
 from palmd.observer.palm_path import smoothed_path
 from palmd.record.resultfile import Result
-from palmd.record.track import LEAST_ROWS, CameraTrack
+from palmd.record.track import MIN_ROWS, CameraTrack
 from palmd.system.description import RigDescription
 
 GAP_S = 0.1  # of the reconstruction: nothing is made up across more
@@ -60,7 +60,7 @@ class Signals:
         self.com = None if motion.com is None else CubicSpline(motion.t, motion.com)
         self.palms = None
         self.seen = np.isfinite(track.angle)
-        if motion.palms is not None and (np.isfinite(track.palms) & self.seen[:, None]).sum() >= LEAST_ROWS:
+        if motion.palms is not None and (np.isfinite(track.palms) & self.seen[:, None]).sum() >= MIN_ROWS:
             self.palms = CubicSpline(motion.t, motion.palms)
         self._gaps = np.flatnonzero(np.diff(motion.t) > GAP_S)
 

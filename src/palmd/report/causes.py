@@ -17,7 +17,7 @@ from palmd.devices.pad import SILENT_INTERVALS, pad_counted
 from palmd.faults import TABLE
 from palmd.messages import Fields, LogEntry
 from palmd.quantities import SystemTopics
-from palmd.record import ANOTHER, ASKED, SILENT, STARTER_GONE
+from palmd.record import DAEMON_RESTARTED, DAEMON_SILENT, PARENT_GONE, REQUESTED
 from palmd.report.course import Closeup, Course, StateChange
 
 CauseKind = Literal[
@@ -63,9 +63,9 @@ _STATES: dict[str, tuple[CauseKind, str]] = {
     "arm-left-tracking": ("left", "the arm's controller stopped following by itself"),
 }
 _ENDINGS = {
-    SILENT: "it was finished by its recorder, which heard nothing more of the daemon",
-    ANOTHER: "it was finished by its recorder when it heard that another daemon had begun",
-    STARTER_GONE: "it was finished by its recorder, which the daemon had started, when the daemon was gone",
+    DAEMON_SILENT: "it was finished by its recorder, which heard nothing more of the daemon",
+    DAEMON_RESTARTED: "it was finished by its recorder when it heard that another daemon had begun",
+    PARENT_GONE: "it was finished by its recorder, which the daemon had started, when the daemon was gone",
 }
 _OWN: dict[str, tuple[CauseKind, str]] = {
     "tick-error": ("failed", "palmd itself failed: an unexpected error in its control loop"),
@@ -496,11 +496,11 @@ def of_end(case: RunCase, *, being_written: bool = False) -> StopCause:
     ]  # fmt: skip
     if any(entry.name == "stopping" for entry in course.log[-3:]):
         return StopCause("ended", "", "palmd was told to end", tuple(evidence))
-    if course.ending == ASKED:
+    if course.ending == REQUESTED:
         evidence.append(Clue("the file", "it was finished by its recorder, which was asked to end"))
         return StopCause("recorder-ended", "", "the recorder was told to end; palmd went on", tuple(evidence))
     if course.complete:
-        evidence.append(Clue("the file", _ENDINGS.get(course.ending, _ENDINGS[SILENT])))
+        evidence.append(Clue("the file", _ENDINGS.get(course.ending, _ENDINGS[DAEMON_SILENT])))
         unless = "" if course.ending else ", unless its recorder alone was told to end"
         sentence = (
             f"the daemon said nothing more, and no word of ending: it was killed or has crashed{unless}; "

@@ -15,7 +15,7 @@ from palmd.events import FloatArray
 from palmd.observer.outline import wrapped
 from palmd.outlinefile import Outline
 from palmd.record.resultfile import Result
-from palmd.record.track import LEAST_ROWS, CameraTrack
+from palmd.record.track import MIN_ROWS, CameraTrack
 from palmd.report.camera_clock import GroundTruthError, scanned
 from palmd.report.camera_frame import CameraClock, CameraFit, CameraFrame, rms
 from palmd.report.camera_signals import KnownMotion, Signals
@@ -81,7 +81,7 @@ def compared(result: Result, motion: KnownMotion, track: CameraTrack, outline: O
     lag = scanned(signals)
     log_t = track.t + lag
     rows = signals.seen & signals.known_at(log_t) & (log_t >= motion.t[0]) & (log_t <= motion.t[-1])
-    if rows.sum() < LEAST_ROWS:
+    if rows.sum() < MIN_ROWS:
         raise GroundTruthError(f"only {int(rows.sum())} rows of the track fall into the reconstruction")
     fit = CameraFit(signals, rows, lag)
     clock, frame = fit.clock(), fit.frame()

@@ -13,7 +13,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import FigureBase
 
 from palmd.events import FloatArray
-from palmd.record.meshfile import BAND_COLOURS, BAND_M, UNTOUCHED, Mesh, band_colours
+from palmd.record.meshfile import SD_COLOURS, SD_RANGE_M, UNTOUCHED, Mesh, sd_colours
 from palmd.report.axes import BLACK, ORANGE, PINK
 
 SIDES = ("most touched", "from its right", "from behind", "from its left")
@@ -43,9 +43,12 @@ def draw_surface(figure: FigureBase, body: FeltBody) -> None:
         axes.grid(visible=False)
     pads = [grid[0].plot([], [], color=colour, label=f"pad {i}")[0] for i, colour in enumerate(PAD_COLOURS, 1)]
     grid[0].legend(handles=pads, loc="upper left")
-    scale = LinearSegmentedColormap.from_list("band", BAND_COLOURS / 255)
+    scale = LinearSegmentedColormap.from_list("band", SD_COLOURS / 255)
     bar = figure.colorbar(
-        ScalarMappable(LogNorm(1e6 * BAND_M[0], 1e6 * BAND_M[1]), scale), ax=grid, shrink=0.6, label="one-sigma (µm)"
+        ScalarMappable(LogNorm(1e6 * SD_RANGE_M[0], 1e6 * SD_RANGE_M[1]), scale),
+        ax=grid,
+        shrink=0.6,
+        label="one-sigma (µm)",
     )
     bar.ax.text(0.5, -0.05, "grey:\nuntouched", transform=bar.ax.transAxes, ha="center", va="top", fontsize=7.0,
                 color=tuple(UNTOUCHED / 400))  # fmt: skip
@@ -74,7 +77,7 @@ def _view(axes: Axes, body: FeltBody, view: FloatArray) -> None:
     if mesh.sd is None or mesh.touched is None:
         colours = np.tile(UNTOUCHED / 255, (len(points), 1))
     else:
-        colours = band_colours(mesh.sd, mesh.touched) / 255
+        colours = sd_colours(mesh.sd, mesh.touched) / 255
     faces = (colours[mesh.triangles].mean(1) * shade[:, None])[facing]
     axes.add_collection(
         PolyCollection(

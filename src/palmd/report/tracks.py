@@ -17,7 +17,7 @@ from palmd.record.resultfile import ResultError, read_result
 from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.record.track import TrackError, read_track
 
-LEAST_ROWS = 30
+MIN_ROWS = 30
 MAX_BYTES = 200_000_000
 _TUM_COLUMNS = 8
 
@@ -113,8 +113,8 @@ def _of_tum(path: Path) -> PoseTrack:
         if rows and row[0] <= rows[-1][0]:
             raise TrackFileError(f"{path}:{number}: time is {row[0]:g} after {rows[-1][0]:g}: it must increase")
         rows.append(row)
-    if len(rows) < LEAST_ROWS:
-        raise TrackFileError(f"{path}: {len(rows)} poses; {LEAST_ROWS} are needed")
+    if len(rows) < MIN_ROWS:
+        raise TrackFileError(f"{path}: {len(rows)} poses; {MIN_ROWS} are needed")
     table = np.array(rows)
     return PoseTrack(path.name, table[:, 0], table[:, 1:4], Rotation.from_quat(table[:, 4:]))
 
@@ -166,11 +166,11 @@ def _of_run(run: AnyRun) -> PoseTrack:
         raise TrackFileError(f"{run.path}: no estimate in it is valid: there is nothing to compare")
     best = max(estimates, key=lambda number: len(estimates[number]))
     count = sum(map(len, estimates.values()))
-    if len(estimates[best]) < LEAST_ROWS:
-        raise TrackFileError(f"{run.path}: {count} valid estimates; {LEAST_ROWS} of one object are needed")
+    if len(estimates[best]) < MIN_ROWS:
+        raise TrackFileError(f"{run.path}: {count} valid estimates; {MIN_ROWS} of one object are needed")
     name = run.path.stem
     truth = None
-    if len(truths) >= LEAST_ROWS:
+    if len(truths) >= MIN_ROWS:
         truth = PoseTrack(f"truth of {name}", **_poses(truths), body=_body(true_object))
     body = _body(shapes.get(best, {}))
     return PoseTrack(name, **_poses(estimates[best]), body=body, valid=count / ticks, truth=truth)

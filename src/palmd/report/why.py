@@ -12,8 +12,8 @@ from itertools import pairwise
 from palmd.faults import TABLE
 from palmd.messages import LogEntry
 from palmd.record import SUFFIX
-from palmd.record.damage import described
-from palmd.record.index import LIVE_S
+from palmd.record.damage import damage_text
+from palmd.record.index import BEING_WRITTEN_S
 from palmd.record.run import AnyRun, RunError, read_any_run
 from palmd.report.causes import RunCase, StopCause, of_break, of_damage, of_end, of_fault, of_no_fault, of_tracking
 from palmd.report.course import TOGETHER_S, Course, StateChange, closeup_of, course_of
@@ -215,7 +215,7 @@ def _unknown(
     """What happened in a part of the file that is damaged."""
     begin, end = (each - course.begin for each in hole)
     cause = of_damage(
-        described(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
+        damage_text(run.damage, run.layout.begin_ns), f"{begin:.2f} s", "its end" if math.isinf(end) else f"{end:.2f} s"
     )
     told = course.at(hole[0])
     state = told.state if told is not None else ""
@@ -225,7 +225,7 @@ def _unknown(
 
 def _is_being_written(run: AnyRun) -> bool:
     with contextlib.suppress(OSError):
-        return time.time() - run.path.stat().st_mtime < LIVE_S
+        return time.time() - run.path.stat().st_mtime < BEING_WRITTEN_S
     return False
 
 

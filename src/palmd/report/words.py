@@ -13,7 +13,7 @@ from palmd.chords import MEANT, chords_of
 from palmd.observer.shape_classification import root_of_band, shape_class
 from palmd.observer.validity import MOST_NIS
 from palmd.quantities import ESTIMATE, MOTION
-from palmd.record.damage import described
+from palmd.record.damage import damage_text
 from palmd.record.metadata import CONFIG
 from palmd.report.errors import OBJECTS_OWN, SDS, STATE, Errors, against, body_at, inside, last_outlines, normalised
 from palmd.report.findings import NOTE, RunVerdict
@@ -341,7 +341,7 @@ def _objects(series: Series) -> str:
 def _recording(series: Series) -> str:
     damage = series.run.damage
     if damage.damaged:
-        return described(damage, series.run.layout.begin_ns)
+        return damage_text(damage, series.run.layout.begin_ns)
     if series.run.complete:
         return "complete"
     return f"not finished: {damage.torn_bytes} bytes at its end hold no whole message and are left out"

@@ -28,7 +28,7 @@ SUFFIX = ".mcap"
 FILE_BYTES_MOST = 1 << 28
 """Of a file that is sent as a whole."""
 
-LIVE_S = 3.0
+BEING_WRITTEN_S = 3.0
 """A file that was written to so lately is being recorded."""
 
 NICE = 10
@@ -97,7 +97,7 @@ class RunLibrary:
         return {"file": output.name}
 
     def _delete(self, run: Path) -> dict[str, Any]:
-        if time.time() - run.stat().st_mtime < LIVE_S:
+        if time.time() - run.stat().st_mtime < BEING_WRITTEN_S:
             raise LibraryError(f"{run.name} is being recorded: delete it when the run is over")
         try:
             run.unlink()

@@ -187,9 +187,11 @@ MISTAKES = {
     ),
     # ------------------------------------------------------------------------------------- logs and recordings
     "a recording that is not there": Mistake(
-        "report none.mcap", 1, "none.mcap: no such file; `palmd runs FOLDER` lists what has been recorded there"
+        "report none.mcap", 1, "none.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder"
     ),
-    "a text for a recording": Mistake("report notes.txt", 1, "notes.txt: is no MCAP file", {"notes.txt": "hello\n"}),
+    "a text for a recording": Mistake(
+        "report notes.txt", 1, "notes.txt: is not an MCAP file", {"notes.txt": "hello\n"}
+    ),
     "a log without its first line": Mistake(
         "reconstruct run.jsonl -o r.json",
         1,

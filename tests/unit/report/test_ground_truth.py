@@ -217,8 +217,8 @@ ROWS = [f"{0.03 * i:.2f},{i},2,{i}" for i in range(40)]
         ([HEADER, *ROWS[:5], ROWS[4], *ROWS[5:]], r"csv:7: t_s is 0.12 after 0.12: time must increase"),
         ([HEADER, *ROWS[:20]], r"csv: 20 rows show the object; 30 are needed"),
         ([HEADER, *(f"{i},,nan,3" for i in range(40))], r"csv: 0 rows show the object"),
-        ([HEADER, *(f"{i},{i * 1e-4},2,3" for i in range(40))], r"moves over 0.0039 mm only: .* in metres\?"),
-        ([HEADER, *(f"{i},{i * 1e3},2,3" for i in range(40))], r"moves over 3.9e\+04 mm: .* in µm\?"),
+        ([HEADER, *(f"{i},{i * 1e-4},2,3" for i in range(40))], r"moves by only 0.0039 mm: .* in metres\?"),
+        ([HEADER, *(f"{i},{i * 1e3},2,3" for i in range(40))], r"moves by 3.9e\+04 mm: .* in µm\?"),
     ],
 )
 def test_a_track_that_cannot_be_read_is_refused_with_the_line(tmp_path, lines, told):
