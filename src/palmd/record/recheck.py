@@ -77,9 +77,7 @@ class Recheck:
             if recorded is not None and recorded["mono_ns"] == t_ns:
                 yield CheckedTick(tick.number, tuple(differences(tick.number, recorded, now)))
         if not started:
-            raise RunError(
-                f"{self._run.path}: begins with tick {begins}; the observer's state before it is not recorded"
-            )
+            raise RunError(f"{self._run.path}: begins with tick {begins}; the observer's state before is not recorded")
 
     def environment_differences(self) -> list[str]:
         """Differences in versions, machine and backend between the recording and now; they may change the last bits."""

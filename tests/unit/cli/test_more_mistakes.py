@@ -16,12 +16,12 @@ MISTAKES = {
     "compare with a run that is not there": Mistake(
         "compare nowhere.mcap t.tum",
         1,
-        "nowhere.mcap: no such file; `palmd runs FOLDER` lists the recordings in one",
+        "nowhere.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder",
     ),
     "compare a folder": Mistake(
         "compare runs",
         1,
-        "runs: is a folder; name the files in it",
+        "runs: is a folder; name a file",
         {"runs/a.txt": "x\n"},
     ),
     "compare one track alone": Mistake(

@@ -117,7 +117,7 @@ class ThreePalms:
         del seed, progress  # deterministic and fast
         joints, readings = path_and_readings(log)
         if joints is None:
-            reason = "there are no joint angles"
+            reason = "the joints are never reported"
             rejected = verdict.verdict(False, None, reason)
             return Reconstructed(rejected, verdict.in_one_line(rejected, ""), None, reason)
         answer = reconstruct(joints, readings, log.rig)
