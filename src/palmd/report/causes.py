@@ -257,7 +257,7 @@ def _port(case: RunCase, code: str, t: float) -> StopCause:
     growth = case.timeline.counter_growth(t, f"{end}_port_losses")
     if growth is not None and growth[2][f"{end}_port_losses"]:
         evidence.append(Clue("palm/loop", f"{end}_port_losses grew {_between(case, growth)}"))
-    device = (case.config.arm if end == "arm" else getattr(case.config.pad_count, f"palm{end[-1]}")).port
+    device = (case.config.arm if end == "arm" else getattr(case.config.pads, f"palm{end[-1]}")).port
     sentence = f"the serial port of {_device_name(end)} was lost: {device} could no longer be read"
     return StopCause("port", end, sentence, (*evidence, Clue("palm/state", f"{code} from {case.rel(t)} on")))
 
@@ -410,7 +410,7 @@ def _silent(case: RunCase, code: str, t: float) -> StopCause:
     end = code.removesuffix("-silent")
     evidence = [*_ages(case, int(end[-1]), t)]
     logged = _logged_evidence(case, code, t)
-    kind = getattr(case.config.pad_count, f"palm{end[-1]}").kind
+    kind = getattr(case.config.pads, f"palm{end[-1]}").kind
     names = tuple(f"{end}_{name}" for name in pad_counted(kind) or ())
     lost = 0.0
     if any("not even a damaged one's" in each.what for each in logged):  # the daemon has checked byte by byte

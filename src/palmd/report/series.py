@@ -139,7 +139,7 @@ def series_of(run: AnyRun, survey: Mapping[str, Survey], at: Callable[[int], Non
     """
     estimate = run.topics.estimate.name
     if estimate not in survey:
-        raise RunError(f"{run.path}: holds no {estimate}; there is nothing to report")
+        raise RunError(f"{run.path}: holds no {estimate}: there is nothing to report")
     reader = _RunReader(run.topics)
     for number, message in enumerate(run.messages()):
         if message.topic in reader.handlers:

@@ -199,7 +199,7 @@ MISTAKES = {
         {"run.jsonl": '{"t":1}\n'},
     ),
     "a form of report that there is not": Mistake(
-        "report run.mcap -o run.doc", 1, "run.doc: a report is .html or .pdf; name it so"
+        "report run.mcap -o run.doc", 1, "run.doc: the suffix of a report must be .html or .pdf"
     ),
     "a form of export that there is not": Mistake(
         "export run.mcap -o run.xls",

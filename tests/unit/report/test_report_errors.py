@@ -93,9 +93,9 @@ def test_outline_is_turned_back_and_scored(series):
     found = outline_errors(outline, body_at(read, outline.t))
     assert found.error == pytest.approx(np.full(180, reported.OFF_M), abs=1e-9)
     assert found.h == pytest.approx(reported.true_h(reported.THETA + reported.GAUGE), abs=1e-9)
-    assert found.all.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
-    assert found.all.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
-    assert math.remainder(found.all.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
+    assert found.whole_score.e_h == pytest.approx(reported.OFF_M, rel=1e-3)
+    assert found.whole_score.max_error == pytest.approx(reported.OFF_M, rel=1e-2)
+    assert math.remainder(found.whole_score.rotation - reported.GAUGE, math.tau) == pytest.approx(0.0, abs=1e-3)
     assert found.touched_score.touched == pytest.approx(np.mean(outline.touched))
 
 

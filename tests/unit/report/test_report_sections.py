@@ -227,7 +227,7 @@ def draw(made):
     [
         (["nothing.mcap"], "nothing.mcap: no such file; `palmd runs FOLDER` lists the recordings in a folder"),
         (["prose.mcap"], "prose.mcap: is not an MCAP file"),
-        (["RUN", "-o", "report.txt"], "report.txt: a report is .html or .pdf; name it so"),
+        (["RUN", "-o", "report.txt"], "report.txt: the suffix of a report must be .html or .pdf"),
         (["RUN", "-o", "nowhere/report.html"], "nowhere/report.html: cannot be written: there is no folder nowhere"),
         (["RUN", "-o", "folder.pdf"], "folder.pdf: cannot be written: Is a directory"),
     ],
