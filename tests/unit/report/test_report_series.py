@@ -46,7 +46,12 @@ def test_what_lasted_and_what_went_wrong(tmp_path):
         ("", 0.0), ("rock 0", 0.3), ("rock 1", 1.0), ("rock 2", 2.0),
     ]  # fmt: skip
     late, garbled = read.faults
-    assert (late.code, late.severity, late.hint, late.active_at_end) == ("arm-late", "degrade", "mend <arm-late>", False)
+    assert (late.code, late.severity, late.hint, late.active_at_end) == (
+        "arm-late",
+        "degrade",
+        "mend <arm-late>",
+        False,
+    )
     assert (late.begin, late.end) == pytest.approx((0.6, 0.9))
     assert (garbled.code, garbled.active_at_end, garbled.end) == ("pad1-garbled", True, read.duration)
     assert garbled.begin == pytest.approx(1.0)
