@@ -87,7 +87,7 @@ def damage_text(damage: Damage, begin_ns: int) -> str:
 
 
 def _missing(damage: Damage, begin_ns: int) -> str:
-    places = f"{len(damage.lost)} place" + ("s" if len(damage.lost) > 1 else "")
+    stretches = f"{len(damage.lost)} stretch" + ("es" if len(damage.lost) > 1 else "")
     count = f"{damage.messages:,} message" + (" is" if damage.messages == 1 else "s are")
     count = count if damage.exact else f"at least {count}" if damage.messages else "an unknown number of messages is"
     first, last = damage.lost[0], damage.lost[-1]
@@ -97,4 +97,4 @@ def _missing(damage: Damage, begin_ns: int) -> str:
     lasting = f" of {damage.seconds:.2f} s" if damage.seconds else ""
     if damage.exact and not damage.messages:
         count = "no message is"
-    return f"{count} missing, {damage.lost_bytes:,} bytes in {places}{lasting}, {between}"
+    return f"{count} missing, {damage.lost_bytes:,} bytes in {stretches}{lasting}, {between}"

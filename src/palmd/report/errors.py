@@ -123,7 +123,7 @@ def outline_errors(outline: OutlineAt, body: TrueBody) -> OutlineErrors:
 
 
 def scores_over_time(series: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (s) of up to `_MOST_SCORES` valid outlines; their e_h and largest error over all normals (m)."""
+    """Times (s) of up to `_MAX_SCORES` valid outlines; their e_h and largest error over all normals (m)."""
     valid = [outline for outline in series.outlines if outline.valid]
     chosen = valid[:: -(-len(valid) // _MAX_SCORES) or 1]
     rows = []

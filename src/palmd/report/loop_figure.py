@@ -24,12 +24,12 @@ def draw_loop(figure: FigureBase, series: Series) -> None:
     """Draw lateness and work of each second, skipped ticks, and ages of the readings."""
     (lateness, work), (skipped, ages) = figure.subplots(2, 2, sharex=True)
     for axes, quantity in ((lateness, "lateness"), (work, "work")):
-        begun = series.loop["ticks"] > 0.0  # the first message precedes the first statistics
+        measured = series.loop["ticks"] > 0.0  # the first message precedes the first statistics
         parts = tuple(drawn(LOOP, chart=quantity))
         for part, colour in zip(parts, _OF_A_SECOND, strict=True):
-            values = np.where(begun, series.loop[part.name], math.nan)
+            values = np.where(measured, series.loop[part.name], math.nan)
             line(axes, series.loop.t, values, color=colour, linewidth=0.8, label=part.symbol)
-        _positive(axes, [series.loop[part.name][begun] for part in parts])
+        _positive(axes, [series.loop[part.name][measured] for part in parts])
         axes.set_ylabel(f"{quantity} ({parts[0].unit})")
     line(skipped, series.loop.t, series.loop["overruns"], color=BLUE)
     skipped.set(

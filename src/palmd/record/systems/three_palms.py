@@ -93,8 +93,8 @@ class ThreePalms:
                 raise BadLineError(f"pad must be {', '.join(map(str, PALMS[:-1]))} or {PALMS[-1]}, got {shown(pad)}")
             a, b = number(line, "a_m"), number(line, "b_m")
             force = optional(line, "force_n")
-            off = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
-            yield None if off else PadReading(t, pad, a, b, math.nan if force is None else force)
+            off_pad = max(abs(a), abs(b)) > rig.pad.side + EDGE_M
+            yield None if off_pad else PadReading(t, pad, a, b, math.nan if force is None else force)
         if "joints" in line:
             joints = block(line, "joints")
             angle = _joints(joints, "angle_rad")

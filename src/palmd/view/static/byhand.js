@@ -130,7 +130,7 @@ export class ByHand {
       this.#unanswered += 1;
       const sent = this.#commands.give("jog", args, (error) => {
         this.#unanswered -= 1;
-        if (error) this.#refused(error);
+        if (error) this.#stopWithError(error);
       });
       if (!sent) {
         this.#unanswered -= 1;
@@ -141,7 +141,7 @@ export class ByHand {
     step();
   }
 
-  #refused(error) {
+  #stopWithError(error) {
     this.#letGo();
     document.getElementById("answer").classList.add("bad");
     set("answer", error);

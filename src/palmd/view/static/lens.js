@@ -19,9 +19,10 @@ export class Lens {
 
   /**
    * Draws the part of the outline nearest to `target` (mm). `points` in the object's frame with standard deviations `sds` (m)
-   * and, if the truth is known, `off` (m), its distance outside the estimate; the frame is at `centre` (m), rotated by `psi` (rad).
+   * and, if the truth is known, `truthOffset` (m), its distance outside the estimate; the frame is at `centre` (m), rotated by
+   * `psi` (rad).
    */
-  draw(context, { points, sds, off, centre, psi, target, screen }) {
+  draw(context, { points, sds, truthOffset, centre, psi, target, screen }) {
     const { ratio, width, height, scale, below } = screen;
     const nearest = nearestTo(points, centre, psi, target);
     const radius = Math.min(RADIUS * ratio, SHARE * height);
@@ -46,14 +47,14 @@ export class Lens {
     context.strokeStyle = colours[`error${classOf(sds[nearest])}`];
     context.lineWidth = 2.4 * thin;
     context.stroke(ring(points));
-    if (off) dash(context, ring(points, off), thin);
+    if (truthOffset) dash(context, ring(points, truthOffset), thin);
     context.restore();
     this.#drawFactor(context, [x, y], radius, ratio);
   }
 
-  /** X of the lens' centre: in the upper corner farther from the object, which is `off` to the right of the hinge. */
-  #centreX(off, margin, width) {
-    if (Math.abs(off) > 0.1 * width) this.#right = off < 0;
+  /** X of the lens' centre: in the upper corner farther from the object, which is `objectX` to the right of the hinge. */
+  #centreX(objectX, margin, width) {
+    if (Math.abs(objectX) > 0.1 * width) this.#right = objectX < 0;
     return this.#right ? width - margin : margin;
   }
 

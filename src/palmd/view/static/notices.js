@@ -7,9 +7,9 @@ const ORDER = ["stop", "hold", "degrade", "note", "rig"];
 const SEVERE = new Set(["stop", "hold"]);
 
 /** Rows {kind, code, text}, the most severe first. Pure. */
-export function notices({ faults = [], severities = [], hints = [] }, { off = [] }) {
+export function notices({ faults = [], severities = [], hints = [] }, { off: deviations = [] }) {
   const rows = faults.map((code, i) => ({ kind: severities[i], code, text: hints[i] ?? "" }));
-  rows.push(...off.map((text) => ({ kind: "rig", code: "", text })));
+  rows.push(...deviations.map((text) => ({ kind: "rig", code: "", text })));
   return rows.sort((a, b) => ORDER.indexOf(a.kind) - ORDER.indexOf(b.kind));
 }
 

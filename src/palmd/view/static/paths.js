@@ -4,17 +4,17 @@ import { colours } from "./theme.js";
 
 const MM = 1e3;
 
-/** A closed path through the outline's points, each moved by `off` (m) along its normal. */
-export function ring(points, off) {
+/** A closed path through the outline's points, each moved by `offset` (m) along its normal. */
+export function ring(points, offset) {
   const path = new Path2D();
-  for (let i = 0; i < points.x.length; i++) path.lineTo(...place(points, i, off?.[i] ?? 0));
+  for (let i = 0; i < points.x.length; i++) path.lineTo(...place(points, i, offset?.[i] ?? 0));
   path.closePath();
   return path;
 }
 
-/** A point of the outline, moved by `off` (m) along its normal. */
-export function place(points, i, off) {
-  return [(points.x[i] + off * points.nx[i]) * MM, (points.y[i] + off * points.ny[i]) * MM];
+/** A point of the outline, moved by `offset` (m) along its normal. */
+export function place(points, i, offset) {
+  return [(points.x[i] + offset * points.nx[i]) * MM, (points.y[i] + offset * points.ny[i]) * MM];
 }
 
 export function line(context, from, to) {

@@ -22,9 +22,9 @@ export function isOwn(estimate) {
 /** Loads the module that draws it (`draw`). */
 export const drawing = () => import("./pivotscene.js");
 
-/** A summary of the picture; `say` formats a quantity with its unit. */
-export function describe(store, say) {
+/** A summary of the picture; `format` formats a quantity with its unit. */
+export function describe(store, format) {
   const estimate = store.get("palm/estimate"), [{ number }] = palmsOf(store.get("palm/info"));
-  return `Pad touched at ${say(`s${number}_m`)}, pressed with ${say(`f${number}_n`)}; rotated by ${say("psi_rad")}. `
+  return `Pad touched at ${format(`s${number}_m`)}, pressed with ${format(`f${number}_n`)}; rotated by ${format("psi_rad")}. `
     + `Touched over ${(estimate.touched * 100).toFixed(0)} % of the outline about the pivot.`;
 }

@@ -7,7 +7,7 @@ const LEVELS = [ // width (s) and number of buckets: 5 minutes, an hour, a day
   { width: 1, count: 3600 },
   { width: 10, count: 8640 },
 ];
-const POINTS_MOST = 1500; // points in a picture: about one per pixel
+const MAX_POINTS = 1500; // points in a picture: about one per pixel
 const GAP_S = 2;
 
 export class Pyramid {
@@ -34,7 +34,7 @@ export class Pyramid {
 
   /** The data for a picture from `from` to `to` (s): {times, values(name, scale)}, from the finest level that covers it. */
   cut(from, to) {
-    const [begin, fine] = [Math.max(from, this.oldest), this.#levels.filter(({ width }) => (to - from) / width <= POINTS_MOST)];
+    const [begin, fine] = [Math.max(from, this.oldest), this.#levels.filter(({ width }) => (to - from) / width <= MAX_POINTS)];
     const level = fine.find(({ width, oldest }) => oldest <= begin + width) ?? fine.at(-1) ?? this.#levels.at(-1);
     return level.cut(from, to);
   }

@@ -111,14 +111,14 @@ function showHealth(store, now, fps) {
 export function describe(store) {
   const estimate = store.get("palm/estimate");
   if (!estimate.valid) return "Palms and object; the estimate is not valid.";
-  const say = (name) => {
+  const format = (name) => {
     const { factor, digits, unit } = shownOfPalm(name);
     return number(estimate[name] * factor, digits, unit);
   };
   const own = SYSTEMS.find(({ isOwn }) => isOwn(estimate));
-  if (own) return own.describe(store, say);
+  if (own) return own.describe(store, format);
   const [distance, shape] = inSpace(estimate) ? ["h", "surface"] : ["r", "outline"];
-  const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${say(`${joint}_rad`)}, `
-    + `${say(`${distance}${palm}_m`)} from the centre of mass, pressed with ${say(`f${palm}_n`)}.`);
+  const palms = palmsOf(store.get("palm/info")).map(({ number: palm, joint }) => `Palm ${palm} at ${format(`${joint}_rad`)}, `
+    + `${format(`${distance}${palm}_m`)} from the centre of mass, pressed with ${format(`f${palm}_n`)}.`);
   return `${palms.join(" ")} Touched over ${number(estimate.touched * 100, 0, "%")} of the ${shape}.`;
 }

@@ -144,8 +144,8 @@ export class Scene {
     if (centre) this.#drawCentre(centre, estimate.psi_rad);
     this.drawScale();
     if (this.#lensOn && turned && this.#paths && estimate.valid) {
-      const off = truth && truthDifference(this.#points, store.get("rig/object"), truth, estimate);
-      this.#drawLens(estimate, centre, off, contacts.find(Boolean));
+      const truthOffset = truth && truthDifference(this.#points, store.get("rig/object"), truth, estimate);
+      this.#drawLens(estimate, centre, truthOffset, contacts.find(Boolean));
     }
   }
 
@@ -218,7 +218,7 @@ export class Scene {
   }
 
   /** Draws the lens at the outline point nearest to the pointer, else to the first contact, else at the first normal. */
-  #drawLens(estimate, centre, off, contact) {
+  #drawLens(estimate, centre, truthOffset, contact) {
     const { ratio, width, height } = this.#pixels;
     const pointed = this.#pointer && [
       (this.#pointer[0] * ratio - width / 2) / this.#scale,
@@ -226,7 +226,7 @@ export class Scene {
     ];
     const lens = this.#lens();
     lens?.draw(this.#context, {
-      points: this.#points, sds: this.#shape.h_sd_m, off, centre, psi: estimate.psi_rad, target: pointed ?? contact,
+      points: this.#points, sds: this.#shape.h_sd_m, truthOffset, centre, psi: estimate.psi_rad, target: pointed ?? contact,
       screen: { ratio, width, height, scale: this.#scale, below: this.#below },
     });
     this.#factor = lens?.factor ?? 0;
@@ -286,10 +286,10 @@ export class Scene {
   /** Draws a strip below the surface of a curved palm between two arc lengths (mm). */
   #drawArc(palm, from, to, thick, colour) {
     const context = this.#context;
-    const places = Array.from({ length: ARC_POINTS + 1 }, (_, i) => onPalm(palm, (from + ((to - from) * i) / ARC_POINTS) / MM));
+    const edge = Array.from({ length: ARC_POINTS + 1 }, (_, i) => onPalm(palm, (from + ((to - from) * i) / ARC_POINTS) / MM));
     context.beginPath();
-    for (const { point } of places) context.lineTo(point[0] * MM, point[1] * MM);
-    for (const { point, normal } of places.reverse()) {
+    for (const { point } of edge) context.lineTo(point[0] * MM, point[1] * MM);
+    for (const { point, normal } of edge.reverse()) {
       context.lineTo(point[0] * MM - normal[0] * thick, point[1] * MM - normal[1] * thick);
     }
     context.fillStyle = colour;

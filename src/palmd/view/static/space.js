@@ -117,12 +117,12 @@ function drawPad({ context, project, ratio }, { number, centre, half, a, b }, fi
 /** Draws every triangle that faces the viewer, coloured by class of standard deviation and shaded by the light. */
 function drawBody({ context, project, eye, ratio }, shape, turn, com, valid) {
   const { sphere, surface: { points } } = surfaceOf(shape);
-  const places = points.map((point) => plus(turned(turn, point), com));
-  const flat = places.map(project);
+  const inWorld = points.map((point) => plus(turned(turn, point), com));
+  const flat = inWorld.map(project);
   const paths = new Map();
   for (const [i, j, k] of sphere.faces) {
     if (turns(flat[i], flat[j], flat[k]) >= 0) continue; // y goes down on a canvas
-    const normal = unit(cross(plus(places[j], places[i], -1), plus(places[k], places[i], -1)));
+    const normal = unit(cross(plus(inWorld[j], inWorld[i], -1), plus(inWorld[k], inWorld[i], -1)));
     const lit = dot([dot(normal, eye.right), dot(normal, eye.up), dot(normal, eye.towards)], LIGHT);
     const shade = Math.round(Math.max(0, lit) * SHADES);
     const error = classOf(Math.max(shape.h_sd_m[i], shape.h_sd_m[j], shape.h_sd_m[k]));

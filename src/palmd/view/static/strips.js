@@ -288,7 +288,7 @@ class Strip {
     };
     for (const name of names) add(name, "y");
     const compared = names.filter((name) => this.#compared(name));
-    for (const name of compared) add(name, "off");
+    for (const name of compared) add(name, "error");
     this.#lane = compared.length ? 1 : null;
     const axis = { stroke: () => colours.ink, font: "11px system-ui, sans-serif", ticks: { show: false } };
     const grid = { stroke: () => colours.faint, width: 1 };
@@ -298,7 +298,7 @@ class Strip {
         values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : minus(tick))) },
     ];
     if (this.#lane !== null) {
-      axes.push({ ...axis, scale: "off", side: 1, grid, size: 46, gap: 4, splits: () => [-this.#lane, 0, this.#lane],
+      axes.push({ ...axis, scale: "error", side: 1, grid, size: 46, gap: 4, splits: () => [-this.#lane, 0, this.#lane],
         filter: (_, ticks) => ticks, values: (_, ticks) => ticks.map((tick) => minus(Number(tick.toPrecision(3)))) });
     }
     return new uPlot({
@@ -309,7 +309,7 @@ class Strip {
       scales: {
         x: { time: false, range: () => this.#timeline.window },
         y: { range: () => this.#mainRange() },
-        off: { range: () => this.#laneRange() },
+        error: { range: () => this.#laneRange() },
       },
       axes,
       series,
