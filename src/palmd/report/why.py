@@ -40,8 +40,8 @@ RECENT_S = 0.25
 """A fault that ended less than this long ago is still reported for continuing motion."""
 
 NEAR_END_S, CONTINUATION_GAP_S, AFTER_END_S = 0.05, 0.5, 1.0
-"""A time in the last `NEAR_END_S` of a run asks for its end; one up to `CONTINUATION_GAP_S` before the next recording belongs
-to that; times more than `AFTER_END_S` after the end are rejected."""
+"""A time in the last `NEAR_END_S` of a run asks for its end; one up to `CONTINUATION_GAP_S` before the next recording
+belongs to that; times more than `AFTER_END_S` after the end are rejected."""
 
 
 @dataclass(frozen=True, slots=True)
